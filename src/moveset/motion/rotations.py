@@ -1,0 +1,174 @@
+"""Quaternions as tiny pure functions on tensors of shape (..., 4), in x, y, z, w order (as glTF, three.js, scipy, roma).
+
+Rotations act on column vectors; ``mul(a, b)`` applies ``b`` first. Angles are radians unless a name says degrees.
+"""
+
+import math
+
+import roma
+import torch
+from torch import Tensor
+
+
+def identity(*shape: int) -> Tensor:
+    """Identity rotations, shape (*shape, 4).
+
+    >>> identity(2).tolist()
+    [[0.0, 0.0, 0.0, 1.0], [0.0, 0.0, 0.0, 1.0]]
+    """
+    q = torch.zeros(*shape, 4)
+    q[..., 3] = 1.0
+    return q
+
+
+def normalize(q: Tensor) -> Tensor:
+    """Unit quaternions."""
+    return q / q.norm(dim=-1, keepdim=True).clamp_min(1e-12)
+
+
+def mul(a: Tensor, b: Tensor) -> Tensor:
+    """Compose: rotate by b, then by a. Shapes broadcast."""
+    ax, ay, az, aw = a.unbind(-1)
+    bx, by, bz, bw = b.unbind(-1)
+    return torch.stack(
+        (
+            aw * bx + ax * bw + ay * bz - az * by,
+            aw * by - ax * bz + ay * bw + az * bx,
+            aw * bz + ax * by - ay * bx + az * bw,
+            aw * bw - ax * bx - ay * by - az * bz,
+        ),
+        dim=-1,
+    )
+
+
+def inv(q: Tensor) -> Tensor:
+    """Inverse of unit quaternions."""
+    return q * q.new_tensor((-1.0, -1.0, -1.0, 1.0))
+
+
+def rotate(q: Tensor, v: Tensor) -> Tensor:
+    """Rotate vectors v (..., 3) by q (..., 4); shapes broadcast."""
+    u, w = q[..., :3], q[..., 3:]
+    u, v = torch.broadcast_tensors(u, v)
+    t = 2.0 * torch.linalg.cross(u, v)
+    return v + w * t + torch.linalg.cross(u, t)
+
+
+def from_axis_angle(axis: Tensor, angle: Tensor) -> Tensor:
+    """Rotation by angle (...) about the unit axis (..., 3)."""
+    half = 0.5 * angle[..., None]
+    return torch.cat((axis * torch.sin(half), torch.cos(half)), dim=-1)
+
+
+def about(axis: str, degrees: float | Tensor) -> Tensor:
+    """Rotation about the coordinate axis "x", "y" or "z" by degrees (any shape).
+
+    >>> [round(v, 4) for v in rotate(about("y", 90.0), torch.tensor([0.0, 0.0, 1.0])).tolist()]
+    [1.0, 0.0, 0.0]
+    """
+    angle = torch.as_tensor(degrees, dtype=torch.get_default_dtype() if isinstance(degrees, float | int) else None)
+    half = torch.deg2rad(angle) * 0.5
+    zero = torch.zeros_like(half)
+    parts = [zero, zero, zero, torch.cos(half)]
+    parts["xyz".index(axis)] = torch.sin(half)
+    return torch.stack(parts, dim=-1)
+
+
+def yaw(angle: Tensor) -> Tensor:
+    """Rotation about +Y by angle (...) radians."""
+    half, zero = 0.5 * angle, torch.zeros_like(angle)
+    return torch.stack((zero, torch.sin(half), zero, torch.cos(half)), dim=-1)
+
+
+def heading(q: Tensor) -> Tensor:
+    """The twist of q about +Y, as a quaternion (swing-twist decomposition).
+
+    Left multiplication by a yaw turns it by just that yaw, which makes it the heading of a pelvis; it is undefined only
+    for half turns about a horizontal axis, where it returns the identity.
+    """
+    twist = torch.stack((torch.zeros_like(q[..., 1]), q[..., 1], torch.zeros_like(q[..., 1]), q[..., 3]), dim=-1)
+    size = twist.norm(dim=-1, keepdim=True)
+    unit = torch.tensor((0.0, 0.0, 0.0, 1.0), dtype=q.dtype, device=q.device)
+    return torch.where(size > 1e-6, twist / size.clamp_min(1e-6), unit)
+
+
+def heading_angle(q: Tensor) -> Tensor:
+    """Angle of ``heading(q)`` in (-pi, pi]."""
+    angle = 2.0 * torch.atan2(q[..., 1], q[..., 3])
+    return torch.remainder(angle + math.pi, 2 * math.pi) - math.pi
+
+
+def between(u: Tensor, v: Tensor) -> Tensor:
+    """Shortest arc that takes directions u (..., 3) to v (..., 3); singular where they are opposite."""
+    u, v = torch.broadcast_tensors(u, v)
+    w = u.norm(dim=-1) * v.norm(dim=-1) + (u * v).sum(-1)
+    return normalize(torch.cat((torch.linalg.cross(u, v), w[..., None]), dim=-1))
+
+
+def angle(q: Tensor) -> Tensor:
+    """Rotation angle in [0, pi]."""
+    return 2.0 * torch.atan2(q[..., :3].norm(dim=-1), q[..., 3].abs())
+
+
+def slerp(a: Tensor, b: Tensor, t: Tensor | float) -> Tensor:
+    """Spherical interpolation along the shorter arc; t in [0, 1] broadcasts over the leading shape."""
+    dot = (a * b).sum(-1, keepdim=True)
+    b = torch.where(dot < 0, -b, b)
+    dot = dot.abs().clamp(max=1.0)
+    theta = torch.acos(dot)
+    t = torch.as_tensor(t, dtype=a.dtype, device=a.device)
+    t = t[..., None] if t.ndim else t
+    near = theta < 1e-4
+    sine = torch.sin(theta).clamp_min(1e-8)
+    wa = torch.where(near, 1.0 - t, torch.sin((1.0 - t) * theta) / sine)
+    wb = torch.where(near, t, torch.sin(t * theta) / sine)
+    return normalize(wa * a + wb * b)
+
+
+def unroll(q: Tensor) -> Tensor:
+    """Flip signs along dimension 0 so that consecutive frames lie in the same hemisphere."""
+    flips = torch.where((q[1:] * q[:-1]).sum(-1) < 0, -1.0, 1.0).to(q.dtype)
+    signs = torch.cat((torch.ones_like(q[:1, ..., 0]), torch.cumprod(flips, dim=0)))
+    return q * signs[..., None]
+
+
+def to_matrix(q: Tensor) -> Tensor:
+    """Rotation matrices (..., 3, 3)."""
+    return roma.unitquat_to_rotmat(q)
+
+
+def from_matrix(m: Tensor) -> Tensor:
+    """Unit quaternions of rotation matrices (..., 3, 3)."""
+    return roma.rotmat_to_unitquat(m)
+
+
+def to_6d(q: Tensor) -> Tensor:
+    """First two matrix columns, concatenated: (..., 6) (Zhou et al. 2019, arXiv 1812.07035)."""
+    m = to_matrix(q)
+    return torch.cat((m[..., :, 0], m[..., :, 1]), dim=-1)
+
+
+def matrix_from_6d(d: Tensor) -> Tensor:
+    """Gram-Schmidt of the two columns in (..., 6): rotation matrices (..., 3, 3), differentiable."""
+    a = torch.nn.functional.normalize(d[..., :3], dim=-1)
+    b = torch.nn.functional.normalize(d[..., 3:] - (a * d[..., 3:]).sum(-1, keepdim=True) * a, dim=-1)
+    return torch.stack((a, b, torch.linalg.cross(a, b)), dim=-1)
+
+
+def from_6d(d: Tensor) -> Tensor:
+    """Unit quaternions of (..., 6)."""
+    return from_matrix(matrix_from_6d(d))
+
+
+def from_euler(degrees: Tensor, order: str) -> Tensor:
+    """Intrinsic Euler angles in degrees (..., n) about the axes of ``order`` ("ZXY": R = Rz·Rx·Ry)."""
+    q = about(order[0].lower(), degrees[..., 0])
+    for k, axis in enumerate(order[1:], start=1):
+        q = mul(q, about(axis.lower(), degrees[..., k]))
+    return q
+
+
+def to_euler(q: Tensor, order: str) -> Tensor:
+    """Intrinsic Euler angles in degrees (..., 3); ``order`` names three different axes, e.g. "ZXY"."""
+    angles = roma.unitquat_to_euler(order.upper(), q.reshape(-1, 4), degrees=True, as_tensor=True)
+    return angles.reshape(*q.shape[:-1], 3)
