@@ -1,0 +1,140 @@
+"""The ``native`` features: what a motion is, seen from its own heading, with true rotations (269 numbers a frame on hml22).
+
+Layout for J joints (F frames, D = 4 + 6J + 3(J-1) + 3J + 4):
+
+====================  ======  =====================================================================================
+root                  4       yaw step to the next frame (rad), planar step to the next frame in this frame's heading
+                              (x, z, metres), height (metres)
+rotations             6J      the pelvis relative to the heading, every other joint relative to its parent; two matrix
+                              columns each (arXiv 1812.07035)
+positions             3(J-1)  joints 1..J-1 relative to the root's ground point, in the heading frame, metres
+velocities            3J      step of every joint to the next frame, in this frame's heading, metres
+contacts              4       left ankle, left toe, right ankle, right toe: 1 = planted
+====================  ======  =====================================================================================
+
+Everything is invariant to the heading and the planar position of the clip, so a crop of features is the features of the
+crop. Decoding uses the root and the rotations alone; the rest is there to be learned from. The last frame's steps repeat
+those of the frame before.
+"""
+
+from dataclasses import replace
+
+import torch
+from torch import Tensor
+
+from moveset.errors import InputError
+from moveset.motion import rotations
+from moveset.motion.clip import Motion
+from moveset.motion.contacts import foot_contacts
+from moveset.motion.kinematics import fk_matrices
+from moveset.motion.skeleton import HML22, Skeleton
+
+
+class NativeCodec:
+    """Motions to heading-invariant features and back.
+
+    Args:
+        skeleton: the joint tree; it needs its four feet joints.
+        fps: the rate of the features; a motion at another rate is refused, not resampled.
+    """
+
+    name = "native"
+
+    def __init__(self, skeleton: Skeleton = HML22, fps: float = 20.0) -> None:
+        self.skeleton = skeleton
+        self.fps = fps
+        joints = len(skeleton)
+        sizes = {
+            "root_yaw": 1, "root_velocity": 2, "root_height": 1, "rotations": 6 * joints, "positions": 3 * (joints - 1),
+            "velocities": 3 * joints, "contacts": 4,
+        }  # fmt: skip
+        self.groups: dict[str, slice] = {}
+        start = 0
+        for group, size in sizes.items():
+            self.groups[group] = slice(start, start + size)
+            start += size
+        self.dim = start
+
+    def encode(self, motion: Motion) -> Tensor:
+        """Features (F, D) of a motion of F >= 2 frames.
+
+        Raises:
+            InputError: another skeleton, another frame rate, or a single frame.
+        """
+        if motion.skeleton.name != self.skeleton.name or motion.fps != self.fps or len(motion) < 2:
+            raise InputError(
+                f"native features need at least 2 frames on {self.skeleton.name!r} at {self.fps:g} fps; got {len(motion)} "
+                f"on {motion.skeleton.name!r} at {motion.fps:g} (retarget and resample it first)"
+            )
+        heading = rotations.heading(motion.rotations[:, 0])
+        back = rotations.inv(heading)
+        turn = rotations.heading_angle(rotations.mul(heading[1:], back[:-1]))
+        local = torch.cat((rotations.mul(back, motion.rotations[:, 0])[:, None], motion.rotations[:, 1:]), dim=1)
+        joints = motion.joints
+        steps = rotations.rotate(back[:-1, None], joints[1:] - joints[:-1])
+        ground = motion.root * motion.root.new_tensor((1.0, 0.0, 1.0))
+        positions = rotations.rotate(back[:, None], joints[:, 1:] - ground[:, None])
+        frames = len(motion)
+        return torch.cat(
+            (
+                _hold(turn)[:, None],
+                _hold(steps[:, 0, [0, 2]]),
+                motion.root[:, 1:2],
+                rotations.to_6d(local).reshape(frames, -1),
+                positions.reshape(frames, -1),
+                _hold(steps).reshape(frames, -1),
+                foot_contacts(joints, motion.fps, self.skeleton).to(joints.dtype),
+            ),
+            dim=-1,
+        )
+
+    def decode(self, features: Tensor) -> Motion:
+        """The motion of features (F, D), starting above the origin and facing +Z."""
+        heading, root = self.root_path(features)
+        local = rotations.from_6d(self._six(features))
+        pelvis = rotations.mul(rotations.yaw(heading), local[..., 0, :])
+        turned = torch.cat((pelvis[..., None, :], local[..., 1:, :]), dim=-2)
+        return Motion(rotations.normalize(turned), root, self.fps, self.skeleton)
+
+    def joints(self, features: Tensor) -> Tensor:
+        """World positions (..., F, J, 3) of features (..., F, D), differentiable."""
+        heading, root = self.root_path(features)
+        still = rotations.rotate(rotations.yaw(heading)[..., None, :], self.posture(features))
+        ground = root * root.new_tensor((1.0, 0.0, 1.0))
+        return still + ground[..., None, :]
+
+    def posture(self, features: Tensor) -> Tensor:
+        """Joint positions (..., F, J, 3) above the ground point of the root, in the heading frame, from the rotations."""
+        height = features[..., self.groups["root_height"]]
+        root = torch.cat((torch.zeros_like(height), height, torch.zeros_like(height)), dim=-1)
+        return fk_matrices(rotations.matrix_from_6d(self._six(features)), root, self.skeleton)
+
+    def root_path(self, features: Tensor) -> tuple[Tensor, Tensor]:
+        """Heading angle (..., F) in radians and root position (..., F, 3), integrated from zero."""
+        heading = _integrate(features[..., self.groups["root_yaw"]], dim=-2)[..., 0]
+        step = features[..., self.groups["root_velocity"]]
+        sin, cos = torch.sin(heading), torch.cos(heading)
+        x = step[..., 0] * cos + step[..., 1] * sin
+        z = step[..., 1] * cos - step[..., 0] * sin
+        planar = _integrate(torch.stack((x, z), dim=-1), dim=-2)
+        height = features[..., self.groups["root_height"]]
+        return heading, torch.cat((planar[..., :1], height, planar[..., 1:]), dim=-1)
+
+    def _six(self, features: Tensor) -> Tensor:
+        return features[..., self.groups["rotations"]].unflatten(-1, (len(self.skeleton), 6))
+
+    def with_fps(self, motion: Motion) -> Motion:
+        """The motion at this codec's frame rate."""
+        return motion if motion.fps == self.fps else replace(motion.resampled(self.fps), fps=self.fps)
+
+
+def _hold(steps: Tensor) -> Tensor:
+    """Repeat the last step, so that F - 1 steps become F rows."""
+    return torch.cat((steps, steps[-1:]))
+
+
+def _integrate(steps: Tensor, dim: int) -> Tensor:
+    """Running sum that starts at zero; the last step leads out of the clip and is not used."""
+    total = torch.cumsum(steps, dim=dim)
+    first = torch.zeros_like(total.narrow(dim, 0, 1))
+    return torch.cat((first, total.narrow(dim, 0, total.shape[dim] - 1)), dim=dim)
