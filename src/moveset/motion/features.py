@@ -1,0 +1,152 @@
+"""What a feature codec is, how to get one by name, and how features are normalised. F frames, D features."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from functools import cache
+from typing import Protocol
+
+import torch
+from torch import Tensor
+
+from moveset.errors import InputError
+from moveset.motion.clip import Motion
+from moveset.motion.skeleton import Skeleton
+
+CODECS = ("hml", "kit", "native")
+
+# T2M's channels that can be made louder during training by dividing their standard deviation (``feat_bias``).
+BIASED_GROUPS = ("root_rot", "root_lin", "root_y", "feet")
+
+
+class FeatureCodec(Protocol):
+    """Turns motions into rows of numbers that a network learns, and back."""
+
+    @property
+    def name(self) -> str:
+        """What ``get_codec`` knows it by."""
+
+    @property
+    def dim(self) -> int:
+        """Number of features D of a frame."""
+
+    @property
+    def skeleton(self) -> Skeleton:
+        """The skeleton of the motions it takes and gives."""
+
+    @property
+    def fps(self) -> float:
+        """Frame rate of its features; ``encode`` resamples."""
+
+    @property
+    def groups(self) -> Mapping[str, slice]:
+        """Columns by meaning, in order, covering all D: what shares one standard deviation in ``Normalizer.fit``."""
+
+    def encode(self, motion: Motion) -> Tensor:
+        """(F, D) float32 features of a motion."""
+
+    def decode(self, features: Tensor) -> Motion:
+        """The motion of features (F, D)."""
+
+    def joints(self, features: Tensor) -> Tensor:
+        """Joint positions (..., F, J, 3) in metres of features (..., F, D), without building a motion."""
+
+
+@cache
+def get_codec(name: str) -> FeatureCodec:
+    """The codec of that name: "hml" (HumanML3D, 263), "kit" (KIT-ML, 251) or "native" (269, true rotations).
+
+    Raises:
+        InputError: another name.
+    """
+    if name in ("hml", "kit"):
+        from moveset.motion.hml import HmlCodec
+
+        return HmlCodec("humanml3d" if name == "hml" else "kit")
+    if name == "native":
+        from moveset.motion.native import NativeCodec
+
+        return NativeCodec()
+    raise InputError(f"unknown feature codec {name!r}; choose one of {', '.join(CODECS)}")
+
+
+@dataclass(frozen=True, eq=False)
+class Normalizer:
+    """Affine normalisation of features: ``normalize`` subtracts the mean and divides by the standard deviation.
+
+    Args:
+        mean: (D,) float32.
+        std: (D,) float32, all above 0.
+
+    Raises:
+        InputError: shapes that differ, or values that are not finite or not above 0.
+    """
+
+    mean: Tensor
+    std: Tensor
+
+    def __post_init__(self) -> None:
+        if self.mean.ndim != 1 or self.mean.shape != self.std.shape:
+            raise InputError(
+                f"a normaliser needs a mean and a standard deviation (D,); got {tuple(self.mean.shape)} and "
+                f"{tuple(self.std.shape)}"
+            )
+        if not (torch.isfinite(self.mean).all() and torch.isfinite(self.std).all() and (self.std > 0).all()):
+            raise InputError(
+                "a normaliser needs finite means and standard deviations above 0; recompute the statistics"
+            )
+
+    @classmethod
+    def fit(cls, clips: Iterable[Tensor], groups: Mapping[str, slice], feat_bias: float = 1.0) -> "Normalizer":
+        """Statistics of clips (F, D), each frame weighing the same, in one pass and float64.
+
+        The standard deviation of each column is replaced by its group's mean, so that the parts of one quantity keep
+        their proportions (HumanML3D's rule; population deviation). A group that never varies gets 1. ``feat_bias``
+        is applied as in ``biased``.
+
+        Raises:
+            InputError: no frames, or groups that do not cover the columns once each.
+        """
+        count, shift = 0, torch.zeros(0, dtype=torch.float64)
+        total = square = shift
+        for clip in clips:
+            x = clip.detach().to(device="cpu", dtype=torch.float64)
+            if count == 0:
+                # Sums about one of the values: raw sums of squares cancel for columns far from 0 (a root height in mm).
+                shift = x[0].clone()
+                total, square = torch.zeros_like(shift), torch.zeros_like(shift)
+            x = x - shift
+            count, total, square = count + len(x), total + x.sum(0), square + (x * x).sum(0)
+        if count == 0:
+            raise InputError("statistics need at least one frame of features; the corpus given is empty")
+        covered = [column for part in groups.values() for column in range(len(total))[part]]
+        if sorted(covered) != list(range(len(total))):
+            raise InputError(f"the feature groups {list(groups)} do not cover {len(total)} columns once each")
+        mean = total / count
+        std = (square / count - mean * mean).clamp_min(0.0).sqrt()
+        for part in groups.values():
+            shared = std[part].mean()
+            std[part] = shared if shared > 1e-9 else 1.0
+        return cls((mean + shift).float(), std.float()).biased(groups, feat_bias)
+
+    def biased(self, groups: Mapping[str, slice], feat_bias: float) -> "Normalizer":
+        """With the standard deviations of root and contacts divided by ``feat_bias``: they weigh that much more.
+
+        T2M means 5 but divides twice, so its published evaluators expect 25; latent diffusion models use 1.
+
+        Raises:
+            InputError: a bias not above 0.
+        """
+        if not feat_bias > 0:
+            raise InputError(f"feat_bias {feat_bias} is not above 0; 1 leaves the statistics as they are")
+        std = self.std.clone()
+        for name in BIASED_GROUPS:
+            std[groups[name]] /= feat_bias
+        return Normalizer(self.mean, std)
+
+    def normalize(self, features: Tensor) -> Tensor:
+        """(..., D) to zero mean and unit (group) variance."""
+        return (features - self.mean.to(features)) / self.std.to(features)
+
+    def denormalize(self, normalized: Tensor) -> Tensor:
+        """The inverse of ``normalize``."""
+        return normalized * self.std.to(normalized) + self.mean.to(normalized)
