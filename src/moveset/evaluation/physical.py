@@ -121,8 +121,8 @@ def root_drift(joints: Tensor, reference: Tensor, lengths: Tensor | None = None)
             body) broadcast over the frames.
     """
     last = _valid(joints, lengths, 0).sum(dim=-1) - 1
-    apart = (joints - reference)[..., 0, :][..., [0, 2]].float()
-    apart = (apart - apart[..., :1, :]).norm(dim=-1)
+    offset = (joints - reference)[..., 0, :][..., [0, 2]].float()
+    apart: Tensor = (offset - offset[..., :1, :]).norm(dim=-1)
     return apart.gather(-1, last[..., None])[..., 0]
 
 

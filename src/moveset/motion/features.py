@@ -15,7 +15,7 @@ from moveset.motion.skeleton import Skeleton
 CODECS = ("hml", "kit", "native")
 
 # T2M's channels that can be made louder during training by dividing their standard deviation (``feat_bias``).
-BIASED_GROUPS = ("root_rot", "root_lin", "root_y", "feet")
+BIASED_GROUPS = ("root_yaw", "root_velocity", "root_height", "contacts")
 
 
 class FeatureCodec(Protocol):
@@ -35,14 +35,17 @@ class FeatureCodec(Protocol):
 
     @property
     def fps(self) -> float:
-        """Frame rate of its features; ``encode`` resamples."""
+        """Frame rate of its features and of the motions it takes."""
 
     @property
     def groups(self) -> Mapping[str, slice]:
-        """Columns by meaning, in order, covering all D: what shares one standard deviation in ``Normalizer.fit``."""
+        """Columns by meaning, covering all D once, as ``Normalizer`` wants them.
+
+        Named root_yaw, root_velocity, root_height, positions, rotations, velocities and contacts, in the codec's order.
+        """
 
     def encode(self, motion: Motion) -> Tensor:
-        """(F, D) float32 features of a motion."""
+        """Features (F', D) of a motion of F frames; F' is F, or F - 1 where a frame needs its successor."""
 
     def decode(self, features: Tensor) -> Motion:
         """The motion of features (F, D)."""
