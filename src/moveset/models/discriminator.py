@@ -1,0 +1,112 @@
+"""The discriminator of adversarial consistency: small heads that read a frozen denoiser's features.
+
+Shapes: B batch, N latent tokens, D latent channels, C width of the denoiser, L text tokens, K tapped blocks.
+Source: PCM (Wang et al. 2024, arXiv 2405.18407) and MotionPCM, Eq. 13, on the tokens of a latent sequence.
+"""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from moveset.errors import InputError
+from moveset.models.registry import register, require_range
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class DiscriminatorConfig:
+    """Sizes of the trained part: one head per tapped block of the backbone."""
+
+    width: int = 256
+    taps: int = 9
+    groups: int = 32
+
+    def __post_init__(self) -> None:
+        require_range("discriminator width", self.width, 1, 4096)
+        require_range("discriminator taps", self.taps, 1, 256)
+        require_range("discriminator groups", self.groups, 1, self.width)
+        if self.width % self.groups:
+            raise InputError(f"discriminator width {self.width} is not a multiple of its {self.groups} groups")
+
+    def build(self) -> "DiscriminatorHeads":
+        """Freshly initialised heads."""
+        return DiscriminatorHeads(self)
+
+
+class _Head(nn.Module):
+    """Logit of every token by itself: Linear, GroupNorm, LeakyReLU; the same again as a residual; Linear to 1.
+
+    The 1x1 convolutions of PCM's heads, for a sequence: GroupNorm sees one token at a time, so that no statistics
+    leak from token to token.
+    """
+
+    def __init__(self, width: int, groups: int) -> None:
+        super().__init__()
+        self.first, self.second = nn.Linear(width, width), nn.Linear(width, width)
+        self.first_norm, self.second_norm = nn.GroupNorm(groups, width), nn.GroupNorm(groups, width)
+        self.logit = nn.Linear(width, 1)
+
+    def forward(self, x_BNC: Tensor) -> Tensor:
+        h = x_BNC.flatten(0, 1)
+        h = F.leaky_relu(self.first_norm(self.first(h)), 0.01)
+        h = h + F.leaky_relu(self.second_norm(self.second(h)), 0.01)
+        return self.logit(h).view(x_BNC.shape[:2])
+
+
+class DiscriminatorHeads(nn.Module):
+    """What is trained: K heads for K feature maps."""
+
+    def __init__(self, config: DiscriminatorConfig) -> None:
+        super().__init__()
+        self.config = config
+        self.heads = nn.ModuleList(_Head(config.width, config.groups) for _ in range(config.taps))
+
+    def forward(self, taps: list[Tensor]) -> Tensor:
+        """Logits (B, N, K) of K feature maps (B, N, C)."""
+        if len(taps) != len(self.heads):
+            raise InputError(f"the backbone gave {len(taps)} feature maps for {len(self.heads)} discriminator heads")
+        return torch.stack([head(tap) for head, tap in zip(self.heads, taps, strict=True)], dim=-1)
+
+
+class LatentDiscriminator(nn.Module):
+    """Judges noised latents z_s at time s, given the text: high logits mean real.
+
+    The backbone is *not* a submodule: it is not trained, saved, moved or switched to training mode with the heads.
+    Gradients do flow through it into z_s, which is how a student learns from the verdict.
+
+    Args:
+        backbone: a denoiser ``(z_BND, t_B, tokens_BLC, mask_BL, w_B=None, taps=None) -> eps_BND`` whose ``taps``
+            collect (B, N, C) feature maps. It is put into evaluation mode and its parameters are frozen, in place:
+            hand over the teacher, or a copy of it.
+        heads: the trained part.
+    """
+
+    def __init__(self, backbone: nn.Module, heads: DiscriminatorHeads) -> None:
+        super().__init__()
+        self.heads = heads
+        self._outside = (backbone.eval().requires_grad_(False),)  # a tuple hides it from nn.Module's registration
+
+    @property
+    def backbone(self) -> nn.Module:
+        """The frozen denoiser."""
+        return self._outside[0]
+
+    def forward(self, z_BND: Tensor, s_B: Tensor, tokens_BLC: Tensor, mask_BL: Tensor) -> Tensor:
+        """Logits (B, N, K), one for every latent token and tapped block; a hinge loss averages over all of them.
+
+        Args:
+            z_BND: latents, real or fake, noised to time s.
+            s_B: (B,) integer timesteps of the diffusion.
+            tokens_BLC: text token states; mask_BL is True where there is a token.
+        """
+        if self.backbone.training:
+            raise RuntimeError(
+                "the discriminator's backbone was switched to training mode: its features need no dropout"
+            )
+        taps: list[Tensor] = []
+        self.backbone(z_BND, s_B, tokens_BLC, mask_BL, None, taps)
+        return self.heads(taps)
+
+
+register("latent_discriminator", DiscriminatorConfig)
