@@ -1,0 +1,128 @@
+"""Bandai-Namco-Research-Motiondataset 1 and 2: BVH at 30 fps in centimetres, content and style in the file's name."""
+
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from moveset.data.hml22_calibration import FPS, assemble, finish, turn
+from moveset.data.takes import ImportedTake, TakeRef, imported
+from moveset.errors import FormatError, InputError
+from moveset.io.bvh import LocalFrames, local_frames, read_bvh
+from moveset.motion import rotations
+from moveset.motion.skeleton import HML22
+
+_METRES = 0.01
+_X, _Y, _Z = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
+
+
+def _negative(v: tuple[float, float, float]) -> tuple[float, float, float]:
+    return (-v[0], -v[1], -v[2])
+
+
+def _undo(x: tuple[float, ...], y: tuple[float, ...]) -> Tensor:
+    """Inverse of the source joint's frame in hml22's rest pose, given where its local x and y axes point there."""
+    columns = torch.tensor((x, y), dtype=torch.float64)
+    frame = torch.stack((columns[0], columns[1], torch.linalg.cross(columns[0], columns[1])), dim=-1)
+    return rotations.inv(rotations.from_matrix(frame))
+
+
+def _constants() -> dict[str, tuple[str, Tensor]]:
+    """hml22 joint -> (source joint, constant A)."""
+    toe = HML22.offsets[HML22.index("left_foot")].double()
+    toe = tuple((toe / toe.norm()).tolist())
+    down = _negative(_Y)
+    table = {
+        "pelvis": ("Hips", _Y, _negative(_X), turn("x", 3.0)),
+        "spine2": ("Spine", _Y, _Z, None),
+        "spine3": ("Chest", _Y, _Z, None),
+        "neck": ("Neck", _Y, _Z, turn("x", -3.0)),
+        "head": ("Head", _Y, _Z, turn("x", -8.0)),
+        "left_collar": ("Shoulder_L", _X, _Y, turn("y", -18.0)),
+        "right_collar": ("Shoulder_R", _X, _negative(_Y), turn("y", 17.0)),
+        "left_shoulder": ("UpperArm_L", _X, _Y, None),
+        "right_shoulder": ("UpperArm_R", _X, _negative(_Y), None),
+        "left_elbow": ("LowerArm_L", _X, _Y, None),
+        "right_elbow": ("LowerArm_R", _X, _negative(_Y), None),
+        "left_wrist": ("Hand_L", _X, _Y, None),
+        "right_wrist": ("Hand_R", _X, _negative(_Y), None),
+        "left_hip": ("UpperLeg_L", down, _X, None),
+        "right_hip": ("UpperLeg_R", _Y, _X, None),
+        "left_knee": ("LowerLeg_L", down, _X, None),
+        "right_knee": ("LowerLeg_R", _Y, _X, None),
+        "left_ankle": ("Foot_L", toe, _X, turn("x", -13.5)),
+        "right_ankle": ("Foot_R", _negative(toe), _X, turn("x", -13.5)),
+        "left_foot": ("Toes_L", _Z, _X, turn("x", -23.0)),
+        "right_foot": ("Toes_R", _negative(_Z), _X, turn("x", -23.0)),
+    }
+    return {
+        joint: (source, _undo(x, y) if extra is None else rotations.mul(_undo(x, y), extra))
+        for joint, (source, x, y, extra) in table.items()
+    }
+
+
+_CONSTANTS = _constants()
+
+
+def list_takes(root: Path) -> list[TakeRef]:
+    """Takes below ``root``, which holds ``dataset-1`` and/or ``dataset-2``, in the order of their names.
+
+    Raises:
+        InputError: there are none.
+    """
+    takes: list[TakeRef] = []
+    for path in sorted(Path(root).glob("dataset-[12]/data/*.bvh")):
+        parts = path.stem.split("_")
+        if len(parts) != 4:
+            raise InputError(f"{path} is not named dataset-K_CONTENT_STYLE_NNN.bvh; restore its original name")
+        source = "bandai" + parts[0][-1]
+        takes.append(TakeRef(path.stem, source, path, parts[1], parts[2], None, (), source))
+    if not takes:
+        raise InputError(f"{root} holds no dataset-1/data/*.bvh or dataset-2/data/*.bvh; give the unpacked data set")
+    return takes
+
+
+def read_take(ref: TakeRef) -> ImportedTake:
+    """A take on ``hml22`` at 20 fps.
+
+    Raises:
+        InputError: the file cannot be read.
+        FormatError: it is damaged or not a take of this data set.
+    """
+    bvh = read_bvh(ref.path)
+    if "Hips" not in bvh.joints:
+        raise FormatError(f"{ref.path} has no joint 'Hips'; it is not a take of the Bandai-Namco data set")
+    # The motion of the root sits in Hips, in a few loops also in joint_Root: both are composed.
+    frames = _resampled(local_frames(bvh, root="Hips"), bvh.fps)
+    turned, placed = frames.world()
+    where = {name: j for j, name in enumerate(frames.joints)}
+    missing = [source for source, _ in _CONSTANTS.values() if source not in where]
+    if missing:
+        raise FormatError(f"{ref.path} has no joint {missing[0]!r}; it is not a take of the Bandai-Namco data set")
+    ours = {
+        joint: rotations.mul(turned[:, where[source]], constant) for joint, (source, constant) in _CONSTANTS.items()
+    }
+    hips = placed[:, [where["UpperLeg_L"], where["UpperLeg_R"]]].mean(dim=1) * _METRES
+    bones = ("LowerLeg_L", "Foot_L", "LowerLeg_R", "Foot_R")
+    leg = sum(float(frames.offsets[where[bone]].norm()) for bone in bones) / 2 * _METRES
+    local, root = assemble(ours, hips, leg)
+    return imported(ref, finish(local, root), (0, len(root)))
+
+
+def _resampled(frames: LocalFrames, fps: float) -> LocalFrames:
+    """At 20 fps by cubic splines.
+
+    Every other new frame falls halfway between two old ones, where linear interpolation would ripple: it halves the
+    accelerations there.
+    """
+    from scipy.interpolate import CubicSpline
+
+    count, joints = frames.rotations.shape[:2]
+    if count < 2 or fps == FPS:
+        return frames
+    channels = np.concatenate((frames.rotations.numpy().reshape(count, -1), frames.root.numpy()), axis=1)
+    times = np.arange(int((count - 1) / fps * FPS + 1e-6) + 1) / FPS
+    values = torch.from_numpy(CubicSpline(np.arange(count) / fps, channels)(times))
+    turned = rotations.normalize(values[:, :-3].reshape(-1, joints, 4))
+    return LocalFrames(frames.joints, frames.parents, frames.offsets, turned, values[:, -3:], frames.stretch)

@@ -1,0 +1,75 @@
+"""Limits for files that came from somewhere else, and writes that leave nothing half-written."""
+
+import os
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import IO
+
+from moveset.errors import FormatError, InputError
+
+MAX_BYTES = 64 * 2**20
+MAX_LINE = 64 * 2**10
+MAX_JOINTS = 512
+MAX_DEPTH = 128
+MAX_FRAMES = 100_000
+MAX_NUMBER = 1e7
+
+
+def read_limited(path: str | Path, max_bytes: int = MAX_BYTES) -> bytes:
+    """The bytes of a regular file of at most ``max_bytes``.
+
+    Raises:
+        InputError: the file is missing, unreadable, or not a regular file (a pipe could block for ever).
+        FormatError: the file is larger than ``max_bytes``.
+    """
+    path = Path(path)
+    if path.exists() and not path.is_file():
+        raise InputError(f"{path} is not a regular file; give the path of a file")
+    try:
+        with path.open("rb") as file:
+            data = file.read(max_bytes + 1)
+    except OSError as error:
+        raise InputError(
+            f"cannot read {path}: {error.strerror or error}; check the path and its permissions"
+        ) from error
+    if len(data) > max_bytes:
+        raise FormatError(f"{path} is larger than the limit of {max_bytes / 2**20:g} MB; split or reduce it")
+    return data
+
+
+@contextmanager
+def atomic_write(path: str | Path) -> Iterator[IO[bytes]]:
+    """A binary file that appears at ``path`` whole or not at all.
+
+    The bytes go to a hidden temporary file beside ``path``, which is fsynced and renamed when the block ends well and
+    removed when it does not.
+
+    Raises:
+        InputError: the folder is missing or cannot be written to, or ``path`` is a folder.
+        OSError: writing fails half-way, for example on a full disk; nothing is left behind.
+    """
+    path = Path(path)
+    if path.is_dir():
+        raise InputError(f"cannot write {path}: it is a folder; give the path of a file")
+    try:
+        handle, name = tempfile.mkstemp(prefix=f".{path.name[:64]}.", suffix=".part", dir=path.parent)
+    except OSError as error:
+        raise InputError(
+            f"cannot write {path}: {error.strerror or error}; choose a folder that exists and can be written to"
+        ) from error
+    try:
+        with os.fdopen(handle, "wb") as file:
+            # mkstemp makes files private; give the result the permissions any new file would get.
+            mask = os.umask(0)
+            os.umask(mask)
+            os.chmod(name, 0o666 & ~mask)
+            yield file
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(name, path)
+    except BaseException:
+        with suppress(FileNotFoundError):
+            os.unlink(name)
+        raise
