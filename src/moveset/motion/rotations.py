@@ -1,4 +1,4 @@
-"""Quaternions as tiny pure functions on tensors of shape (..., 4), in x, y, z, w order (as glTF, three.js, scipy, roma).
+"""Quaternions as tiny pure functions on tensors of shape (..., 4), in x, y, z, w order (as glTF, scipy and roma).
 
 Rotations act on column vectors; ``mul(a, b)`` applies ``b`` first. Angles are radians unless a name says degrees.
 """
@@ -99,10 +99,27 @@ def heading_angle(q: Tensor) -> Tensor:
 
 
 def between(u: Tensor, v: Tensor) -> Tensor:
-    """Shortest arc that takes directions u (..., 3) to v (..., 3); singular where they are opposite."""
+    """Shortest arc that takes directions u (..., 3) to v (..., 3).
+
+    Where they are opposite every axis is as short: the one nearest to Y is taken (X for vertical u). Where one of them
+    is zero the result is the identity.
+    """
     u, v = torch.broadcast_tensors(u, v)
-    w = u.norm(dim=-1) * v.norm(dim=-1) + (u * v).sum(-1)
-    return normalize(torch.cat((torch.linalg.cross(u, v), w[..., None]), dim=-1))
+    size = u.norm(dim=-1) * v.norm(dim=-1)
+    q = torch.cat((torch.linalg.cross(u, v), (size + (u * v).sum(-1))[..., None]), dim=-1)
+    opposite = (q.norm(dim=-1) <= 1e-6 * size) & (size > 0)
+    x, y, z = u.unbind(-1)
+    zero = torch.zeros_like(x)
+    upright = (y.abs() > 0.99 * u.norm(dim=-1))[..., None]
+    side = torch.where(
+        upright,
+        torch.stack((y * y + z * z, -x * y, -x * z), dim=-1),
+        torch.stack((-x * y, x * x + z * z, -y * z), dim=-1),
+    )
+    half_turn = torch.cat((side, zero[..., None]), dim=-1)
+    unit = torch.stack((zero, zero, zero, torch.ones_like(x)), dim=-1)
+    q = torch.where(opposite[..., None], half_turn, torch.where((size > 0)[..., None], q, unit))
+    return normalize(q)
 
 
 def angle(q: Tensor) -> Tensor:
