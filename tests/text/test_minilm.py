@@ -4,6 +4,7 @@ import pytest
 import torch
 
 from moveset.errors import InputError
+from moveset.text import minilm
 from moveset.text.encoder import get_text_encoder, stack
 from moveset.text.minilm import MiniLM, packaged_folder
 
@@ -20,14 +21,16 @@ def encoder():
     return MiniLM()
 
 
-def test_token_states_equal_transformers(encoder):
+@pytest.mark.parametrize("pack", [True, False])
+def test_token_states_equal_transformers(pack, monkeypatch):
+    monkeypatch.setattr(minilm, "_can_pack", lambda device: pack)
     transformers = pytest.importorskip("transformers")
     bert = transformers.BertModel.from_pretrained(packaged_folder(), attn_implementation="eager").eval()
     tokenizer = transformers.AutoTokenizer.from_pretrained(packaged_folder())
     inputs = tokenizer(SENTENCES, padding=True, return_tensors="pt")
     with torch.no_grad():
         expected = bert(**inputs).last_hidden_state
-    ours = encoder.encode(SENTENCES)
+    ours = MiniLM().encode(SENTENCES)
     assert torch.equal(ours.mask, inputs["attention_mask"].bool())
     assert (ours.tokens - expected)[ours.mask].abs().max() <= 1e-5
     weights = ours.mask[..., None].float()
