@@ -1,0 +1,185 @@
+"""Sentences encoded once, kept in one file, looked up in batches during training.
+
+Shapes: ``K`` cached sentences, ``T`` tokens of all of them, ``B`` looked-up rows, ``L`` tokens of the longest row,
+``C`` encoder width.
+"""
+
+import hashlib
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save
+from torch import Tensor
+
+from moveset.errors import FormatError, InputError
+from moveset.io.limits import atomic_write
+from moveset.text.encoder import TextEmbedding, TextEncoder, check_sentences
+
+_FORMAT = "moveset text cache 1"
+_TENSORS = {"tokens": (torch.float16, 2), "pooled": (torch.float16, 2), "offsets": (torch.int64, 1)}
+
+
+@dataclass(frozen=True, eq=False)
+class EmbeddingCache:
+    """Token states of K different sentences in half precision.
+
+    Row 0 is always the empty sentence, so dropping the text of some items is ``torch.where(dropped, 0, rows)``.
+
+    Args:
+        encoder: name of the encoder, and ``max_tokens`` its limit.
+        sentences: K different sentences; ``sentences[0] == ""``.
+        tokens: (T, C) float16, the sentences' token states one after the other.
+        pooled: (K, C) float16.
+        offsets: (K + 1,) int64; sentence k owns ``tokens[offsets[k]:offsets[k + 1]]``.
+    """
+
+    encoder: str
+    max_tokens: int
+    sentences: tuple[str, ...]
+    tokens: Tensor
+    pooled: Tensor
+    offsets: Tensor
+
+    def __len__(self) -> int:
+        return len(self.sentences)
+
+    @classmethod
+    def build(cls, encoder: TextEncoder, sentences: Sequence[str], path: str | Path) -> "EmbeddingCache":
+        """Encode the different ones among ``sentences`` and write them; a file that already holds just these is kept.
+
+        Raises:
+            InputError: no sentences, or a path that cannot be written.
+        """
+        path = Path(path)
+        wanted = tuple(dict.fromkeys(["", *check_sentences(sentences)]))
+        if path.exists():
+            try:
+                found = cls.open(path)
+            except FormatError:
+                found = None  # damaged or of an older version: made anew
+            if found and (found.encoder, found.max_tokens, found.sentences) == (
+                encoder.name,
+                encoder.max_tokens,
+                wanted,
+            ):
+                return found
+        states, pooled = _encode_all(encoder, wanted)
+        offsets = torch.tensor([0, *(len(s) for s in states)]).cumsum(0)
+        cache = cls(encoder.name, encoder.max_tokens, wanted, torch.cat(states), pooled, offsets)
+        cache._write(path)
+        return cls.open(path)
+
+    @classmethod
+    def open(cls, path: str | Path, *, encoder: str | None = None) -> "EmbeddingCache":
+        """Read a cache and verify it: structure, checksum and, if given, the encoder's name.
+
+        Raises:
+            InputError: the file is missing, or was made by another encoder.
+            FormatError: it is damaged or not a cache.
+        """
+        path = Path(path)
+        if not path.is_file():
+            raise InputError(f"there is no text cache {path}; build it with EmbeddingCache.build")
+        try:
+            with safe_open(path, framework="pt") as file:
+                meta = file.metadata() or {}
+                tensors = {name: file.get_tensor(name) for name in _TENSORS}
+                names = file.get_tensor("sentences").numpy().tobytes()
+            sentences = tuple(json.loads(names))
+            cache = cls(meta["encoder"], int(meta["max_tokens"]), sentences, **tensors)
+            sound = meta["format"] == _FORMAT and cache._well_formed() and meta["sha256"] == cache._digest()
+        except (SafetensorError, KeyError, ValueError, TypeError) as error:
+            raise FormatError(f"{path} is not a text cache ({error}); delete it and build it again") from None
+        if not sound:
+            raise FormatError(f"the text cache {path} is damaged; delete it and build it again")
+        if encoder is not None and cache.encoder != encoder:
+            raise InputError(f"the text cache {path} was made by {cache.encoder!r}, not {encoder!r}; build it again")
+        return cache
+
+    def to(self, device: torch.device | str) -> "EmbeddingCache":
+        """The same with its tensors on another device; lookups then happen there."""
+        return replace(
+            self, tokens=self.tokens.to(device), pooled=self.pooled.to(device), offsets=self.offsets.to(device)
+        )
+
+    def rows(self, sentences: Sequence[str]) -> Tensor:
+        """(B,) row numbers of sentences. Raises InputError for one that is not in the cache."""
+        try:
+            found = [self._row_of[sentence] for sentence in sentences]
+        except KeyError as error:
+            raise InputError(
+                f"the sentence {error.args[0]!r} is not among the {len(self)} in the text cache; build it again"
+            ) from None
+        return torch.tensor(found, device=self.offsets.device)
+
+    def lookup(self, which: Tensor | Sequence[str], max_tokens: int | None = None) -> TextEmbedding:
+        """Embeddings of some sentences, padded to the longest of them.
+
+        Args:
+            which: (B,) int64 row numbers, or B sentences.
+            max_tokens: keep at most this many tokens of each, the first ones.
+
+        Raises:
+            InputError: a sentence that is not in the cache.
+        """
+        rows_B = which.to(self.offsets.device) if isinstance(which, Tensor) else self.rows(which)
+        start_B = self.offsets[rows_B]
+        count_B = self.offsets[rows_B + 1] - start_B
+        if max_tokens is not None:
+            count_B = count_B.clamp(max=max_tokens)
+        place_L = torch.arange(int(count_B.max()), device=rows_B.device)
+        mask_BL = place_L < count_B[:, None]
+        # Padding reads the row's first token and is then zeroed: no index leaves the table.
+        where_BL = start_B[:, None] + place_L * mask_BL
+        tokens_BLC = self.tokens[where_BL].float() * mask_BL[:, :, None]
+        return TextEmbedding(tokens_BLC, mask_BL, self.pooled[rows_B].float())
+
+    @cached_property
+    def _row_of(self) -> dict[str, int]:
+        return {sentence: row for row, sentence in enumerate(self.sentences)}
+
+    def _well_formed(self) -> bool:
+        shapes = all((getattr(self, n).dtype, getattr(self, n).ndim) == want for n, want in _TENSORS.items())
+        counts = self.offsets.shape == (len(self) + 1,) and self.pooled.shape == (len(self), self.tokens.shape[1])
+        texts = all(isinstance(s, str) for s in self.sentences) and len(self._row_of) == len(self)
+        if not (shapes and counts and texts and self.sentences[:1] == ("",)):
+            return False
+        lengths = self.offsets.diff()
+        return int(self.offsets[0]) == 0 and int(self.offsets[-1]) == len(self.tokens) and bool((lengths > 0).all())
+
+    def _digest(self) -> str:
+        digest = hashlib.sha256(json.dumps([_FORMAT, self.encoder, self.max_tokens, self.sentences]).encode())
+        for name in _TENSORS:
+            digest.update(getattr(self, name).contiguous().numpy())
+        return digest.hexdigest()
+
+    def _write(self, path: Path) -> None:
+        names = bytearray(json.dumps(self.sentences).encode())
+        tensors = {name: getattr(self, name).contiguous() for name in _TENSORS}
+        tensors["sentences"] = torch.frombuffer(names, dtype=torch.uint8)
+        meta = {"format": _FORMAT, "encoder": self.encoder, "max_tokens": str(self.max_tokens)}
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with atomic_write(path) as file:
+            file.write(save(tensors, metadata={**meta, "sha256": self._digest()}))
+
+
+def _encode_all(encoder: TextEncoder, sentences: Sequence[str], batch: int = 64) -> tuple[list[Tensor], Tensor]:
+    """Token states (one tensor per sentence) and pooled vectors (K, C), in half precision."""
+    from tqdm import tqdm
+
+    # Sentences of like length share a batch, so that little padding is computed.
+    order = sorted(range(len(sentences)), key=lambda k: len(sentences[k]))
+    states: list[Tensor] = [torch.empty(0)] * len(sentences)
+    pooled = torch.empty(len(sentences), encoder.dim, dtype=torch.float16)
+    for first in tqdm(range(0, len(order), batch), desc="text", unit="batch", disable=None):
+        rows = order[first : first + batch]
+        coded = encoder.encode([sentences[k] for k in rows]).to("cpu")
+        pooled[rows] = coded.pooled.half()
+        for k, tokens_LC, mask_L in zip(rows, coded.tokens, coded.mask, strict=True):
+            states[k] = tokens_LC[mask_L].half()
+    return states, pooled

@@ -1,0 +1,101 @@
+"""The embedding cache gives back what the encoder said and refuses files that were touched."""
+
+import pytest
+import torch
+
+from moveset.errors import FormatError, InputError
+from moveset.text.cache import EmbeddingCache
+from moveset.text.encoder import TextEmbedding
+
+WORDS = ("a", "person", "walks", "jumps", "waves", "slowly", "forward", "left", "right", "hand", "then", "and")
+
+
+class LetterEncoder:
+    """Stands in for a real encoder: every word becomes a vector made of its letters."""
+
+    name, dim, max_tokens = "letters", 6, 8
+
+    def __init__(self):
+        self.calls = 0
+
+    def encode(self, sentences):
+        self.calls += 1
+        ids = [[" ", *s.split()][: self.max_tokens] for s in sentences]
+        width = max(map(len, ids))
+        tokens = torch.zeros(len(ids), width, self.dim)
+        for b, words in enumerate(ids):
+            for n, word in enumerate(words):
+                tokens[b, n] = torch.tensor([float(len(word)), *(ord(c) / 7 for c in f"{word}~~~~~"[:5])])
+        mask = torch.arange(width) < torch.tensor([len(w) for w in ids])[:, None]
+        pooled = torch.nn.functional.normalize(tokens.sum(1) + 1, dim=-1)
+        return TextEmbedding(tokens, mask, pooled)
+
+    def token_count(self, sentence):
+        return 1 + len(sentence.split())
+
+
+@pytest.fixture
+def sentences():
+    generator = torch.Generator().manual_seed(3)
+    counts = torch.randint(1, 12, (150,), generator=generator).tolist()
+    return [" ".join(WORDS[k] for k in torch.randint(len(WORDS), (n,), generator=generator)) for n in counts]
+
+
+def same(a, b):
+    torch.testing.assert_close(a.tokens, b.tokens, atol=0.02, rtol=1e-3)
+    torch.testing.assert_close(a.pooled, b.pooled, atol=1e-3, rtol=0)
+    assert torch.equal(a.mask, b.mask)
+
+
+def test_lookup_equals_encoding(sentences, tmp_path):
+    encoder = LetterEncoder()
+    cache = EmbeddingCache.build(encoder, sentences, tmp_path / "deep" / "text.safetensors")
+    picked = [sentences[7], "", sentences[90], sentences[7]]
+    same(cache.lookup(picked), encoder.encode(picked))
+    rows = cache.rows(picked)
+    assert rows[1] == 0
+    same(cache.lookup(rows), encoder.encode(picked))
+    cut = cache.lookup(picked, max_tokens=3)
+    assert cut.tokens.shape[1] == 3
+    same(cut, TextEmbedding(cache.lookup(rows).tokens[:, :3], cache.lookup(rows).mask[:, :3], cut.pooled))
+
+
+def test_file_is_kept_when_nothing_changed_and_made_anew_otherwise(sentences, tmp_path):
+    path = tmp_path / "text.safetensors"
+    encoder = LetterEncoder()
+    EmbeddingCache.build(encoder, sentences, path)
+    calls = encoder.calls
+    EmbeddingCache.build(encoder, sentences * 2, path)
+    assert encoder.calls == calls
+    assert EmbeddingCache.build(encoder, [*sentences, "new words"], path).lookup(["new words"]).mask.all()
+    assert encoder.calls > calls
+    path.write_bytes(b"nonsense")
+    assert len(EmbeddingCache.build(encoder, sentences, path)) == len(set(sentences)) + 1
+    assert [p.name for p in tmp_path.iterdir()] == ["text.safetensors"]
+
+
+def test_unknown_sentences_encoders_and_files_are_named(sentences, tmp_path):
+    path = tmp_path / "text.safetensors"
+    cache = EmbeddingCache.build(LetterEncoder(), sentences, path)
+    with pytest.raises(InputError, match="swims"):
+        cache.lookup(["a person swims"])
+    with pytest.raises(InputError, match="minilm"):
+        EmbeddingCache.open(path, encoder="minilm")
+    with pytest.raises(InputError, match="no text cache"):
+        EmbeddingCache.open(tmp_path / "other")
+    with pytest.raises(InputError):
+        EmbeddingCache.build(LetterEncoder(), [], path)
+
+
+@pytest.mark.parametrize("where", [0.1, 0.5, 0.8, 0.999])
+def test_a_changed_byte_is_found(sentences, tmp_path, where):
+    path = tmp_path / "text.safetensors"
+    EmbeddingCache.build(LetterEncoder(), sentences, path)
+    data = bytearray(path.read_bytes())
+    data[int(len(data) * where)] ^= 0x10
+    path.write_bytes(data)
+    with pytest.raises(FormatError):
+        EmbeddingCache.open(path)
+    path.write_bytes(data[: len(data) // 2])
+    with pytest.raises(FormatError):
+        EmbeddingCache.open(path)
