@@ -1,0 +1,113 @@
+"""The published latent denoiser: noise in 16 latent tokens, predicted by a skip transformer that also reads the text.
+
+Shapes: B batch, N latent tokens, D latent channels, L text tokens, C text channels, W width.
+Source: MLD (arXiv 2212.04048), MotionLCM-V2 (arXiv 2404.19759); MotionPCM's student adds the guidance scale.
+"""
+
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor, nn
+
+from moveset.diffusion.guidance import guidance_embedding
+from moveset.models.layers import Positions, TimeEmbedding
+from moveset.models.registry import register, require_range
+from moveset.models.skip_transformer import SkipTransformer, SkipTransformerConfig
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class TokenDenoiserConfig:
+    """Sizes of a ``TokenDenoiser``; the defaults are the published teacher, ``guidance=True`` the student."""
+
+    token_dim: int = 32
+    text_dim: int = 768
+    width: int = 256
+    layers: int = 9
+    heads: int = 4
+    feed_forward: int = 1024
+    dropout: float = 0.1
+    positions: int = 500
+    time_waves: int = 768
+    guidance: bool = False
+    guidance_waves: int = 256
+
+    def __post_init__(self) -> None:
+        require_range("token_dim", self.token_dim, 1, 4096)
+        require_range("text_dim", self.text_dim, 1, 16384)
+        require_range("positions", self.positions, 1, 16384)
+        require_range("time_waves", self.time_waves, 2, 4096)
+        require_range("guidance_waves", self.guidance_waves, 4, 4096)
+        self.stack()
+
+    def stack(self) -> SkipTransformerConfig:
+        """The transformer's part."""
+        return SkipTransformerConfig(
+            width=self.width,
+            layers=self.layers,
+            heads=self.heads,
+            feed_forward=self.feed_forward,
+            dropout=self.dropout,
+        )
+
+    def build(self) -> "TokenDenoiser":
+        """The module with fresh weights."""
+        return TokenDenoiser(self)
+
+
+class TokenDenoiser(nn.Module):
+    """Predicts the noise in z_t: [latent tokens; time; text tokens] through one skip transformer."""
+
+    def __init__(self, config: TokenDenoiserConfig) -> None:
+        super().__init__()
+        self.config = config
+        self.latent_in = nn.Linear(config.token_dim, config.width)
+        self.time = TimeEmbedding(config.width, config.time_waves, config.guidance_waves if config.guidance else None)
+        self.text_in = nn.Linear(config.text_dim, config.width)
+        self.positions = Positions(config.positions, config.width)
+        self.stack = SkipTransformer(config.stack(), cross=False)
+        self.latent_out = nn.Linear(config.width, config.token_dim)
+
+    def forward(
+        self,
+        z_BND: Tensor,
+        t_B: Tensor,
+        tokens_BLC: Tensor,
+        mask_BL: Tensor,
+        w_B: Tensor | None = None,
+        taps: list[Tensor] | None = None,
+    ) -> Tensor:
+        """Noise (B, N, D) in the latents z at timesteps t.
+
+        Args:
+            t_B: (B,) integer timesteps, 0 to 999.
+            tokens_BLC: text token states (the published models use one pooled token, L = 1).
+            mask_BL: True where there is a text token; what stands elsewhere does not matter.
+            w_B: (B,) guidance scale, for a student and only for it.
+            taps: collects the latent tokens' part (B, N, W) of every block's output, first block first.
+
+        Raises:
+            InputError: more tokens than positions, or a guidance scale where none belongs (or the reverse).
+        """
+        count = z_BND.shape[1]
+        waves_w = None if w_B is None else guidance_embedding(w_B, self.config.guidance_waves)
+        time = self.time(t_B, waves_w)[:, None]
+        # Padding may hold anything, NaN included, and 0 * NaN would be NaN in the attention.
+        text = self.text_in(tokens_BLC.masked_fill(~mask_BL[..., None], 0.0))
+        x = self.positions(torch.cat((self.latent_in(z_BND), time, text), dim=1))
+        mask = torch.cat((mask_BL.new_ones(len(mask_BL), count + 1), mask_BL), dim=1)
+        blocks: list[Tensor] | None = None if taps is None else []
+        eps = self.latent_out(self.stack(x, mask, None, blocks)[:, :count])
+        if taps is not None and blocks is not None:
+            taps.extend(block[:, :count] for block in blocks)
+        return eps
+
+    def student(self) -> "TokenDenoiser":
+        """A copy with a guidance embedding that changes nothing yet: the start of distillation."""
+        out = replace(self.config, guidance=True).build().to(self.latent_in.weight)
+        missing, unexpected = out.load_state_dict(self.state_dict(), strict=False)
+        if unexpected or any(not name.startswith("time.guidance.") for name in missing):
+            raise RuntimeError(f"a student must share all weights of its teacher, but {missing} {unexpected} differ")
+        return out.train(self.training)
+
+
+register("token_denoiser", TokenDenoiserConfig)

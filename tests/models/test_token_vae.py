@@ -1,0 +1,51 @@
+import pytest
+import torch
+
+from moveset.errors import FormatError, InputError
+from moveset.models.registry import build_model, describe
+from moveset.models.token_vae import TokenVAEConfig
+from moveset.recipes import paper
+
+TINY = TokenVAEConfig(features=7, tokens=3, token_dim=4, width=16, layers=3, heads=2, feed_forward=32, positions=40)
+
+
+def test_published_size():
+    assert sum(p.numel() for p in paper.vae().build().parameters()) == 18_056_487
+    assert sum(p.numel() for p in paper.vae(251).build().parameters()) == 18_056_487 - 12 * (256 + 257)
+
+
+def test_shapes_and_length():
+    vae = TINY.build().eval()
+    lengths = torch.tensor([9, 5])
+    mean, log_variance = vae.encode(torch.randn(2, 9, 7), lengths)
+    assert mean.shape == log_variance.shape == (2, 3, 4)
+    for frames in (9, 20):  # the length of the output is what was asked for, not what was encoded
+        out = vae.decode(mean, lengths, frames)
+        assert out.shape == (2, frames, 7)
+        for row, length in zip(out, lengths.tolist(), strict=True):
+            assert (row[:length].abs().sum(-1) > 0).all()
+            assert (row[length:] == 0).all()
+
+
+def test_training_pass_is_encode_sample_decode():
+    vae = TINY.build().eval()
+    x, lengths, noise = torch.randn(2, 9, 7), torch.tensor([9, 5]), torch.randn(2, 3, 4)
+    out, mean, log_variance = vae(x, lengths, noise)
+    torch.testing.assert_close(out, vae.decode(mean + (0.5 * log_variance).exp() * noise, lengths, 9))
+
+
+def test_too_long_is_one_sentence():
+    vae = TINY.build()
+    with pytest.raises(InputError, match="41 tokens"):
+        vae.decode(torch.zeros(1, 3, 4), torch.tensor([41]), 41)
+    with pytest.raises(InputError, match="41 tokens"):
+        vae.encode(torch.zeros(1, 35, 7), torch.tensor([35]))
+
+
+def test_rebuilt_from_its_description():
+    kind, stored = describe(TINY)
+    twin = build_model(kind, stored)
+    assert twin.config == TINY
+    twin.load_state_dict(TINY.build().state_dict())
+    with pytest.raises(FormatError, match="even"):
+        build_model(kind, stored | {"layers": 4})
