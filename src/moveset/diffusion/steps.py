@@ -1,0 +1,73 @@
+"""Steps between noise levels, as pure functions.
+
+Shapes: ``z`` is (B, …) and times are int64 tensors that match the leading dimensions of ``z``: (B,) for one level per
+item, (B, N) for one per segment, () for one level everywhere. Keep ``z`` in float32: predicting z_0 divides by alpha_t,
+which is 0.068 at t = 999.
+"""
+
+import torch
+from torch import Tensor
+
+from moveset.diffusion.schedule import Schedule
+from moveset.errors import InputError
+
+
+def over(value: Tensor, z: Tensor) -> Tensor:
+    """``value`` shaped to broadcast over the trailing dimensions of ``z``.
+
+    >>> over(torch.zeros(2), torch.zeros(2, 16, 32)).shape
+    torch.Size([2, 1, 1])
+    """
+    return value.reshape(value.shape + (1,) * (z.ndim - value.ndim))
+
+
+def _alpha_sigma(schedule: Schedule, t: Tensor, z: Tensor) -> tuple[Tensor, Tensor]:
+    return over(schedule.alpha(t, z.dtype), z), over(schedule.sigma(t, z.dtype), z)
+
+
+def add_noise(schedule: Schedule, z0: Tensor, eps: Tensor, t: Tensor) -> Tensor:
+    """z_t = alpha_t z_0 + sigma_t eps."""
+    alpha, sigma = _alpha_sigma(schedule, t, z0)
+    return alpha * z0 + sigma * eps
+
+
+def predict_z0(schedule: Schedule, z: Tensor, eps: Tensor, t: Tensor) -> Tensor:
+    """The noise-free latent that z_t and the predicted noise imply: (z_t - sigma_t eps) / alpha_t."""
+    alpha, sigma = _alpha_sigma(schedule, t, z)
+    return (z - sigma * eps) / alpha
+
+
+def ddim_step(schedule: Schedule, z: Tensor, eps: Tensor, t: Tensor, s: Tensor) -> Tensor:
+    """The deterministic step from time t to time s (DDIM, Song et al. 2021, arXiv 2010.02502, Eq. 12 with eta = 0).
+
+    Equal to F(z, t, s) = (alpha_s/alpha_t) z - alpha_s eps (e^-lambda_t - e^-lambda_s) of MotionPCM, Eq. 8. Written
+    around z, as here, F(z, s, s) = z holds to the last bit.
+    """
+    alpha_t, sigma_t = _alpha_sigma(schedule, t, z)
+    alpha_s, sigma_s = _alpha_sigma(schedule, s, z)
+    ratio = alpha_s / alpha_t
+    return ratio * z + (sigma_s - ratio * sigma_t) * eps
+
+
+def renoise(schedule: Schedule, z: Tensor, s_from: Tensor, s_to: Tensor, noise: Tensor) -> Tensor:
+    """From the marginal at ``s_from`` to that at a later ``s_to``: r z + sqrt(1 - r²) noise, r = alpha_to/alpha_from.
+
+    The forward process itself, conditioned on z at ``s_from`` (PCM, Wang et al. 2024, arXiv 2405.18407).
+    """
+    a = schedule.alpha(s_to, torch.float64) / schedule.alpha(s_from, torch.float64)
+    keep, add = over(a, z).to(z.dtype), over((1 - a * a).sqrt(), z).to(z.dtype)
+    return keep * z + add * noise
+
+
+def ddim_timesteps(count: int, steps: int = 1000) -> tuple[int, ...]:
+    """Evaluation times of DDIM sampling, falling: the "leading" grid with offset 1 of latent diffusion.
+
+    Raises:
+        InputError: ``count`` not in 2 … steps // 2 (one leading step would start from almost no noise).
+
+    >>> ddim_timesteps(4)
+    (751, 501, 251, 1)
+    """
+    if not 2 <= count <= steps // 2:
+        raise InputError(f"{count} DDIM steps is not in 2 to {steps // 2}; 50 is usual")
+    return tuple(k * (steps // count) + 1 for k in reversed(range(count)))

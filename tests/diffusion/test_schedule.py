@@ -1,0 +1,62 @@
+"""The schedule against published values and against diffusers."""
+
+import pytest
+import torch
+
+from moveset.diffusion.schedule import Schedule, scaled_linear
+from moveset.errors import InputError
+
+# t: alpha_bar, alpha, sigma of 1000 scaled-linear steps from beta 0.00085 to 0.012
+TABLE = {
+    0: (0.999150, 0.999575, 0.029155),
+    99: (0.895463, 0.946289, 0.323322),
+    199: (0.755238, 0.869045, 0.494734),
+    299: (0.592183, 0.769534, 0.638605),
+    399: (0.426086, 0.652753, 0.757571),
+    499: (0.277670, 0.526944, 0.849900),
+    599: (0.161753, 0.402185, 0.915559),
+    699: (0.083128, 0.288320, 0.957534),
+    799: (0.037195, 0.192860, 0.981226),
+    899: (0.014299, 0.119577, 0.992825),
+    999: (0.004660, 0.068265, 0.997667),
+}
+
+
+def test_values_to_six_digits():
+    schedule = scaled_linear()
+    t = torch.tensor(list(TABLE))
+    ours = torch.stack((schedule.alpha_bar[t], schedule.alpha(t).double(), schedule.sigma(t).double()), dim=1)
+    torch.testing.assert_close(ours, torch.tensor(list(TABLE.values()), dtype=torch.float64), atol=6e-7, rtol=0)
+
+
+def test_equal_to_diffusers():
+    diffusers = pytest.importorskip("diffusers")
+    oracle = diffusers.DDIMScheduler(1000, 0.00085, 0.012, "scaled_linear").alphas_cumprod
+    torch.testing.assert_close(scaled_linear().alpha_bar.float(), oracle, atol=2e-7, rtol=2e-5)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_variance_is_preserved_and_shapes_follow_time(dtype):
+    schedule = scaled_linear()
+    t = torch.arange(1000).reshape(4, 250)
+    alpha, sigma = schedule.alpha(t, dtype), schedule.sigma(t, dtype)
+    assert alpha.shape == t.shape
+    assert alpha.dtype == dtype
+    tight = 1e-15 if dtype == torch.float64 else 2e-7
+    torch.testing.assert_close(alpha**2 + sigma**2, torch.ones_like(alpha), atol=tight, rtol=0)
+    assert (schedule.half_log_snr(torch.arange(1000), dtype).diff() < 0).all()
+
+
+def test_tables_first_used_while_sampling_still_serve_training():
+    schedule, t = scaled_linear(), torch.tensor([500])
+    with torch.inference_mode():
+        schedule.alpha(t)
+    weight = torch.ones(1, requires_grad=True)
+    (weight * schedule.alpha(t)).sum().backward()
+    assert weight.grad == schedule.alpha(t)
+
+
+@pytest.mark.parametrize("values", [[], [0.5, 0.5], [0.2, 0.8], [1.0, 0.5], [0.5, 0.0], [0.5, float("nan")]])
+def test_impossible_schedules_are_refused(values):
+    with pytest.raises(InputError):
+        Schedule(torch.tensor(values, dtype=torch.float64))

@@ -1,0 +1,85 @@
+"""Steps against diffusers' schedulers, and their broadcasting."""
+
+import pytest
+import torch
+
+from moveset.diffusion.guidance import cfg, guidance_embedding
+from moveset.diffusion.schedule import scaled_linear
+from moveset.diffusion.steps import add_noise, ddim_step, ddim_timesteps, predict_z0, renoise
+from moveset.errors import InputError
+
+SCHEDULE = scaled_linear()
+
+
+@pytest.fixture
+def generator():
+    return torch.Generator().manual_seed(11)
+
+
+@pytest.mark.parametrize("count", [2, 4, 10, 25, 50, 500])
+def test_ddim_loop_equals_diffusers(count, generator):
+    diffusers = pytest.importorskip("diffusers")
+    oracle = diffusers.DDIMScheduler(
+        1000, 0.00085, 0.012, "scaled_linear", clip_sample=False, set_alpha_to_one=False, steps_offset=1
+    )
+    oracle.set_timesteps(count)
+    times = ddim_timesteps(count)
+    assert list(times) == oracle.timesteps.tolist()
+    ours = theirs = torch.randn(3, 16, 32, generator=generator)
+    for t in times:
+        eps = torch.tanh(ours) + 0.1 * torch.randn(3, 16, 32, generator=generator)
+        s = max(t - 1000 // count, 0)  # diffusers: times before the start have alpha_bar_0
+        ours = ddim_step(SCHEDULE, ours, eps, torch.tensor(t), torch.tensor(s))
+        theirs = oracle.step(eps, t, theirs).prev_sample
+        torch.testing.assert_close(ours, theirs, atol=2e-4, rtol=2e-5)
+
+
+def test_noising_equals_diffusers(generator):
+    diffusers = pytest.importorskip("diffusers")
+    oracle = diffusers.DDIMScheduler(1000, 0.00085, 0.012, "scaled_linear")
+    z0, eps = torch.randn(2, 4, 16, 32, generator=generator)
+    t = torch.tensor([0, 99, 500, 999])
+    z = add_noise(SCHEDULE, z0, eps, t)
+    torch.testing.assert_close(z, oracle.add_noise(z0, eps, t), atol=2e-5, rtol=1e-5)
+    torch.testing.assert_close(predict_z0(SCHEDULE, z, eps, t), z0, atol=1e-5, rtol=1e-5)
+
+
+def test_renoising_keeps_the_marginal(generator):
+    z0, first, second = torch.randn(3, 60_000, generator=generator)
+    s, later = torch.tensor(199), torch.tensor(699)
+    z = renoise(SCHEDULE, add_noise(SCHEDULE, 2 + 0 * z0, first, s), s, later, second)
+    assert abs(z.mean() - 2 * SCHEDULE.alpha(later)) < 0.02
+    assert abs(z.std() - SCHEDULE.sigma(later)) < 0.02
+    assert torch.equal(renoise(SCHEDULE, z0, s, s, first), z0)
+
+
+def test_one_level_per_segment(generator):
+    z, eps = torch.randn(2, 2, 3, 16, 32, generator=generator)
+    t = torch.tensor([[999, 499, 99], [0, 1, 2]])
+    s = t // 2
+    together = ddim_step(SCHEDULE, z, eps, t, s)
+    for b in range(2):
+        for n in range(3):
+            torch.testing.assert_close(together[b, n], ddim_step(SCHEDULE, z[b, n], eps[b, n], t[b, n], s[b, n]))
+
+
+@pytest.mark.parametrize("count", [-1, 0, 1, 501, 1000])
+def test_absurd_step_counts_are_refused(count):
+    with pytest.raises(InputError, match=str(count)):
+        ddim_timesteps(count)
+
+
+def test_guidance():
+    c, u = torch.tensor([[1.0, 2.0], [3.0, 4.0]]), torch.tensor([[0.0, 1.0], [5.0, 4.0]])
+    assert torch.equal(cfg(c, u, 0.0), c)
+    torch.testing.assert_close(cfg(c, u, torch.tensor([1.0, 2.0])), torch.tensor([[2.0, 3.0], [-1.0, 4.0]]))
+    # the printed scale s of Stable Diffusion is w + 1
+    torch.testing.assert_close(cfg(c, u, 6.5), u + 7.5 * (c - u))
+
+
+def test_guidance_embedding_equals_diffusers():
+    pipeline = pytest.importorskip("diffusers").LatentConsistencyModelPipeline
+    w = torch.tensor([0.0, 5.0, 7.25, 15.0])
+    oracle = pipeline.get_guidance_scale_embedding(None, w, embedding_dim=256)
+    # arguments reach 15000 radians, where float32 itself is only good to 1e-3
+    torch.testing.assert_close(guidance_embedding(w), oracle, atol=2e-3, rtol=0)
