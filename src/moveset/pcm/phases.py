@@ -39,7 +39,7 @@ class PhaseGrid:
     def __post_init__(self) -> None:
         if not (1 <= self.points <= self.steps // 2 and self.steps % self.points == 0):
             raise InputError(
-                f"{self.points} solver points do not divide {self.steps} steps into equal skips above 1; use 10, 20, 40 or 50"
+                f"{self.points} solver points do not divide {self.steps} steps into equal skips; use 10, 20 or 50"
             )
         if not 1 <= self.phases <= self.points:
             raise InputError(f"{self.phases} phases is not in 1 to {self.points}, the solver points; use 1, 2 or 4")
