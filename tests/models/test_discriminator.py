@@ -15,8 +15,9 @@ class Backbone(nn.Module):
         self.text, self.outward = nn.Linear(8, width), nn.Linear(width, channels)
         self.dropout = nn.Dropout(0.5)
 
-    def forward(self, z, t, tokens, mask, w=None, taps=None):
+    def forward(self, z, t, tokens, mask, w=None, taps=None, frames=None):
         assert w is None
+        z = z if frames is None else z + frames[:, None, None]
         c = (self.text(tokens) * mask[..., None]).sum(1, keepdim=True) + torch.sin(t.float())[:, None, None]
         a = self.dropout(torch.tanh(self.inward(z) + c))
         b = torch.tanh(self.middle(a)) + a
@@ -93,6 +94,12 @@ def test_logits_are_dense_and_gradients_reach_every_head(scene):
     assert logits.shape == (16, 6, 2)
     (logits**2).mean().backward()
     assert all(p.grad is not None and p.grad.abs().max() > 0 for p in disc.parameters())
+
+
+def test_a_backbone_that_wants_the_length_gets_it(scene):
+    disc, real, _, cond = scene
+    frames = torch.arange(16)
+    assert torch.equal(disc(real, *cond, frames), disc(real + frames[:, None, None], *cond))
 
 
 def test_the_heads_judge_each_token_alone(scene):

@@ -69,6 +69,15 @@ def test_time_and_text_matter(inputs):
     assert not torch.allclose(model(z, t, tokens.roll(1, 0), mask), base, atol=1e-6)
 
 
+def test_padding_may_be_nan_and_a_prompt_empty(inputs):
+    z, t, tokens, mask = inputs
+    model = TINY.build().eval()
+    mask[2] = False
+    expected = model(z, t, tokens, mask)
+    assert torch.isfinite(expected).all()
+    assert torch.equal(model(z, t, tokens.masked_fill(~mask[..., None], float("nan")), mask), expected)
+
+
 def test_too_much_text_is_one_sentence():
     with pytest.raises(InputError, match="positions"):
         TINY.build()(torch.zeros(1, 5, 4), torch.tensor([1]), torch.zeros(1, 25, 6), torch.ones(1, 25).bool())

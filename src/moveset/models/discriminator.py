@@ -76,9 +76,9 @@ class LatentDiscriminator(nn.Module):
     Gradients do flow through it into z_s, which is how a student learns from the verdict.
 
     Args:
-        backbone: a denoiser ``(z_BND, t_B, tokens_BLC, mask_BL, w_B=None, taps=None) -> eps_BND`` whose ``taps``
-            collect (B, N, C) feature maps. It is put into evaluation mode and its parameters are frozen, in place:
-            hand over the teacher, or a copy of it.
+        backbone: a denoiser ``(z_BND, t_B, tokens_BLC, mask_BL, w_B=None, taps=None, frames_B=None) -> eps_BND``
+            whose ``taps`` collect (B, N, C) feature maps. It is put into evaluation mode and its parameters are
+            frozen, in place: hand over the teacher, or a copy of it.
         heads: the trained part.
     """
 
@@ -92,20 +92,28 @@ class LatentDiscriminator(nn.Module):
         """The frozen denoiser."""
         return self._outside[0]
 
-    def forward(self, z_BND: Tensor, s_B: Tensor, tokens_BLC: Tensor, mask_BL: Tensor) -> Tensor:
+    def forward(
+        self,
+        z_BND: Tensor,
+        s_B: Tensor,
+        tokens_BLC: Tensor,
+        mask_BL: Tensor,
+        frames_B: Tensor | None = None,
+    ) -> Tensor:
         """Logits (B, N, K), one for every latent token and tapped block; a hinge loss averages over all of them.
 
         Args:
             z_BND: latents, real or fake, noised to time s.
             s_B: (B,) integer timesteps of the diffusion.
             tokens_BLC: text token states; mask_BL is True where there is a token.
+            frames_B: (B,) clip lengths, for a backbone that wants to know them.
         """
         if self.backbone.training:
             raise RuntimeError(
                 "the discriminator's backbone was switched to training mode: its features need no dropout"
             )
         taps: list[Tensor] = []
-        self.backbone(z_BND, s_B, tokens_BLC, mask_BL, None, taps)
+        self.backbone(z_BND, s_B, tokens_BLC, mask_BL, None, taps, frames_B)
         return self.heads(taps)
 
 

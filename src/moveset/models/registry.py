@@ -44,7 +44,7 @@ def describe(config: ModelConfig) -> tuple[str, dict[str, Any]]:
     """The (kind, JSON object) under which ``build_model`` builds the same architecture again."""
     for kind, known in _KINDS.items():
         if type(config) is known:
-            return kind, {f.name: _plain(getattr(config, f.name)) for f in dataclasses.fields(known)}
+            return kind, {f.name: _plain(getattr(config, f.name)) for f in dataclasses.fields(_KINDS[kind])}
     raise ValueError(f"{type(config).__name__} is not a registered model configuration")
 
 

@@ -75,6 +75,7 @@ class TokenDenoiser(nn.Module):
         mask_BL: Tensor,
         w_B: Tensor | None = None,
         taps: list[Tensor] | None = None,
+        frames_B: Tensor | None = None,
     ) -> Tensor:
         """Noise (B, N, D) in the latents z at timesteps t.
 
@@ -84,6 +85,7 @@ class TokenDenoiser(nn.Module):
             mask_BL: True where there is a text token; what stands elsewhere does not matter.
             w_B: (B,) guidance scale, for a student and only for it.
             taps: collects the latent tokens' part (B, N, W) of every block's output, first block first.
+            frames_B: not used; the published denoiser does not know the length of its clip, other ones here do.
 
         Raises:
             InputError: more tokens than positions, or a guidance scale where none belongs (or the reverse).
