@@ -1,0 +1,52 @@
+# `make demo` shows what moveset does; `make test` checks that it still does. Both make .venv first; a second call is quick.
+#
+#   PYTHON=python3.12 make demo     another interpreter (3.11 or newer)
+#   TORCH_INDEX=URL make demo       PyTorch's index of CPU wheels, where pip would otherwise choose a CUDA build
+#   ANY_TORCH=1 make demo           take whatever build of torch pip chooses
+
+SHELL := /bin/bash
+.SHELLFLAGS := -eu -o pipefail -c
+.DELETE_ON_ERROR:
+
+PYTHON ?= python3
+BIN := .venv/bin
+PIP := $(BIN)/python -m pip --disable-pip-version-check
+TORCH := -c constraints.txt $(if $(TORCH_INDEX),--index-url $(TORCH_INDEX)) torch
+SOURCES := $(shell find src -type f -not -path '*/__pycache__/*' -not -path '*.egg-info/*')
+
+.PHONY: demo test lint format clean
+demo: .venv/.demo
+	$(BIN)/python examples/demo.py
+
+test: .venv/.dev lint
+	$(BIN)/python -m pytest
+
+lint: .venv/.dev
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/lint-imports
+	$(BIN)/mypy
+
+format: .venv/.dev
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+clean:
+	rm -rf .venv out build *.egg-info src/*.egg-info .pytest_cache .ruff_cache .mypy_cache .hypothesis .import_linter_cache
+
+# Torch first and alone: resolved together with the rest, a package that asks for another build could replace it.
+.venv/.torch: constraints.txt
+	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "moveset needs Python 3.11 or newer; set PYTHON=…")'
+	test -x $(BIN)/python || $(PYTHON) -m venv .venv
+	$(if $(ANY_TORCH),,$(PIP) install --dry-run --quiet --no-deps --report - $(TORCH) | $(BIN)/python .ci/check_torch.py)
+	$(PIP) install $(TORCH)
+	touch $@
+
+# Not editable, so that the demo shows what a user installs; a developer's editable install is left in place.
+.venv/.demo: .venv/.torch pyproject.toml $(SOURCES)
+	test -e .venv/.dev || $(PIP) install -c constraints.txt .
+	touch $@
+
+.venv/.dev: .venv/.torch pyproject.toml
+	$(PIP) install -c constraints.txt -e '.[dev]'
+	touch $@

@@ -1,0 +1,34 @@
+"""``moveset convert``: one motion file to another format, skeleton or frame rate."""
+
+from pathlib import Path
+
+import tyro
+
+
+def convert(
+    source: tyro.conf.Positional[Path],
+    target: tyro.conf.Positional[Path],
+    *,
+    skeleton: str | None = None,
+    fps: float | None = None,
+    in_place: tyro.conf.FlagCreatePairsOff[bool] = False,
+    loop: tyro.conf.FlagCreatePairsOff[bool] = False,
+) -> int:
+    """Convert a motion file.
+
+    Args:
+        source: A motion file: .bvh .glb .npz or .npy.
+        target: File to write: .bvh .glb .npz .npy .mp4 .gif or .png.
+        skeleton: Retarget to smpl, mixamo, vrm or ue5.
+        fps: Frame rate of the new file.
+        in_place: Without travel over the ground.
+        loop: Blend the end into the beginning.
+    """
+    from moveset.cli.output import Finish, plan_outputs, write
+    from moveset.io import load
+
+    finish = Finish.check(fps=fps, skeleton=skeleton, in_place=in_place, loop=loop)
+    [paths] = plan_outputs([target], [""])
+    motion, _ = write(load(source), paths, finish, {})
+    print(f"{target}: {len(motion)} frames at {motion.fps:g} fps on {motion.skeleton.name}")
+    return 0

@@ -1,0 +1,126 @@
+"""Which files a command writes, checked before anything is computed, and the last touches before writing."""
+
+import tempfile
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from moveset.errors import InputError
+
+if TYPE_CHECKING:
+    from moveset.motion.clip import Motion
+    from moveset.pipelines.text_to_motion import Generation
+
+
+@dataclass(frozen=True)
+class Finish:
+    """Last touches of a motion: loop, in place, frame rate, skeleton, in this order."""
+
+    fps: float | None = None
+    skeleton: str | None = None
+    in_place: bool = False
+    loop: bool = False
+
+    @classmethod
+    def check(
+        cls, fps: float | None = None, skeleton: str | None = None, in_place: bool = False, loop: bool = False
+    ) -> "Finish":
+        """The same, checked.
+
+        Raises:
+            InputError: a frame rate out of range, or an unknown skeleton.
+        """
+        from moveset.motion.retarget import TARGETS
+
+        if fps is not None and not 1 <= fps <= 240:
+            raise InputError(f"frame rate {fps:g} is not in 1 to 240; give a rate such as 20, 24, 30 or 60")
+        if skeleton is not None and skeleton not in TARGETS:
+            raise InputError(f"unknown skeleton {skeleton!r}; choose one of {', '.join(TARGETS)}")
+        return cls(fps, skeleton, in_place, loop)
+
+    def __call__(self, motion: "Motion") -> "Motion":
+        """The motion as it is written."""
+        if self.loop:
+            from moveset.motion.join import make_loop
+
+            motion = make_loop(motion)
+        if self.in_place:
+            motion = motion.in_place()
+        if self.fps is not None:
+            motion = motion.resampled(self.fps)
+        if self.skeleton is not None:
+            from moveset.motion.retarget import retarget
+
+            motion = retarget(motion, self.skeleton)
+        return motion
+
+
+def plan_outputs(outputs: Sequence[Path], names: Sequence[str]) -> list[list[Path]]:
+    """The files of each item: ``outputs`` as they are for the name "", else ``stem-name.suffix``.
+
+    Raises:
+        InputError: an extension that cannot be written, a file named twice, or a folder that cannot be written to.
+    """
+    from moveset.io import WRITABLE
+
+    for path in outputs:
+        if path.suffix.lower() not in WRITABLE:
+            raise InputError(f"cannot write {str(path)!r}: unknown extension; use one of {' '.join(WRITABLE)}")
+        if path.is_dir():
+            raise InputError(f"cannot write {str(path)!r}: it is a folder; give the path of a file")
+    for folder in {path.parent for path in outputs}:
+        _check_folder(folder)
+    planned = [[path.with_stem(f"{path.stem}-{name}") if name else path for path in outputs] for name in names]
+    everything = [path for paths in planned for path in paths]
+    if twice := {path for path in everything if everything.count(path) > 1} if len(outputs) > 1 else ():
+        raise InputError(f"{str(min(twice))!r} would be written twice; give every output a name of its own")
+    return planned
+
+
+def write(
+    motion: "Motion", paths: Sequence[Path], finish: Finish, metadata: Mapping[str, str | int | float]
+) -> tuple["Motion", float]:
+    """Finish a motion and write it to every path; the motion as written and the milliseconds it took.
+
+    Raises:
+        InputError: the files cannot be written.
+    """
+    from moveset.io import save
+
+    start = time.perf_counter()
+    motion = finish(motion)
+    for path in paths:
+        try:
+            save(motion, path, metadata=metadata)
+        except OSError as error:
+            raise InputError(f"cannot write {str(path)!r}: {error.strerror or error}; choose another place") from error
+    return motion, round((time.perf_counter() - start) * 1e3, 3)
+
+
+def metadata(made: "Generation") -> dict[str, str | int | float]:
+    """What a file tells about how it was made."""
+    from moveset import __version__
+
+    return {
+        "generator": f"moveset {__version__}",
+        "model": made.model,
+        "prompt": " | ".join(made.prompts),
+        "seed": made.seed,
+        "steps": made.steps,
+        "guidance": made.guidance,
+    }
+
+
+def _check_folder(folder: Path) -> None:
+    if not folder.is_dir():
+        raise InputError(f"folder {str(folder)!r} does not exist; create it first")
+    try:
+        # Asking the file system beats asking for permissions: a read-only disk grants them to root.
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        raise InputError(
+            f"cannot write to folder {str(folder)!r}: {error.strerror or error}; choose another"
+        ) from error

@@ -1,0 +1,45 @@
+"""Which device to compute on, and how long things take there."""
+
+import time
+
+import torch
+
+from moveset.errors import InputError
+
+
+def pick_device(name: str = "auto") -> torch.device:
+    """A device by name; "auto" takes a CUDA device if there is one.
+
+    Raises:
+        InputError: an unknown device, or one that this machine does not have.
+    """
+    if name == "auto":
+        return torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    try:
+        device = torch.device(name)
+    except RuntimeError:
+        raise InputError(f"unknown device {name!r}; use auto, cpu, cuda or mps") from None
+    count = {"cpu": 1, "cuda": torch.cuda.device_count(), "mps": int(torch.backends.mps.is_available())}
+    if (device.index or 0) >= count.get(device.type, 0):
+        raise InputError(f"device {name!r} is not available on this machine; use --device cpu")
+    return device
+
+
+class Stopwatch:
+    """Wall-clock time of stages in milliseconds; waits for a GPU's queue at each lap."""
+
+    def __init__(self, device: torch.device) -> None:
+        self._device = device
+        self.laps: dict[str, float] = {}
+        self._last = self._now()
+
+    def lap(self, stage: str) -> None:
+        """Note the time since the last lap (or the start) as that of ``stage``."""
+        now = self._now()
+        self.laps[stage] = round((now - self._last) * 1e3, 3)
+        self._last = now
+
+    def _now(self) -> float:
+        if self._device.type == "cuda":
+            torch.cuda.synchronize(self._device)
+        return time.perf_counter()

@@ -1,0 +1,138 @@
+"""What may be asked of a model, checked before anything is computed. One sentence a refusal: value, limit, remedy."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from moveset.errors import InputError
+from moveset.pipelines.bundle import SOLVERS, BundleConfig
+
+MAX_PROMPT = 1000
+MAX_PROMPTS = 64
+MAX_NUM = 1000
+MAX_GUIDANCE = 30.0
+MAX_TEACHER_STEPS = 500
+TEACHER_STEPS = 50
+_SEEDS = 2**63
+
+
+@dataclass(frozen=True)
+class Request:
+    """One motion to make: its prompts in order, the frames of each (None: as long as the text asks for), its seed."""
+
+    prompts: tuple[str, ...]
+    frames: tuple[int | None, ...]
+    seed: int
+
+
+@dataclass(frozen=True)
+class Method:
+    """How to sample: the network's name in the bundle, the number of steps, the guidance scale w."""
+
+    solver: str
+    network: str
+    steps: int
+    guidance: float
+
+
+def check_request(
+    config: BundleConfig,
+    prompt: str | Sequence[str],
+    seconds: float | Sequence[float] | None = None,
+    seed: int = 0,
+    num: int = 1,
+) -> tuple[Request, ...]:
+    """The requests of ``num`` variants; variant k has the seed ``seed + k``.
+
+    Args:
+        config: the model's limits.
+        prompt: a sentence, or several that follow one another.
+        seconds: of each clip: one number for all, one number a prompt, or None for automatic lengths.
+        seed: of the first variant.
+        num: variants.
+
+    Raises:
+        InputError: anything out of range.
+    """
+    prompts = (prompt,) if isinstance(prompt, str) else tuple(prompt)
+    if not 1 <= len(prompts) <= MAX_PROMPTS:
+        raise InputError(
+            f"{len(prompts)} prompts were given; give 1 to {MAX_PROMPTS}, such as 'a person walks forward'"
+        )
+    for text in prompts:
+        _check_prompt(text)
+    if not 1 <= num <= MAX_NUM:
+        raise InputError(f"num {num} is not in 1 to {MAX_NUM}; run again with another seed for more")
+    if not 0 <= seed <= _SEEDS - num:
+        raise InputError(f"seed {seed} is not in 0 to {_SEEDS - num}; give a smaller whole number")
+    given = (seconds,) * len(prompts) if seconds is None or isinstance(seconds, int | float) else tuple(seconds)
+    if len(given) == 1:
+        given *= len(prompts)
+    if len(given) != len(prompts):
+        raise InputError(f"{len(given)} durations do not fit {len(prompts)} prompts; give one for all or one for each")
+    frames = tuple(None if s is None else _frames(s, config) for s in given)
+    return tuple(Request(prompts, frames, seed + k) for k in range(num))
+
+
+def check_method(
+    config: BundleConfig, solver: str = "pcm", steps: int | None = None, guidance: float | None = None
+) -> Method:
+    """Which network samples, in how many steps, at what guidance scale.
+
+    Args:
+        config: what the model has.
+        solver: "pcm" (MotionPCM students), "lcm" (the consistency baseline) or "teacher" (DDIM with guidance).
+        steps: by default the fewest there is a student for, or 50 for the teacher.
+        guidance: w in eps_c + w (eps_c - eps_0); by default the model's choice for this network.
+
+    Raises:
+        InputError: an unknown solver, steps without a student, or guidance out of range.
+    """
+    if solver not in SOLVERS:
+        raise InputError(f"unknown solver {solver!r}; choose one of {', '.join(SOLVERS)}")
+    if solver == "teacher":
+        network, steps = "teacher", TEACHER_STEPS if steps is None else steps
+        if "teacher" not in config.models:
+            raise InputError(f"model {config.name!r} comes without its teacher; use one of its students instead")
+        if not 2 <= steps <= MAX_TEACHER_STEPS:
+            raise InputError(
+                f"{steps} steps are not in 2 to {MAX_TEACHER_STEPS}; {TEACHER_STEPS} is usual for the teacher"
+            )
+    else:
+        known = config.steps(solver)
+        if not known:
+            raise InputError(f"model {config.name!r} has no {solver} students; choose another solver")
+        steps = known[0] if steps is None else steps
+        if steps not in known:
+            choice = ", ".join(map(str, known))
+            raise InputError(
+                f"model {config.name!r} has no {solver} student for {steps} steps; choose {choice}, or solver 'teacher' for "
+                "any number"
+            )
+        network = f"{solver}-{steps}"
+    if guidance is None:
+        guidance = config.guidance[network]
+    if not 0.0 <= guidance <= MAX_GUIDANCE:
+        raise InputError(f"guidance {guidance:g} is not in 0 to {MAX_GUIDANCE:g}; this model's own choice is "
+                         f"{config.guidance[network]:g}")  # fmt: skip
+    return Method(solver, network, steps, float(guidance))
+
+
+def _check_prompt(text: str) -> None:
+    if not text.strip():
+        raise InputError("the prompt is empty; describe a motion, such as 'a person walks forward and waves'")
+    if len(text) > MAX_PROMPT:
+        raise InputError(
+            f"a prompt has {len(text):,} characters, more than the limit of {MAX_PROMPT:,}; shorten it or give several"
+        )
+    if any(ord(c) < 32 and c not in "\t\n\r" for c in text):
+        raise InputError("a prompt contains control characters; give plain text")
+
+
+def _frames(seconds: float, config: BundleConfig) -> int:
+    low, high = config.min_frames / config.fps, config.max_frames / config.fps
+    if not math.isfinite(seconds) or not low <= seconds <= high:
+        raise InputError(
+            f"{seconds:g} seconds are not in {low:g} to {high:g} for a prompt; for a longer motion give several prompts"
+        )
+    return round(seconds * config.fps)

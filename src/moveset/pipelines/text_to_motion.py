@@ -1,0 +1,210 @@
+"""``TextToMotion``: sentences in, motions out, in one to four evaluations of a small network.
+
+Shapes: B rows (one clip each), N latent tokens, d numbers in each, F frames, D features.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import cast
+
+import torch
+from torch import Tensor, nn
+
+from moveset.errors import InputError
+from moveset.models.length import LengthPredictor
+from moveset.motion.cleanup import lock_feet
+from moveset.motion.clip import Motion
+from moveset.motion.features import get_codec
+from moveset.motion.join import join
+from moveset.pipelines.bundle import DEFAULT_MODEL, Bundle
+from moveset.pipelines.denoise import Denoise
+from moveset.pipelines.device import Stopwatch, pick_device
+from moveset.pipelines.familiarity import too_long, unfamiliar
+from moveset.pipelines.request import Method, Request, check_method, check_request
+from moveset.text.encoder import TextEmbedding, TextEncoder, get_text_encoder, stack
+
+BLEND_SECONDS = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class Generation:
+    """What was made, and how.
+
+    Args:
+        motions: one a variant.
+        raw: the same before foot locking.
+        prompts: in order of time.
+        model: name of the model.
+        seed: of the first variant; variant k has ``seed + k``.
+        steps: sampling steps.
+        guidance: guidance scale w.
+        seconds: duration of the first motion.
+        network_evaluations: of the denoiser, for one variant; guidance by two evaluations counts both.
+        timings_ms: "text", "sample", "decode" and "finish" (joining and foot locking), for all variants together.
+        warnings: what the user should know about the prompts.
+    """
+
+    motions: tuple[Motion, ...]
+    raw: tuple[Motion, ...]
+    prompts: tuple[str, ...]
+    model: str
+    seed: int
+    steps: int
+    guidance: float
+    seconds: float
+    network_evaluations: int
+    timings_ms: Mapping[str, float]
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def motion(self) -> Motion:
+        """The first variant."""
+        return self.motions[0]
+
+
+class TextToMotion:
+    """A text-to-motion model, ready to call.
+
+    >>> from moveset import TextToMotion
+    >>> t2m = TextToMotion.from_pretrained()  # doctest: +SKIP
+    >>> t2m("a person waves with the left hand", seconds=4.0, seed=7).motion.save("wave.glb")  # doctest: +SKIP
+    """
+
+    def __init__(self, bundle: Bundle, device: torch.device | str = "auto") -> None:
+        self.bundle = bundle
+        self.device = pick_device(str(device))
+
+    @classmethod
+    def from_pretrained(
+        cls, name_or_path: str | Path = DEFAULT_MODEL, *, device: torch.device | str = "auto"
+    ) -> "TextToMotion":
+        """A shipped model by name, or a model folder. Weights are read when they are first needed.
+
+        Raises:
+            InputError: no such model, or no such device.
+            FormatError: a damaged model folder.
+        """
+        return cls(Bundle.find(name_or_path), device)
+
+    def __call__(
+        self,
+        prompt: str | Sequence[str],
+        *,
+        seconds: float | Sequence[float] | None = None,
+        steps: int | None = None,
+        guidance: float | None = None,
+        seed: int = 0,
+        num: int = 1,
+        solver: str = "pcm",
+        foot_lock: bool = True,
+        batch: int = 1,
+    ) -> Generation:
+        """Make ``num`` variants of a motion.
+
+        Args:
+            prompt: a sentence, or several: the clips follow one another without a pop.
+            seconds: of each clip, one for all or one a prompt; None predicts them from the text.
+            steps: sampling steps; None takes the fewest the model has a student for (50 for the teacher).
+            guidance: scale w; None takes the model's choice.
+            seed: of variant 0. Variant k has ``seed + k``, so it equals variant 0 of that seed.
+            num: variants.
+            solver: "pcm", "lcm" or "teacher".
+            foot_lock: hold planted feet in place.
+            batch: clips a network evaluates at once. With 1 a clip never depends on its neighbours, not even in the
+                last bit; more is faster on a GPU.
+
+        Raises:
+            InputError: anything out of range; nothing has been computed then.
+        """
+        requests = check_request(self.bundle.config, prompt, seconds, seed, num)
+        method = check_method(self.bundle.config, solver, steps, guidance)
+        variants = self.generate(requests, method, foot_lock=foot_lock, batch=batch)
+        return replace(
+            variants[0],
+            motions=tuple(variant.motion for variant in variants),
+            raw=tuple(variant.raw[0] for variant in variants),
+        )
+
+    @torch.inference_mode()
+    def generate(
+        self, requests: Sequence[Request], method: Method, *, foot_lock: bool = True, batch: int = 1
+    ) -> tuple[Generation, ...]:
+        """One ``Generation`` for every request, whatever their prompts and lengths; their timings are those of all."""
+        if batch < 1:
+            raise InputError(f"batch {batch} is not at least 1; give 1 unless there is a GPU")
+        denoise = Denoise(self.bundle, self.encoder, method, self.device)
+        vae = self.bundle.module("vae", self.device)
+        clock = Stopwatch(self.device)
+
+        prompts = [prompt for request in requests for prompt in request.prompts]
+        known = {prompt: self.encoder.encode([prompt]) for prompt in dict.fromkeys(prompts)}
+        frames = [n for request in requests for n in self._frames(request, known)]
+        warnings = {request.prompts: self._warnings(request.prompts, known) for request in requests}
+        clock.lap("text")
+
+        noise = torch.cat([self._noise(request) for request in requests])
+        rows = [slice(k, k + batch) for k in range(0, len(prompts), batch)]
+        latents = [denoise(noise[part], stack([known[prompt] for prompt in prompts[part]])) for part in rows]
+        clock.lap("sample")
+
+        clips = iter(
+            [clip for z, part in zip(latents, rows, strict=True) for clip in self._decode(vae, z, frames[part])]
+        )
+        clock.lap("decode")
+
+        raw = [join([next(clips) for _ in request.prompts], BLEND_SECONDS) for request in requests]
+        motions = [lock_feet(motion) for motion in raw] if foot_lock else raw
+        clock.lap("finish")
+        return tuple(
+            Generation(
+                motions=(motions[k],),
+                raw=(raw[k],),
+                prompts=request.prompts,
+                model=self.bundle.config.name,
+                seed=request.seed,
+                steps=method.steps,
+                guidance=method.guidance,
+                seconds=motions[k].seconds,
+                network_evaluations=denoise.evaluations // len(prompts) * len(request.prompts),
+                timings_ms=clock.laps,
+                warnings=warnings[request.prompts],
+            )
+            for k, request in enumerate(requests)
+        )
+
+    @cached_property
+    def encoder(self) -> TextEncoder:
+        """The text encoder that the model was trained with."""
+        return get_text_encoder(self.bundle.config.text_encoder, device=self.device)
+
+    def _frames(self, request: Request, known: Mapping[str, TextEmbedding]) -> list[int]:
+        """Frames of each clip: as asked for, or predicted from the text."""
+        config = self.bundle.config
+        frames = []
+        for prompt, wanted in zip(request.prompts, request.frames, strict=True):
+            if wanted is None:
+                predictor = cast(LengthPredictor, self.bundle.module("length", self.device))
+                likely = int(predictor.predict(known[prompt].pooled.to(self.device)))
+                wanted = min(max(likely, config.min_frames), config.max_frames)
+            frames.append(wanted)
+        return frames
+
+    def _warnings(self, prompts: tuple[str, ...], known: Mapping[str, TextEmbedding]) -> tuple[str, ...]:
+        pooled = torch.cat([known[prompt].pooled for prompt in prompts])
+        return (*too_long(self.encoder, prompts), *unfamiliar(self.bundle, prompts, pooled))
+
+    def _noise(self, request: Request) -> Tensor:
+        """(S, N, d) starting noise of the S clips of one motion, from its own seed, the same on every device."""
+        generator = torch.Generator().manual_seed(request.seed)
+        return torch.randn(len(request.prompts), *self.bundle.config.latent, generator=generator)
+
+    def _decode(self, vae: nn.Module, z_BND: Tensor, frames: Sequence[int]) -> list[Motion]:
+        """Motions of ``frames[k]`` frames of normalised latents (B, N, d)."""
+        n = {name: value.to(self.device) for name, value in self.bundle.normalizer.items()}
+        lengths = torch.tensor(frames, device=self.device)
+        x_BFD = vae.decode(z_BND * n["latent_std"] + n["latent_mean"], lengths, max(frames))
+        x_BFD = (x_BFD * n["feature_std"] + n["feature_mean"]).cpu()
+        codec = get_codec(self.bundle.config.codec)
+        return [codec.decode(x[:length]) for x, length in zip(x_BFD, frames, strict=True)]
