@@ -1,0 +1,241 @@
+"""Checkpoints: a folder ``step_N/`` of safetensors and JSON with a sha256 manifest. No pickle is ever read or written.
+
+The protocol that makes ``kill -9`` harmless: everything is written into ``.tmp-step_N-PID/``, every file and the folder are
+fsynced, the folder is renamed to ``step_N/``, and the parent is fsynced. A folder is a checkpoint if and only if its
+``manifest.json`` is there and every file it names has that size and hash; "the latest" is the highest N of those.
+"""
+
+import hashlib
+import json
+import os
+import re
+import shutil
+import warnings
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import safetensors.torch
+from safetensors import SafetensorError
+from torch import Tensor, nn
+
+from moveset.errors import FormatError, InputError, MovesetError
+
+MANIFEST = "manifest.json"
+MAX_JSON_BYTES = 16 << 20
+_STEP = re.compile(r"step_(0|[1-9]\d*)")
+_TEMPORARY = ".tmp-"
+_PLAIN_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]*")
+
+
+def write(
+    folder: Path, step: int, tensors: Mapping[str, Mapping[str, Tensor]], documents: Mapping[str, Mapping[str, Any]]
+) -> Path:
+    """Writes ``folder/step_N`` as a whole or not at all.
+
+    Args:
+        folder: the run's folder; made if absent.
+        step: how many steps are finished.
+        tensors: what goes into NAME.safetensors, by NAME.
+        documents: what goes into NAME.json, by NAME.
+
+    Returns:
+        The path of the checkpoint.
+
+    Raises:
+        MovesetError: the disk is full or not writable; nothing of the attempt is left, older checkpoints are untouched.
+    """
+    target = folder / f"step_{step}"
+    temporary = folder / f"{_TEMPORARY}step_{step}-{os.getpid()}"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        temporary.mkdir()
+        files = {}
+        for name, values in tensors.items():
+            # Cloning resolves tensors that share memory, which safetensors rightly refuses.
+            content = {key: value.detach().cpu().clone().contiguous() for key, value in values.items()}
+            files[f"{name}.safetensors"] = _write_file(
+                temporary, f"{name}.safetensors", safetensors.torch.save(content)
+            )
+        for name, document in documents.items():
+            files[f"{name}.json"] = _write_file(temporary, f"{name}.json", _json_bytes(document))
+        _write_file(temporary, MANIFEST, _json_bytes({"format": 1, "step": step, "files": files}))
+        _sync_folder(temporary)
+        if target.exists():
+            # Only a damaged checkpoint can be in the way: resuming from a good one never reaches its own step again.
+            os.rename(target, folder / f"{_TEMPORARY}replaced-step_{step}-{os.getpid()}")
+        os.rename(temporary, target)
+        _sync_folder(folder)
+    except OSError as error:
+        shutil.rmtree(temporary, ignore_errors=True)
+        raise MovesetError(
+            f"the checkpoint {target} could not be written ({error.strerror or error}); older checkpoints are intact: "
+            "make room or fix the permissions, then resume"
+        ) from error
+    except BaseException:
+        shutil.rmtree(temporary, ignore_errors=True)
+        raise
+    return target
+
+
+def verify(path: Path) -> dict[str, Any]:
+    """Checks every file of a checkpoint against its manifest.
+
+    Returns:
+        The manifest: ``{"format", "step", "files": {name: {"bytes", "sha256"}}}``.
+
+    Raises:
+        InputError: there is no such folder.
+        FormatError: the manifest or a file is missing, damaged or not listed.
+    """
+    if not path.is_dir():
+        raise InputError(f"there is no checkpoint at {path}; give a folder step_N written by `moveset train`")
+    manifest = _read_json(path / MANIFEST)
+    files = manifest.get("files")
+    if manifest.get("format") != 1 or not isinstance(files, dict):
+        raise FormatError(f"{path / MANIFEST} is not a checkpoint manifest of format 1; the checkpoint cannot be used")
+    for name, entry in files.items():
+        if not _PLAIN_NAME.fullmatch(name) or not isinstance(entry, dict):
+            raise FormatError(f"{path / MANIFEST} lists {name!r}, which is not a plain file name with size and hash")
+        file = path / name
+        if not file.is_file() or file.stat().st_size != entry.get("bytes"):
+            size = file.stat().st_size if file.is_file() else "no"
+            raise FormatError(f"{file} should have {entry.get('bytes')} bytes and has {size}; use another checkpoint")
+        if _hash_file(file) != entry.get("sha256"):
+            raise FormatError(f"{file} does not have the sha256 that its manifest names; use another checkpoint")
+    return manifest
+
+
+def steps(folder: Path) -> list[int]:
+    """Steps of the folders named ``step_N`` in a run's folder, ascending, valid or not."""
+    if not folder.is_dir():
+        return []
+    return sorted(int(match[1]) for item in folder.iterdir() if (match := _STEP.fullmatch(item.name)) and item.is_dir())
+
+
+def latest(folder: Path) -> Path | None:
+    """The valid checkpoint with the most steps, or None. Damaged ones are passed over with a warning."""
+    for step in reversed(steps(folder)):
+        path = folder / f"step_{step}"
+        try:
+            verify(path)
+        except FormatError as error:
+            warnings.warn(f"passing over a damaged checkpoint: {error}", stacklevel=2)
+        else:
+            return path
+    return None
+
+
+def resolve(path: Path) -> Path:
+    """The verified checkpoint meant by a path: a ``step_N`` folder itself, or a run's folder (then its latest).
+
+    Raises:
+        InputError: there is none.
+        FormatError: the one named is damaged.
+    """
+    if (path / MANIFEST).exists() or _STEP.fullmatch(path.name):
+        verify(path)
+        return path
+    found = latest(path)
+    if found is None:
+        raise InputError(f"there is no usable checkpoint in {path}; train it first or give another folder")
+    return found
+
+
+def read_tensors(path: Path, name: str) -> dict[str, Tensor]:
+    """Tensors of ``NAME.safetensors`` of a checkpoint, on the CPU.
+
+    Raises:
+        InputError: the checkpoint has no such file.
+        FormatError: it is not safetensors.
+    """
+    file = path / f"{name}.safetensors"
+    if not file.is_file():
+        have = sorted(item.stem for item in path.glob("*.safetensors"))
+        raise InputError(f"{path} holds no {name!r}; it holds {', '.join(have) or 'nothing'}")
+    try:
+        return safetensors.torch.load(file.read_bytes())
+    except SafetensorError as error:
+        raise FormatError(f"{file} is not a safetensors file ({error}); use another checkpoint") from error
+
+
+def read_document(path: Path, name: str) -> dict[str, Any]:
+    """The JSON object in ``NAME.json`` of a checkpoint. Raises FormatError if it is missing or damaged."""
+    return _read_json(path / f"{name}.json")
+
+
+def load_module(module: nn.Module, path: Path, name: str) -> None:
+    """Loads ``NAME.safetensors`` of a checkpoint into a module, strictly.
+
+    Raises:
+        InputError: the checkpoint has no such file, or was made for a module of other sizes.
+        FormatError: the file is damaged.
+    """
+    try:
+        module.load_state_dict(read_tensors(path, name))
+    except RuntimeError as error:
+        reason = " ".join(str(error).split())[:300]
+        raise InputError(
+            f"{name} in {path} does not fit this {type(module).__name__}: {reason}; check the recipe"
+        ) from error
+
+
+def prune(folder: Path, keep_last: int, keep_every: int = 0) -> None:
+    """Deletes all checkpoints but the last ``keep_last`` and those at multiples of ``keep_every`` (0: none)."""
+    for step in steps(folder)[:-keep_last]:
+        if not (keep_every and step % keep_every == 0):
+            # Renamed first, so that a kill halfway leaves rubbish that clean() knows, not a broken checkpoint.
+            doomed = folder / f"{_TEMPORARY}pruned-step_{step}-{os.getpid()}"
+            os.rename(folder / f"step_{step}", doomed)
+            shutil.rmtree(doomed)
+
+
+def clean(folder: Path) -> None:
+    """Deletes what killed processes left. Only for the holder of the run's lock."""
+    for item in folder.glob(f"{_TEMPORARY}*"):
+        shutil.rmtree(item)
+
+
+def _write_file(folder: Path, name: str, content: bytes) -> dict[str, Any]:
+    if not _PLAIN_NAME.fullmatch(name):
+        raise ValueError(f"{name!r} cannot be the name of a checkpoint file")
+    with open(folder / name, "xb") as file:
+        file.write(content)
+        file.flush()
+        os.fsync(file.fileno())
+    return {"bytes": len(content), "sha256": hashlib.sha256(content).hexdigest()}
+
+
+def _sync_folder(folder: Path) -> None:
+    if os.name == "nt":  # Windows cannot open folders; its rename is journaled
+        return
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def _hash_file(file: Path) -> str:
+    with open(file, "rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+def _json_bytes(document: Mapping[str, Any]) -> bytes:
+    return (json.dumps(document, indent=1, allow_nan=False) + "\n").encode()
+
+
+def _read_json(file: Path) -> dict[str, Any]:
+    if not file.is_file():
+        raise FormatError(f"{file} is missing, so its folder is not a complete checkpoint; use another one")
+    if (size := file.stat().st_size) > MAX_JSON_BYTES:
+        raise FormatError(
+            f"{file} has {size} bytes, more than the {MAX_JSON_BYTES} that are read; use another checkpoint"
+        )
+    try:
+        document = json.loads(file.read_bytes())
+    except (ValueError, RecursionError) as error:
+        raise FormatError(f"{file} is not JSON ({error}); use another checkpoint") from error
+    if not isinstance(document, dict):
+        raise FormatError(f"{file} holds no JSON object; use another checkpoint")
+    return document
