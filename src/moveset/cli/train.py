@@ -1,0 +1,100 @@
+"""``moveset train``: train or distil a model by a recipe."""
+
+import os
+import sys
+import warnings
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
+
+from moveset.training.tasks import Sources, load_recipe, task_maker, with_settings
+
+if TYPE_CHECKING:
+    from moveset.training.engine import TrainResult
+
+
+def train(
+    what: tyro.conf.Positional[Literal["vae", "teacher", "lcm", "pcm"]],
+    *,
+    recipe: Literal["small", "paper", "tiny"] = "small",
+    resume: tyro.conf.FlagCreatePairsOff[bool] = False,
+    folder: Path | None = None,
+    corpus: Path = Path("data/corpus"),
+    vae: Path | None = None,
+    teacher: Path | None = None,
+    steps: int | None = None,
+    seed: int | None = None,
+    device: Literal["auto", "cpu", "cuda", "mps"] | None = None,
+    devices: int | None = None,
+    precision: Literal["auto", "32-true", "bf16-mixed"] | None = None,
+    threads: int | None = None,
+    save_every: int | None = None,
+    validate_every: int | None = None,
+    log_every: int | None = None,
+    keep_last: int | None = None,
+    keep_every: int | None = None,
+    tensorboard: bool | None = None,
+    set: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="NAME=VALUE")] = (),
+) -> int:
+    """Train a model; everything not given is as the recipe says.
+
+    SIGTERM and Ctrl-C save a checkpoint and stop; --resume continues exactly where it was. Several processes:
+    `torchrun --nproc-per-node 2 -m moveset.cli train …`, or --devices 2.
+
+    Args:
+        what: vae: the autoencoder. teacher: the latent diffusion model. lcm, pcm: students with few steps.
+        recipe: small: what ships. paper: the published sizes. tiny: seconds, to try the machinery.
+        resume: Continue from the latest checkpoint in the folder, or start if there is none.
+        folder: Where checkpoints and logs go; by default runs/RECIPE/WHAT.
+        corpus: What `moveset data build` wrote.
+        vae: Checkpoint or run folder of the autoencoder; by default runs/RECIPE/vae.
+        teacher: Checkpoint or run folder of the teacher; by default runs/RECIPE/teacher.
+        steps: Steps in all.
+        seed: Of everything random.
+        device: Where to compute.
+        devices: Processes on this machine, each with its own batch.
+        precision: bf16-mixed: bfloat16 where it is safe. auto: that on a CUDA device that has it.
+        threads: CPU threads, 0 for torch's choice.
+        save_every: Steps between checkpoints.
+        validate_every: Steps between validations, 0 for none.
+        log_every: Steps between lines in metrics.jsonl.
+        keep_last: Checkpoints to keep.
+        keep_every: Keep those at multiples of this too, 0 for none.
+        tensorboard: Write TensorBoard events besides metrics.jsonl.
+        set: Change one number of the recipe, such as lr=1e-3 or model.layers=4; may be given several times.
+    """
+    # Must precede the import of torch: OpenMP threads that spin while they wait make training up to 100 times slower as
+    # soon as another process is busy on one of the cores.
+    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+    from moveset.training.engine import run
+
+    runs = Path("runs") / recipe
+    folder = folder or runs / what
+    given = {
+        "steps": steps, "seed": seed, "device": device, "devices": devices, "precision": precision, "threads": threads,
+        "save_every": save_every, "validate_every": validate_every, "log_every": log_every, "keep_last": keep_last,
+        "keep_every": keep_every, "tensorboard": tensorboard,
+    }  # fmt: skip
+    chosen = load_recipe(recipe, what)
+    engine = replace(chosen.engine, **{name: value for name, value in given.items() if value is not None})
+    config = with_settings(chosen.task, set)
+    sources = Sources(corpus=corpus, vae=vae or runs / "vae", teacher=teacher or runs / "teacher", cache=runs / "cache")
+
+    with warnings.catch_warnings():
+        warnings.showwarning = _say
+        result = run(task_maker(what, config, sources), engine, folder, resume)
+    if int(os.environ.get("RANK", "0")) == 0:
+        print(_summary(what, result, engine.steps), file=sys.stderr)
+    return 130 if result.stopped_by == "SIGINT" else 0
+
+
+def _say(message: Warning | str, category: type[Warning], *place: object) -> None:
+    print(f"moveset: warning: {message}", file=sys.stderr)
+
+
+def _summary(what: str, result: "TrainResult", steps: int) -> str:
+    numbers = ", ".join(f"{name} {value:.4g}" for name, value in result.validation.items())
+    ending = f"stopped by {result.stopped_by} at step {result.step} of {steps}" if result.stopped_by else "done"
+    return f"{what}: {ending}; {result.checkpoint or 'nothing to save yet'}{f' ({numbers})' if numbers else ''}"

@@ -1,0 +1,132 @@
+"""What can be trained, by name; nothing is imported before it is asked for."""
+
+import dataclasses
+import difflib
+import importlib
+import json
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from moveset.errors import InputError
+
+if TYPE_CHECKING:
+    from moveset.training.engine import EngineConfig, Loop, Task
+
+# A class is called with (task config, Sources, Loop).
+TASKS = {
+    "vae": "moveset.training.vae:VAETask",
+    "teacher": "moveset.training.teacher:TeacherTask",
+    "lcm": "moveset.training.distill:LCMTask",
+    "pcm": "moveset.training.distill:PCMTask",
+}
+RECIPES = ("small", "paper", "tiny")
+
+Config = TypeVar("Config")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sources:
+    """Where a task finds what it learns from.
+
+    Args:
+        corpus: the motions and captions.
+        vae: run folder or checkpoint of the autoencoder; tasks after it need one.
+        teacher: run folder or checkpoint of the teacher; the students need one.
+        cache: folder for features and latents that are computed once.
+    """
+
+    corpus: Path
+    vae: Path
+    teacher: Path
+    cache: Path
+
+
+@dataclass(frozen=True, kw_only=True)
+class Recipe:
+    """What to train and how to run it: ``moveset.recipes.NAME.TRAINING[WHAT]()`` returns one."""
+
+    task: Any
+    engine: "EngineConfig"
+
+
+def load_recipe(name: str, what: str) -> Recipe:
+    """The recipe of that name for that task.
+
+    Raises:
+        InputError: there is none.
+    """
+    if name not in RECIPES:
+        raise InputError(f"there is no recipe {name!r}; choose one of {', '.join(RECIPES)}")
+    training: dict[str, Callable[[], Recipe]] = getattr(
+        importlib.import_module(f"moveset.recipes.{name}"), "TRAINING", {}
+    )
+    if what not in training:
+        raise InputError(f"the recipe {name!r} has nothing for {what!r}; it has {', '.join(training) or 'nothing'}")
+    return training[what]()
+
+
+def task_maker(what: str, config: Any, sources: Sources) -> "Callable[[Loop], Task]":
+    """What ``engine.run`` needs to build the task.
+
+    Raises:
+        InputError: there is no such task.
+    """
+    if what not in TASKS:
+        raise InputError(f"{what!r} cannot be trained; choose one of {', '.join(TASKS)}")
+    module, _, name = TASKS[what].partition(":")
+    make = getattr(importlib.import_module(module), name)
+    return lambda loop: make(config, sources, loop)
+
+
+def with_settings(config: Config, settings: Iterable[str]) -> Config:
+    """A copy of a frozen dataclass with fields replaced by ``NAME=VALUE``; names of nested ones are joined by dots.
+
+    A value is read as JSON, and as a string where it is none.
+
+    >>> from dataclasses import dataclass
+    >>> @dataclass(frozen=True)
+    ... class Example:
+    ...     lr: float = 1e-3
+    ...     phases: tuple[int, ...] = (1, 2)
+    >>> with_settings(Example(), ["lr=1", "phases=[4]"])
+    Example(lr=1.0, phases=(4,))
+
+    Raises:
+        InputError: there is no such field, or the value is of another type.
+    """
+    for setting in settings:
+        name, equals, text = setting.partition("=")
+        if not equals:
+            raise InputError(f"the setting {setting!r} is not of the form NAME=VALUE; write for example lr=1e-3")
+        try:
+            value = json.loads(text)
+        except ValueError:
+            value = text
+        config = _replaced(config, name.split("."), value, setting)
+    return config
+
+
+def _replaced(config: Any, path: list[str], value: Any, setting: str) -> Any:
+    fields = [field.name for field in dataclasses.fields(config)] if dataclasses.is_dataclass(config) else []
+    if path[0] not in fields:
+        near = difflib.get_close_matches(path[0], fields, n=1)
+        remedy = f"did you mean {near[0]!r}?" if near else f"choose one of {', '.join(fields) or 'nothing'}"
+        raise InputError(f"{setting!r}: {type(config).__name__} has no setting {path[0]!r}; {remedy}")
+    old = getattr(config, path[0])
+    if len(path) > 1:
+        return dataclasses.replace(config, **{path[0]: _replaced(old, path[1:], value, setting)})
+    return dataclasses.replace(config, **{path[0]: _as_type_of(old, value, setting)})
+
+
+def _as_type_of(old: Any, value: Any, setting: str) -> Any:
+    if isinstance(old, float) and isinstance(value, int) and not isinstance(value, bool):
+        return float(value)
+    if isinstance(old, tuple) and isinstance(value, list):
+        return tuple(value)
+    if isinstance(old, Path) and isinstance(value, str):
+        return Path(value)
+    if old is not None and type(value) is not type(old):
+        raise InputError(f"{setting!r} is {type(value).__name__} but must be {type(old).__name__}, such as {old!r}")
+    return value
