@@ -1,9 +1,12 @@
 """When a foot is planted: low and slow. Height alone is not contact, since swinging toes stay low in real takes."""
 
+from itertools import pairwise
+
 import torch
 from torch import Tensor
 
 from moveset.motion.skeleton import Skeleton
+from moveset.motion.smoothing import gaussian_smooth
 
 TOE_HEIGHT = 0.05
 ANKLE_HEIGHT = 0.12
@@ -25,3 +28,28 @@ def foot_contacts(joints: Tensor, fps: float, skeleton: Skeleton) -> Tensor:
     speed = torch.cat((speed, speed[-1:]))
     limits = feet.new_tensor((ANKLE_HEIGHT, TOE_HEIGHT, ANKLE_HEIGHT, TOE_HEIGHT))
     return (feet[..., 1] < limits) & (speed < SPEED)
+
+
+def stances(joints: Tensor, fps: float, skeleton: Skeleton, contacts: Tensor | None = None) -> Tensor:
+    """Planted feet as ``foot_contacts`` finds them, without flicker: (F, 4) bool.
+
+    Contacts are judged on positions smoothed over a twentieth of a second, gaps up to a tenth of a second are closed,
+    and what is shorter than a seventh of a second is dropped. Given ``contacts`` (F, 4) are only closed and dropped.
+    """
+    if contacts is None:
+        flat = gaussian_smooth(joints.flatten(1), 0.05 * fps)
+        contacts = foot_contacts(flat.reshape(joints.shape), fps, skeleton)
+    closed = _without_short_runs(~contacts.bool(), round(0.1 * fps), ends=False)
+    return _without_short_runs(~closed, round(0.14 * fps) - 1, ends=True)
+
+
+def _without_short_runs(marks: Tensor, longest: int, ends: bool) -> Tensor:
+    """Clear runs of at most ``longest`` set frames in each column of (F, C); those at the clip's ends only if told."""
+    out = marks.clone()
+    for column in out.T:
+        edge = torch.nonzero(torch.diff(column.int()))[:, 0] + 1
+        bounds = [0, *edge.tolist(), len(column)]
+        for start, end in pairwise(bounds):
+            if end - start <= longest and (ends or (start > 0 and end < len(column))):
+                column[start:end] = False
+    return out

@@ -1,0 +1,155 @@
+"""Repairs of finished motions: feet that hold still while they stand, feet above the floor, less jitter. F frames."""
+
+from itertools import pairwise
+
+import torch
+from torch import Tensor
+
+from moveset.errors import InputError
+from moveset.motion import rotations
+from moveset.motion.clip import Motion
+from moveset.motion.contacts import stances
+from moveset.motion.inertia import settle
+from moveset.motion.kinematics import global_to_local
+from moveset.motion.positions import HINGES
+from moveset.motion.skeleton import Skeleton
+from moveset.motion.smoothing import gaussian_smooth
+from moveset.motion.two_bone_ik import two_bone
+
+_BLEND = 0.25  # seconds for a foot to leave or reach its locked place
+_GENTLE = 0.1  # seconds before and after a foot is under the floor in which it rises and falls
+
+
+def lock_feet(motion: Motion, strength: float = 1.0, contacts: Tensor | None = None) -> Motion:
+    """Feet that stay where they stand: planted toes (or ankles) are pinned in place and legs follow by two-bone IK.
+
+    Each stance is pinned to where its foot moves least; on the way into and out of it the shift dies away smoothly.
+    Height and orientation of the feet stay, except that feet below the floor y = 0 are lifted onto it. Nothing above
+    the hips moves. A foot that its leg cannot reach comes as near as it can.
+
+    Args:
+        motion: on a skeleton with feet and known knees (hml22, kit21).
+        strength: 0 leaves the motion as it is, 1 pins entirely.
+        contacts: (F, 4) bool planted left ankle, left toe, right ankle, right toe, e.g. a model's own; by default found
+            by height and speed.
+
+    Returns:
+        The same number of frames.
+
+    Raises:
+        InputError: a strength outside [0, 1], contacts of another shape, or a skeleton without known knees.
+    """
+    if not 0.0 <= strength <= 1.0:
+        raise InputError(f"foot lock strength {strength} is not in [0, 1]; 0 is off, 1 is full")
+    if contacts is not None and tuple(contacts.shape) != (len(motion), 4):
+        raise InputError(f"contacts must be (F, 4) = ({len(motion)}, 4), got {tuple(contacts.shape)}")
+    legs = _legs(motion.skeleton)
+    if len(motion) < 4 or strength == 0.0:
+        return motion
+    joints = motion.joints.double()
+    planted = stances(joints, motion.fps, motion.skeleton, contacts)
+    turned = motion.global_rotations.double().clone()
+    for side, (hip, knee, ankle) in enumerate(legs):
+        pair = list(motion.skeleton.feet[2 * side : 2 * side + 2])
+        shift = _pinned(joints[:, pair], planted[:, 2 * side : 2 * side + 2], max(round(_BLEND * motion.fps), 2))
+        shift = shift + _lift(joints[:, pair, 1].amin(dim=1), motion.fps)
+        hinge = rotations.rotate(turned[:, hip], turned.new_tensor(HINGES[motion.skeleton.name][_name(motion, knee)]))
+        target = _within_reach(joints[:, [hip, knee, ankle]], joints[:, ankle] + strength * shift)
+        turned[:, hip], turned[:, knee] = two_bone(
+            turned[:, hip], turned[:, knee], joints[:, hip], joints[:, knee], joints[:, ankle], target, hinge
+        )
+    local = global_to_local(turned, motion.skeleton)
+    return Motion(rotations.unroll(rotations.normalize(local)).float(), motion.root, motion.fps, motion.skeleton)
+
+
+def smooth(motion: Motion, seconds: float) -> Motion:
+    """Root path and local rotations smoothed over time by a Gaussian with a standard deviation of ``seconds``.
+
+    Raises:
+        InputError: a negative duration.
+    """
+    if seconds < 0:
+        raise InputError(f"cannot smooth over {seconds} seconds; give a duration such as 0.05, or 0 for none")
+    if seconds == 0 or len(motion) < 2:
+        return motion
+    sigma = seconds * motion.fps
+    flat = rotations.unroll(motion.rotations.double()).flatten(1)
+    turned = rotations.normalize(gaussian_smooth(flat, sigma).reshape(motion.rotations.shape))
+    root = gaussian_smooth(motion.root.double(), sigma)
+    return Motion(turned.float(), root.float(), motion.fps, motion.skeleton)
+
+
+def _legs(skeleton: Skeleton) -> list[tuple[int, int, int]]:
+    """Hip, knee and ankle of the left and the right leg."""
+    knees = [skeleton.joints.index(joint) for joint in HINGES.get(skeleton.name, {}) if joint.endswith("knee")]
+    if len(knees) != 2 or len(skeleton.feet) != 4:
+        raise InputError(f"feet can be locked on {' and '.join(HINGES)} only, not on {skeleton.name!r}; retarget after")
+    return [(skeleton.parents[knee], knee, skeleton.children[knee][0]) for knee in sorted(knees)]
+
+
+def _name(motion: Motion, joint: int) -> str:
+    return motion.skeleton.joints[joint]
+
+
+def _pinned(foot: Tensor, planted: Tensor, blend: int) -> Tensor:
+    """(F, 3) horizontal shifts of one foot (F, 2, 3: ankle, toe) that hold its planted joint (F, 2) in place."""
+    shift = torch.zeros_like(foot[:, 0])
+    flat = foot * foot.new_tensor((1.0, 0.0, 1.0))
+    # The toe is the pivot wherever it is down; the ankle only while the foot stands on its heel.
+    pivot = torch.where(planted[:, 1], 1, torch.where(planted[:, 0], 0, -1)).tolist()
+    frame = 0
+    while frame < len(pivot):
+        end = frame + 1
+        while end < len(pivot) and (pivot[end] >= 0) == (pivot[frame] >= 0):
+            end += 1
+        if pivot[frame] >= 0:
+            shift[frame:end] = _stance(flat[frame:end], pivot[frame:end])
+        frame = end
+    return settle(shift, planted.any(dim=1), blend)
+
+
+def _stance(flat: Tensor, pivot: list[int]) -> Tensor:
+    """Shifts of one stance (N, 2, 3): its longest run is pinned to where it moves least, the others follow from it."""
+    edges = [0, *(n for n in range(1, len(pivot)) if pivot[n] != pivot[n - 1]), len(pivot)]
+    runs = list(pairwise(edges))
+    main = max(range(len(runs)), key=lambda k: (runs[k][1] - runs[k][0], pivot[runs[k][0]]))
+    start, end = runs[main]
+    held = flat[start:end, pivot[start]]
+    shift = torch.zeros_like(flat[:, 0])
+    shift[start:end] = _stillest(held) - held
+    for begin, stop in runs[main + 1 :]:
+        p = flat[:, pivot[begin]]
+        shift[begin:stop] = p[begin - 1] + shift[begin - 1] - p[begin:stop]
+    for begin, stop in reversed(runs[:main]):
+        p = flat[:, pivot[begin]]
+        shift[begin:stop] = p[stop] + shift[stop] - p[begin:stop]
+    return shift
+
+
+def _within_reach(leg: Tensor, target: Tensor) -> Tensor:
+    """Targets (F, 3) drawn towards the hip where they would stretch the leg (F, 3, 3): a knee never snaps straight."""
+    bones = torch.diff(leg, dim=1).norm(dim=-1).sum(dim=1)
+    reach = (leg[:, 2] - leg[:, 0]).norm(dim=-1)
+    wanted = (target - leg[:, 0]).norm(dim=-1)
+    room = (bones - reach).clamp_min(1e-9)
+    stretch = (wanted - reach).clamp_min(0.0)
+    allowed = torch.minimum(wanted, reach) + room * -torch.expm1(-stretch / room)
+    return leg[:, 0] + (target - leg[:, 0]) * (allowed / wanted)[:, None]
+
+
+def _stillest(path: Tensor) -> Tensor:
+    """Mean (3,) of a path (N, 3), its slow parts weighing most."""
+    step = torch.diff(path, dim=0).norm(dim=-1)
+    if len(step) == 0:
+        return path[0]
+    speed = torch.maximum(torch.cat((step[:1], step)), torch.cat((step, step[-1:])))
+    weight = 1.0 / (speed + 0.1 * speed.mean() + 1e-6) ** 2
+    return (path * weight[:, None]).sum(dim=0) / weight.sum()
+
+
+def _lift(lowest: Tensor, fps: float) -> Tensor:
+    """(F, 3) shifts that bring the lowest point (F,) of a foot to the floor, rising and falling gently around that."""
+    reach = max(round(_GENTLE * fps), 1)
+    depth = torch.nn.functional.max_pool1d((-lowest).clamp_min(0.0)[None], 2 * reach + 1, stride=1, padding=reach)
+    height = gaussian_smooth(depth.T, 0.5 * reach)[:, 0]
+    return torch.stack((torch.zeros_like(height), height, torch.zeros_like(height)), dim=-1)

@@ -1,0 +1,238 @@
+"""HumanML3D's 263 and KIT-ML's 251 features, with all their quirks, so that public data, evaluators and figures keep
+their meaning here (Guo et al. 2022, "Generating Diverse and Natural 3D Human Motions from Text").
+
+Layout for J joints; T frames of positions give F = T - 1 rows, all steps are per frame, lengths in metres (KIT-ML: mm).
+
+=============  =======  ==========================================================================================
+root_yaw       1        step of the heading to the next frame as a half-angle (rad)
+root_velocity  2        planar step of the root to the next frame, seen in the *next* frame's heading (x, z)
+root_height    1        height of the root
+positions      3(J-1)   joints 1..J-1, planar relative to the root, height absolute, heading turned to +Z
+rotations      6(J-1)   joints 1..J-1, two matrix columns of a shortest-arc rotation (no twist; see below)
+velocities     3J       step of every joint to the next frame, seen in this frame's heading
+contacts       4        left ankle, left toe, right ankle, right toe
+=============  =======  ==========================================================================================
+
+Quirks kept on purpose; features "corrected" in any of them no longer fit the public statistics and evaluators:
+
+* The per-frame heading takes the hips with the wrong sign (so they work against the shoulders) and is smoothed over
+  time with a Gaussian of 20 frames. It deviates from where the body faces by ten degrees on average.
+* The heading of frame 0 is overwritten with +Z, so the first row holds a jump of the heading that nobody made.
+* Rotations are shortest arcs in the *world*, made local with the heading's rotation in the wrong sense: they change
+  when the clip is turned (everything else does not), hold no twist, and do not fit other skeletons.
+* The yaw step is the arcsine of a quaternion's y, whose sign flips where the heading passes straight backward (-Z):
+  that step is recovered with the wrong sign, and the rest of the clip is turned by twice its angle.
+* Contacts ask for speed alone, loosely: below 0.89 m/s (KIT-ML: 2.8 mm/s, which is hardly ever).
+"""
+
+from functools import cached_property
+from itertools import pairwise
+
+import torch
+from torch import Tensor
+
+from moveset.errors import InputError
+from moveset.motion import rotations
+from moveset.motion.clip import Motion
+from moveset.motion.hml_skeletons import HUMANML3D, KIT_ML, HmlConvention
+from moveset.motion.positions import positions_to_motion
+from moveset.motion.skeleton import Skeleton
+from moveset.motion.smoothing import gaussian_smooth
+
+_SMOOTHING = 20.0  # frames, the Gaussian's standard deviation
+_CONVENTIONS = {"humanml3d": HUMANML3D, "kit": KIT_ML}
+
+
+class HmlCodec:
+    """Motions and joint positions to HumanML3D or KIT-ML features and back.
+
+    ``joints`` and ``encode_joints`` speak the dataset's own axes (in metres). KIT-ML's are a mirror image: its joints
+    named left lie at -X of a body that faces +Z. ``encode`` and ``decode`` reflect, so that motions are right-handed.
+
+    Args:
+        kind: "humanml3d" or "kit".
+        lengths: (J,) bone lengths in metres of the body that clips are re-posed onto; the dataset's own if None.
+
+    Raises:
+        InputError: an unknown kind.
+    """
+
+    def __init__(self, kind: str = "humanml3d", lengths: Tensor | None = None) -> None:
+        if kind not in _CONVENTIONS:
+            raise InputError(f"unknown feature kind {kind!r}; choose one of {', '.join(_CONVENTIONS)}")
+        self.convention: HmlConvention = _CONVENTIONS[kind]
+        self.name: str = self.convention.name
+        self.skeleton: Skeleton = self.convention.skeleton
+        self.fps: float = self.convention.fps
+        self.lengths = (self.convention.lengths if lengths is None else lengths).double()
+        joints = len(self.skeleton)
+        self.dim: int = 12 * joints - 1
+        sizes = {
+            "root_yaw": 1, "root_velocity": 2, "root_height": 1, "positions": 3 * (joints - 1),
+            "rotations": 6 * (joints - 1), "velocities": 3 * joints, "contacts": 4,
+        }  # fmt: skip
+        ends = torch.tensor(list(sizes.values())).cumsum(0).tolist()
+        self.groups: dict[str, slice] = {
+            name: slice(end - size, end) for (name, size), end in zip(sizes.items(), ends, strict=True)
+        }
+
+    def encode(self, motion: Motion) -> Tensor:
+        """Features (F - 1, D) of a motion of F >= 2 frames, re-posed onto the dataset's body.
+
+        Raises:
+            InputError: another skeleton, another frame rate, or a single frame.
+        """
+        if motion.skeleton.name != self.skeleton.name or motion.fps != self.fps:
+            raise InputError(
+                f"{self.name} features need motion on {self.skeleton.name!r} at {self.fps:g} fps; got "
+                f"{motion.skeleton.name!r} at {motion.fps:g} (retarget and resample it first)"
+            )
+        return self.encode_joints(motion.joints.double() * self._reflection)
+
+    def encode_joints(self, joints: Tensor, uniform: bool = True) -> Tensor:
+        """Features (T - 1, D), float32, of joint positions (T, J, 3) in metres; computed in float64.
+
+        Args:
+            joints: Y up, in the dataset's axes.
+            uniform: re-pose onto the dataset's body first, as the datasets did; off for joints that already are.
+
+        Raises:
+            InputError: another shape, fewer than two frames, or values that are not finite.
+        """
+        count = len(self.skeleton)
+        if joints.ndim != 3 or len(joints) < 2 or tuple(joints.shape[1:]) != (count, 3):
+            raise InputError(f"{self.name} features need joints (T >= 2, {count}, 3); got {tuple(joints.shape)}")
+        if not torch.isfinite(joints).all():
+            raise InputError("joint positions must be finite; repair or cut the clip")
+        p = joints.detach().double().cpu()
+        p = self._on_ground((self._uniform(p) if uniform else p) / self.convention.unit)
+
+        q = self._headings(p)
+        step = p[1:] - p[:-1]
+        turn = rotations.mul(q[1:], rotations.inv(q[:-1]))
+        root_step = rotations.rotate(q[1:], step[:, 0])
+        around = p.clone()
+        around[..., [0, 2]] -= p[:, :1, [0, 2]]
+        around = rotations.rotate(q[:, None], around)
+        contacts = (step[:, list(self.convention.feet)] ** 2).sum(-1) < self.convention.contact
+        rows = (
+            torch.arcsin(turn[:, 1:2].clamp(-1.0, 1.0)),
+            root_step[:, [0, 2]],
+            p[:-1, 0, 1:2],
+            around[:-1, 1:].flatten(1),
+            rotations.to_6d(self._locals(p, q))[:-1, 1:].flatten(1),
+            rotations.rotate(q[:-1, None], step).flatten(1),
+            contacts.double(),
+        )
+        return torch.cat(rows, dim=-1).float()
+
+    def joints(self, features: Tensor) -> Tensor:
+        """Joint positions (..., F, J, 3) in metres from the root and position columns alone; differentiable."""
+        heading, root = self._root(features)
+        around = _rows(features[..., self.groups["positions"]], 3)
+        ground = root * root.new_tensor((1.0, 0.0, 1.0))
+        placed = rotations.rotate(rotations.inv(heading)[..., None, :], around) + ground[..., None, :]
+        return torch.cat((root[..., None, :], placed), dim=-2) * self.convention.unit
+
+    def joints_from_rotations(self, features: Tensor) -> Tensor:
+        """Joint positions (..., F, J, 3) in metres from the root and rotation columns, on the dataset's body.
+
+        The root's rotation is the heading's *inverse* turn, which is what the encoding divided by.
+        """
+        heading, root = self._root(features)
+        local = rotations.matrix_from_6d(_rows(features[..., self.groups["rotations"]], 6))
+        offsets = (self.convention.directions * self.lengths[:, None] / self.convention.unit).to(features)
+        placed: dict[int, Tensor] = {0: root}
+        for chain in self.convention.chains:
+            turned = rotations.to_matrix(heading)
+            for above, joint in pairwise(chain):
+                turned = turned @ local[..., joint - 1, :, :]
+                placed[joint] = placed[above] + turned @ offsets[joint]
+        return torch.stack([placed[j] for j in range(len(offsets))], dim=-2) * self.convention.unit
+
+    def decode(self, features: Tensor) -> Motion:
+        """The motion of features (F, D): joint positions fitted with rotations (see ``positions_to_motion``)."""
+        joints = self.joints(features.detach().double()) * self._reflection
+        return positions_to_motion(joints, self.fps, self.skeleton)
+
+    @cached_property
+    def _reflection(self) -> Tensor:
+        return torch.tensor((-1.0 if self.convention.reflected else 1.0, 1.0, 1.0), dtype=torch.float64)
+
+    def _uniform(self, p: Tensor) -> Tensor:
+        """The clip on the dataset's body: same bone directions, its bone lengths, root path scaled by the legs.
+
+        The datasets get here by inverse and forward kinematics with shortest arcs, which keep every direction.
+        """
+        parents = self.convention.parents
+        legs = list(self.convention.legs)
+        own = (p[0, legs] - p[0, [parents[j] for j in legs]]).norm(dim=-1).sum()
+        placed = {0: p[:, 0] * (self.lengths[legs].sum() / own)}
+        for chain in self.convention.chains:
+            for above, joint in pairwise(chain):
+                bone = torch.nn.functional.normalize(p[:, joint] - p[:, above], dim=-1)
+                placed[joint] = placed[above] + bone * self.lengths[joint]
+        return torch.stack([placed[j] for j in range(len(parents))], dim=1)
+
+    def _on_ground(self, p: Tensor) -> Tensor:
+        """Lowest joint of the clip at y = 0, frame 0 above the origin and facing +Z by its hips and shoulders."""
+        start = p[0, 0].clone()
+        start[1] = p[..., 1].min()
+        p = p - start
+        hip, other_hip, shoulder, other_shoulder = p[0, list(self.convention.face)]
+        turn = _to_front(hip - other_hip + shoulder - other_shoulder)
+        return rotations.rotate(turn, p)
+
+    def _headings(self, p: Tensor) -> Tensor:
+        """(T, 4) rotations that take each frame's smoothed forward to +Z; identity at frame 0. Hips in wrong order."""
+        hip, other_hip, shoulder, other_shoulder = p[:, list(self.convention.face)].unbind(1)
+        across = torch.nn.functional.normalize(other_hip - hip + shoulder - other_shoulder, dim=-1)
+        q = _front_to_z(gaussian_smooth(_forward(across), _SMOOTHING))
+        q[0] = rotations.identity(1)[0].to(q)
+        return q
+
+    def _locals(self, p: Tensor, q: Tensor) -> Tensor:
+        """(T, J, 4) rotations: each bone's shortest arc from its canonical direction, relative to the one before."""
+        local = rotations.identity(len(p), len(self.convention.directions)).to(p)
+        for chain in self.convention.chains:
+            above_turn = q
+            for above, joint in pairwise(chain):
+                bone = p[:, joint] - p[:, above]
+                turn = rotations.between(self.convention.directions[joint], bone)
+                local[:, joint] = rotations.mul(rotations.inv(above_turn), turn)
+                above_turn = turn
+        return local
+
+    def _root(self, features: Tensor) -> tuple[Tensor, Tensor]:
+        """Heading (..., F, 4) and root path (..., F, 3) in the dataset's unit, integrated from frame 0."""
+        half = _integrate(features[..., self.groups["root_yaw"]])[..., 0]
+        heading = rotations.yaw(2.0 * half)
+        step = features[..., self.groups["root_velocity"]]
+        step = torch.stack((step[..., 0], torch.zeros_like(half), step[..., 1]), dim=-1)
+        # Row t's step is seen in the heading of row t + 1.
+        turned = rotations.rotate(rotations.inv(heading[..., 1:, :]), step[..., :-1, :])
+        path = torch.cat((torch.zeros_like(step[..., :1, :]), torch.cumsum(turned, dim=-2)), dim=-2)
+        height = features[..., self.groups["root_height"]]
+        return heading, torch.cat((path[..., :1], height, path[..., 2:]), dim=-1)
+
+
+def _rows(x: Tensor, size: int) -> Tensor:
+    return x.reshape(*x.shape[:-1], -1, size)
+
+
+def _forward(across: Tensor) -> Tensor:
+    """Y × across: the horizontal direction in front of a body whose right-hand side is at ``across``."""
+    return torch.stack((across[..., 2], torch.zeros_like(across[..., 0]), -across[..., 0]), dim=-1)
+
+
+def _front_to_z(forward: Tensor) -> Tensor:
+    return rotations.between(forward, forward.new_tensor((0.0, 0.0, 1.0)))
+
+
+def _to_front(across: Tensor) -> Tensor:
+    return _front_to_z(_forward(across))
+
+
+def _integrate(steps: Tensor) -> Tensor:
+    """Running sum over dimension -2 that starts at zero; the last step leads out of the clip and is not used."""
+    return torch.cat((torch.zeros_like(steps[..., :1, :]), torch.cumsum(steps[..., :-1, :], dim=-2)), dim=-2)
