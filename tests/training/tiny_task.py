@@ -1,4 +1,4 @@
-"""A task with everything that makes resuming hard: dropout, two optimisers, an average, noise, a shuffled data order."""
+"""A task with all that makes resuming hard: dropout, two optimisers, an average, noise, a shuffled data order."""
 
 import sys
 import time

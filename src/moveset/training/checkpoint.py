@@ -1,7 +1,7 @@
 """Checkpoints: a folder ``step_N/`` of safetensors and JSON with a sha256 manifest. No pickle is ever read or written.
 
-The protocol that makes ``kill -9`` harmless: everything is written into ``.tmp-step_N-PID/``, every file and the folder are
-fsynced, the folder is renamed to ``step_N/``, and the parent is fsynced. A folder is a checkpoint if and only if its
+The protocol that makes ``kill -9`` harmless: everything is written into ``.tmp-step_N-PID/``, every file and the folder
+are fsynced, the folder is renamed to ``step_N/``, the parent is fsynced. A folder is a checkpoint if and only if its
 ``manifest.json`` is there and every file it names has that size and hash; "the latest" is the highest N of those.
 """
 
@@ -229,9 +229,7 @@ def _read_json(file: Path) -> dict[str, Any]:
     if not file.is_file():
         raise FormatError(f"{file} is missing, so its folder is not a complete checkpoint; use another one")
     if (size := file.stat().st_size) > MAX_JSON_BYTES:
-        raise FormatError(
-            f"{file} has {size} bytes, more than the {MAX_JSON_BYTES} that are read; use another checkpoint"
-        )
+        raise FormatError(f"{file} has {size} bytes, more than the {MAX_JSON_BYTES} that are read; use another one")
     try:
         document = json.loads(file.read_bytes())
     except (ValueError, RecursionError) as error:

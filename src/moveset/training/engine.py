@@ -1,16 +1,17 @@
-"""The training loop: a ``Task`` says what a step is, ``run`` repeats it, logs, validates, saves, resumes and stops cleanly.
+"""The training loop: a ``Task`` says what a step is; ``run`` repeats it, logs, validates, saves and resumes.
 
-Resuming is exact: 10 steps, a kill, and 10 more steps give on a CPU the bytes that 20 steps give. All that a step depends
-on is therefore in the checkpoint: parameters, averages, optimisers, the generators made by ``Loop.generator``, torch's
-global generator (dropout), and what ``Task.state`` adds; learning rates are functions of the step.
+Resuming is exact: 10 steps, a kill, and 10 more steps give on a CPU the bytes that 20 steps give. All that a step
+depends on is therefore in the checkpoint: parameters, averages, optimisers, the generators made by ``Loop.generator``,
+torch's global generator (dropout), and what ``Task.state`` adds; learning rates are functions of the step.
 
 Several processes (``torchrun``, or ``devices > 1``) are data parallel: each draws its own batch, and gradients are
-averaged in one flat all-reduce just before an optimiser steps. Unlike a wrapper around each module this leaves a GAN free
-to call its modules in any order and by any method, needs no ``no_sync`` for accumulation, and costs nothing noticeable
-at these sizes (72 MB of gradients for the largest model).
+averaged in one flat all-reduce just before an optimiser steps. Unlike a wrapper around each module this leaves a GAN
+free to call its modules in any order and by any method, needs no ``no_sync`` for accumulation, and costs nothing
+noticeable at these sizes (72 MB of gradients for the largest model).
 """
 
 import hashlib
+import os
 import signal
 import threading
 from collections.abc import Callable, Iterator, Mapping
@@ -78,7 +79,7 @@ class EngineConfig:
 
 
 class Task:
-    """One trainable thing. Subclasses set ``name`` and ``config`` (a frozen dataclass of JSON values) in ``__init__``."""
+    """One trainable thing. Subclasses set ``name`` and ``config``, a frozen dataclass of JSON values."""
 
     name: str
     config: Any
@@ -107,7 +108,7 @@ class Task:
         raise NotImplementedError
 
     def validate(self, step: int, loop: "Loop") -> Mapping[str, float]:
-        """Metrics on held-out data. Runs on rank 0 without gradient, modules in eval mode, and leaves no trace in any generator."""
+        """Metrics on held-out data: on rank 0, without gradient, modules in eval mode; leaves no generator changed."""
         return {}
 
     def state(self) -> dict[str, Tensor | int | float | str]:
@@ -138,6 +139,7 @@ class Loop:
         self.rank: int = fabric.global_rank
         self.world_size: int = fabric.world_size
         self.generators: dict[str, torch.Generator] = {}
+        self._shared: set[str] = set()
         self._optimizers: dict[str, torch.optim.Optimizer] = {}
 
     def generator(self, name: str, *, shared: bool = False, device: torch.device | str = "cpu") -> torch.Generator:
@@ -152,7 +154,15 @@ class Loop:
             raise ValueError(f"there is a generator {name!r} already")
         made = torch.Generator(device).manual_seed(stream_seed(self.config.seed, name, None if shared else self.rank))
         self.generators[name] = made
+        if shared:
+            self._shared.add(name)
         return made
+
+    def reseed(self, step: int) -> None:
+        """Starts this process's own streams, torch's global one included, anew at a step; shared ones go on."""
+        for name in self.generators.keys() - self._shared:
+            self.generators[name].manual_seed(stream_seed(self.config.seed, f"{name}@{step}", self.rank))
+        torch.manual_seed(stream_seed(self.config.seed, f"dropout@{step}", self.rank))
 
     def minimise(self, loss: Tensor, optimizer: str) -> Tensor:
         """One update of one optimiser's parameters, and of no others. Returns the gradient's norm before clipping."""
@@ -212,17 +222,18 @@ def run(
             checkpoint.clean(folder)
         # The caller's global generator is left as it was.
         stack.enter_context(torch.random.fork_rng(devices=cuda))
-        signals = stack.enter_context(_signals())
 
         loop = Loop(fabric, config)
         torch.manual_seed(stream_seed(config.seed, "initialisation", None))
         task = make_task(loop)
         loop._optimizers = task.optimizers()
-        torch.manual_seed(stream_seed(config.seed, "dropout", loop.rank))
+        torch.manual_seed(stream_seed(config.seed, "dropout", loop.rank))  # the ranks were alike so far
         start = _start(task, loop, folder, resume_from_latest)
         if loop.world_size > 1:
             for tensor in resume.shared_tensors(task):
                 torch.distributed.broadcast(tensor, src=0)
+        # Not before: a task may take minutes to prepare its data, and a signal should end that at once.
+        signals = stack.enter_context(_signals())
         return _train(task, loop, folder, start, signals, stack)
 
 
@@ -271,7 +282,8 @@ def _start(task: Task, loop: Loop, folder: Path, resume_from_latest: bool) -> in
     if not resume_from_latest:
         if existing := checkpoint.steps(folder):
             raise InputError(
-                f"{folder} already holds a training up to step {existing[-1]}; continue it with --resume or give another folder"
+                f"{folder} already holds a training up to step {existing[-1]}; continue it with --resume or give "
+                "another folder"
             )
         return 0
     found = checkpoint.latest(folder)
@@ -340,8 +352,6 @@ def _fabric(config: EngineConfig) -> "Fabric":
         from lightning_fabric.plugins.environments import TorchElasticEnvironment
     except ImportError as error:
         raise InputError("training needs lightning-fabric; install it with pip install 'moveset[train]'") from error
-    import os
-
     device = config.device
     if device == "auto":
         device = "cuda" if torch.cuda.is_available() else "mps" if torch.backends.mps.is_available() else "cpu"

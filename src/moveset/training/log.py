@@ -1,4 +1,4 @@
-"""What a training says about itself: ``metrics.jsonl`` always, TensorBoard where installed, a bar where a person looks."""
+"""What a training says: ``metrics.jsonl`` always, TensorBoard where installed, a bar where a person looks."""
 
 import json
 import math
@@ -94,8 +94,9 @@ class TrainingLog:
     def write(self, split: str, step: int, metrics: dict[str, float]) -> None:
         """Appends one line ``{"step", "split", "time", …}``."""
         line: dict[str, Any] = {"step": step, "split": split, "time": round(time.time(), 3)}
-        line |= {key: float(f"{value:.8g}") for key, value in metrics.items()}
-        self._file.write(json.dumps(line) + "\n")
+        # JSON has no NaN; a validation may well have one (the correlation of constants, say).
+        line |= {key: float(f"{value:.8g}") if math.isfinite(value) else None for key, value in metrics.items()}
+        self._file.write(json.dumps(line, allow_nan=False) + "\n")
         self._file.flush()
         if self._board is not None:
             for key, value in metrics.items():

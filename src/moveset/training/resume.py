@@ -2,7 +2,7 @@
 
 NAME.safetensors             parameters and buffers of each trained module and average
 optimizer_NAME.safetensors   moments of each optimiser, named PARAMETER/KEY
-rng.safetensors              generators and task tensors, named RANK/torch, RANK/cuda, RANK/generator/NAME, RANK/task/KEY
+rng.safetensors              generators and task tensors, named RANK/torch, …/cuda, …/generator/NAME, …/task/KEY
 state.json                   step, world size, optimiser groups and scalars, task scalars by rank, versions
 config.json                  {"task": NAME, "config": {…}, "engine": {…}}
 """
@@ -55,7 +55,7 @@ def save(task: "Task", loop: "Loop", folder: Path, step: int) -> Path:
 def load(task: "Task", loop: "Loop", path: Path) -> int:
     """Loads a verified checkpoint into a freshly built task; returns its number of finished steps.
 
-    Warns when the config or the number of processes has changed; in the latter case every process starts new random streams.
+    Warns when the config or the number of processes has changed; in the latter case random streams start anew.
 
     Raises:
         InputError: the checkpoint is of another task or of other sizes.
@@ -76,8 +76,8 @@ def load(task: "Task", loop: "Loop", path: Path) -> int:
     same = state["world_size"] == loop.world_size
     if not same:
         warnings.warn(
-            f"{path} was written by {state['world_size']} processes and is resumed by {loop.world_size}: data order and "
-            "noise start anew, and the effective batch changes in proportion",
+            f"{path} was written by {state['world_size']} processes and is resumed by {loop.world_size}: data order "
+            "and noise start anew, and the effective batch changes in proportion",
             stacklevel=3,
         )
     rank = loop.rank if same else 0
@@ -85,10 +85,9 @@ def load(task: "Task", loop: "Loop", path: Path) -> int:
     mine = {name.removeprefix(prefix): value for name, value in tensors.items() if name.startswith(prefix)}
     scalars = state["ranks"][rank]
     task.load_state({**{k.removeprefix("task/"): v for k, v in mine.items() if k.startswith("task/")}, **scalars})
-    if same:
-        _load_generators(loop, mine, path)
-    else:
-        _reseed(loop, state["step"])
+    _load_generators(loop, mine, path)
+    if not same:
+        loop.reseed(state["step"])
     return int(state["step"])
 
 
@@ -108,8 +107,8 @@ def _write(task: "Task", loop: "Loop", folder: Path, step: int, ranks: list[dict
         for key, value in tensors[name].items():
             if value.is_floating_point() and not torch.isfinite(value).all():
                 raise MovesetError(
-                    f"{name}.{key} is not finite after step {step}, so it is not saved; resume from an older checkpoint "
-                    "with a lower learning rate"
+                    f"{name}.{key} is not finite after step {step}, so it is not saved; resume from an older "
+                    "checkpoint with a lower learning rate"
                 )
     optimizers = {}
     for name, optimizer in task.optimizers().items():
@@ -181,11 +180,3 @@ def _load_generators(loop: "Loop", tensors: dict[str, Tensor], path: Path) -> No
     torch.set_rng_state(tensors["torch"])
     if loop.device.type == "cuda" and "cuda" in tensors:
         torch.cuda.set_rng_state(tensors["cuda"], loop.device)
-
-
-def _reseed(loop: "Loop", step: int) -> None:
-    from moveset.training.engine import stream_seed
-
-    for name, generator in loop.generators.items():
-        generator.manual_seed(stream_seed(loop.config.seed, f"{name}@{step}", loop.rank))
-    torch.manual_seed(stream_seed(loop.config.seed, f"dropout@{step}", loop.rank))
