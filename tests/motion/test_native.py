@@ -13,9 +13,7 @@ from moveset.motion.native import NativeCodec
 def motion() -> Motion:
     generator = torch.Generator().manual_seed(3)
     wobble = torch.cumsum(torch.randn(60, 22, 3, generator=generator) * 0.05, dim=0)
-    local = rotations.from_axis_angle(
-        torch.nn.functional.normalize(wobble, dim=-1), wobble.norm(dim=-1)
-    )
+    local = rotations.from_axis_angle(torch.nn.functional.normalize(wobble, dim=-1), wobble.norm(dim=-1))
     root = torch.cumsum(torch.randn(60, 3, generator=generator) * 0.02, dim=0) + torch.tensor([0.0, 0.9, 0.0])
     return Motion(local, root)
 

@@ -1,0 +1,201 @@
+"""The denoiser that ships: the published network's U-shaped transformer, made cheap for a processor.
+
+Same task as ``token_denoiser`` (noise prediction on the 16 latent tokens, MotionPCM §3 and Eq. 11), three changes, each
+bought with measured time or quality: the text's token states enter as extra keys and values instead of extra sequence
+elements (half the cost of a training step, and they can be computed once per prompt); time, guidance, the pooled text and
+the clip's length modulate the blocks (one shared adaLN, arXiv 2310.00426) instead of being tokens; blocks are pre-norm.
+
+Shapes: B batch, N latent tokens, d latent width, L text tokens, C text width, W model width, H heads.
+"""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as fn
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class LatentDenoiserConfig:
+    """Sizes of a ``LatentDenoiser``; ``guided`` adds the guidance-scale embedding of the students."""
+
+    tokens: int = 16
+    token_dim: int = 32
+    text_dim: int = 384
+    width: int = 256
+    heads: int = 4
+    hidden: int = 1024
+    blocks: int = 5
+    dropout: float = 0.0
+    guided: bool = False
+
+    def build(self) -> "LatentDenoiser":
+        """The module with fresh weights."""
+        return LatentDenoiser(self)
+
+
+@dataclass(frozen=True, eq=False)
+class TextKeys:
+    """A prompt as the blocks read it: one (keys, values) pair (B, H, L, W/H) per block, additive mask, summary (B, W)."""
+
+    pairs: tuple[tuple[Tensor, Tensor], ...]
+    bias: Tensor
+    pooled: Tensor
+
+
+class LatentDenoiser(nn.Module):
+    """Predicts the noise in latents from text: ``denoiser(z, t, tokens, mask, w, taps, frames) -> eps``."""
+
+    def __init__(self, config: LatentDenoiserConfig) -> None:
+        super().__init__()
+        self.config = c = config
+        self.latent_in = nn.Linear(c.token_dim, c.width)
+        self.position = nn.Parameter(torch.randn(c.tokens, c.width) * 0.02)
+        self.text_in = nn.Sequential(nn.Linear(c.text_dim, c.width), nn.GELU("tanh"), nn.Linear(c.width, c.width))
+        self.text_norm = nn.LayerNorm(c.width)
+        self.text_position = nn.Parameter(torch.randn(64, c.width) * 0.02)
+        self.pool = nn.Linear(c.width, c.width)
+        self.time = nn.Sequential(nn.Linear(_WAVES, c.width), nn.SiLU(), nn.Linear(c.width, c.width))
+        self.length = nn.Linear(_WAVES, c.width)
+        if c.guided:
+            # Zero at the start: a fresh student is its teacher, whatever the guidance scale.
+            self.guidance = nn.Linear(_WAVES, c.width, bias=False)
+            nn.init.zeros_(self.guidance.weight)
+        self.modulate = nn.Linear(c.width, 6 * c.width)
+        nn.init.normal_(self.modulate.weight, std=0.02)
+        nn.init.zeros_(self.modulate.bias)
+        self.blocks = nn.ModuleList(Block(c.width, c.heads, c.hidden, c.dropout) for _ in range(c.blocks))
+        half = c.blocks // 2
+        self.skips = nn.ModuleList(nn.Linear(2 * c.width, c.width) for _ in range(half))
+        for skip in self.skips:
+            # Start as if there were no skip: the current state passes, the remembered one is not yet used.
+            nn.init.zeros_(skip.bias)
+            with torch.no_grad():
+                skip.weight.copy_(torch.cat((torch.eye(c.width), torch.zeros(c.width, c.width)), dim=1))
+        self.norm_out = nn.LayerNorm(c.width, elementwise_affine=False)
+        self.modulate_out = nn.Linear(c.width, 2 * c.width)
+        self.out = nn.Linear(c.width, c.token_dim)
+        for layer in (self.modulate_out, self.out):
+            nn.init.zeros_(layer.weight)
+            nn.init.zeros_(layer.bias)
+
+    def read(self, tokens_BLC: Tensor, mask_BL: Tensor) -> TextKeys:
+        """The text's keys and values for every block; they depend on neither time nor noise."""
+        length = tokens_BLC.shape[1]
+        text = self.text_norm(self.text_in(tokens_BLC) + self.text_position[:length])
+        keep = mask_BL[..., None].to(text.dtype)
+        pooled = self.pool((text * keep).sum(1) / keep.sum(1))
+        bias = torch.zeros(mask_BL.shape, dtype=text.dtype, device=text.device).masked_fill(~mask_BL, -1e4)
+        return TextKeys(tuple(block.read(text) for block in self.blocks), bias, pooled)
+
+    def forward(
+        self,
+        z_BND: Tensor,
+        t_B: Tensor,
+        tokens_BLC: Tensor,
+        mask_BL: Tensor,
+        w_B: Tensor | None = None,
+        taps: list[Tensor] | None = None,
+        frames_B: Tensor | None = None,
+    ) -> Tensor:
+        """Predicted noise (B, N, d).
+
+        Args:
+            z_BND: noisy latents.
+            t_B: timesteps 0..999.
+            tokens_BLC: text token states.
+            mask_BL: True at real tokens.
+            w_B: guidance scale, for students (``guided``) only.
+            taps: a list that receives every block's output (B, N, W), for the discriminator.
+            frames_B: clip length in frames; without it 120 is assumed.
+        """
+        return self.denoise(z_BND, t_B, self.read(tokens_BLC, mask_BL), w_B, taps, frames_B)
+
+    def denoise(
+        self,
+        z_BND: Tensor,
+        t_B: Tensor,
+        text: TextKeys,
+        w_B: Tensor | None = None,
+        taps: list[Tensor] | None = None,
+        frames_B: Tensor | None = None,
+    ) -> Tensor:
+        """As ``forward``, for text that was read before."""
+        frames_B = torch.full_like(t_B, 120) if frames_B is None else frames_B
+        condition = self.time(waves(t_B)) + self.length(waves(frames_B * 4.0)) + text.pooled
+        if w_B is not None:
+            condition = condition + self.guidance(waves(w_B * 100.0))
+        condition = fn.silu(condition)
+        modulation = self.modulate(condition)[:, None]
+        x = self.latent_in(z_BND) + self.position
+        half = len(self.blocks) // 2
+        remembered: list[Tensor] = []
+        # A mask costs the attention its fast path, so none is built when no prompt in the batch is padded.
+        bias = None
+        if bool((text.bias < 0).any()):
+            latent_bias = text.bias.new_zeros(len(text.bias), z_BND.shape[1])
+            bias = torch.cat((latent_bias, text.bias), dim=1)[:, None, None, :]
+        for k, (block, pair) in enumerate(zip(self.blocks, text.pairs, strict=True)):
+            if k >= len(self.blocks) - half:
+                x = self.skips[k - (len(self.blocks) - half)](torch.cat((x, remembered.pop()), dim=-1))
+            x = block(x, modulation, pair, bias)
+            if k < half:
+                remembered.append(x)
+            if taps is not None:
+                taps.append(x)
+        scale, shift = self.modulate_out(condition)[:, None].chunk(2, dim=-1)
+        # The prediction is divided by alpha_t on the way to z_0 (14.6 at t = 999), which would magnify bfloat16's steps.
+        with torch.autocast(x.device.type, enabled=False):
+            return self.out(self.norm_out(x.float()) * (1 + scale.float()) + shift.float())
+
+
+class Block(nn.Module):
+    """Self-attention over the latents with the text as extra keys and values, then a feed-forward; modulated."""
+
+    def __init__(self, width: int, heads: int, hidden: int, dropout: float) -> None:
+        super().__init__()
+        self.heads = heads
+        self.dropout = dropout
+        self.norm_attention = nn.LayerNorm(width, elementwise_affine=False)
+        self.norm_feed = nn.LayerNorm(width, elementwise_affine=False)
+        # The block's own offset to the shared modulation; both gates start at a small constant.
+        self.offset = nn.Parameter(torch.zeros(6, width))
+        with torch.no_grad():
+            self.offset[[2, 5]] = 0.3
+        self.qkv = nn.Linear(width, 3 * width)
+        self.text_kv = nn.Linear(width, 2 * width)
+        self.attended = nn.Linear(width, width)
+        self.feed = nn.Linear(width, hidden)
+        self.fed = nn.Linear(hidden, width)
+
+    def read(self, text_BLW: Tensor) -> tuple[Tensor, Tensor]:
+        """Keys and values (B, H, L, W/H) of the text."""
+        keys, values = self.text_kv(text_BLW).chunk(2, dim=-1)
+        return self._split(keys), self._split(values)
+
+    def forward(self, x: Tensor, modulation: Tensor, text: tuple[Tensor, Tensor], bias: Tensor | None) -> Tensor:
+        """x (B, N, W), modulation (B, 1, 6W)."""
+        scale_a, shift_a, gate_a, scale_f, shift_f, gate_f = (modulation + self.offset.flatten()).chunk(6, dim=-1)
+        hidden = self.norm_attention(x) * (1 + scale_a) + shift_a
+        query, keys, values = (self._split(part) for part in self.qkv(hidden).chunk(3, dim=-1))
+        keys, values = torch.cat((keys, text[0]), dim=2), torch.cat((values, text[1]), dim=2)
+        mixed = fn.scaled_dot_product_attention(query, keys, values, attn_mask=bias)
+        mixed = self.attended(mixed.transpose(1, 2).flatten(2))
+        x = x + gate_a * fn.dropout(mixed, self.dropout, self.training)
+        hidden = self.norm_feed(x) * (1 + scale_f) + shift_f
+        fed = self.fed(fn.gelu(self.feed(hidden), approximate="tanh"))
+        return x + gate_f * fn.dropout(fed, self.dropout, self.training)
+
+    def _split(self, x: Tensor) -> Tensor:
+        return x.unflatten(-1, (self.heads, -1)).transpose(1, 2)
+
+
+_WAVES = 256
+
+
+def waves(x_B: Tensor) -> Tensor:
+    """Sinusoids (B, 256) of a number of the order of 0..1000: [cos, sin], frequencies 10000^(-i/128)."""
+    half = _WAVES // 2
+    frequency = torch.exp(torch.arange(half, device=x_B.device) * (-9.210340371976184 / half))
+    angle = x_B.float()[:, None] * frequency
+    return torch.cat((angle.cos(), angle.sin()), dim=-1)

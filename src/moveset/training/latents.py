@@ -1,0 +1,140 @@
+"""The corpus as the diffusion models see it: VAE posteriors of clips and crops, with their captions, in one file.
+
+Encoding a clip costs as much as a training step of the denoiser, and the encoder is frozen: so it happens once.
+Shapes: M entries, N latent tokens, d latent width, B batch.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+import torch
+from safetensors.torch import load_file
+from torch import Tensor
+from tqdm import tqdm
+
+from moveset.data.corpus import Corpus
+from moveset.io.limits import atomic_write
+from moveset.training.clips import Crop, FeatureStore, clip_weights
+
+
+class Encoder(Protocol):
+    """The half of a VAE that is needed here."""
+
+    def encode(self, x_BFD: Tensor, lengths_B: Tensor) -> tuple[Tensor, Tensor]:
+        """Mean and log-variance (B, N, d)."""
+
+
+@dataclass(frozen=True, eq=False)
+class LatentBatch:
+    """Normalised latents z_0 (B, N, d), clip lengths (B,) in frames, and a caption for each."""
+
+    z0: Tensor
+    frames: Tensor
+    captions: list[str]
+
+
+class LatentSet:
+    """Posteriors of M entries: each clip of a split whole, and windows of it, with both of its captions' wordings.
+
+    Args:
+        mean: (M, N, d) posterior means.
+        std: (M, N, d) posterior standard deviations.
+        frames: (M,) clip lengths.
+        clip: (M,) indices into the feature store (2 * record + mirrored).
+        whole: (M,) whether the entry is a whole clip.
+    """
+
+    def __init__(self, corpus: Corpus, split: str, tensors: dict[str, Tensor]) -> None:
+        self.mean, self.std = tensors["mean"].float(), tensors["std"].float()
+        self.frames, self.clip = tensors["frames"], tensors["clip"]
+        self.center, self.scale = tensors["center"], tensors["scale"]
+        records = corpus.indices(split)
+        weight = dict(zip(records, clip_weights(corpus, records, power=0.5, composed_share=0.4).tolist(), strict=True))
+        copies = torch.bincount(self.clip, minlength=2 * len(corpus)).double()
+        self.weights = torch.tensor([weight[int(c) // 2] for c in self.clip], dtype=torch.float64) / copies[self.clip]
+        self._captions: dict[int, tuple[str, ...]] = {}
+        for clip in set(self.clip.tolist()):
+            self._captions[clip] = corpus.captions(clip // 2, clip % 2 == 1)
+
+    @classmethod
+    def of(
+        cls,
+        corpus: Corpus,
+        split: str,
+        store: FeatureStore,
+        vae: Encoder,
+        path: Path,
+        windows: int = 2,
+        batch: int = 64,
+    ) -> "LatentSet":
+        """Open ``path``, encoding the split first where it is missing."""
+        if not path.is_file():
+            tensors = _encode(_entries(corpus, corpus.indices(split), store, windows), store, vae, batch)
+            from safetensors.torch import save
+
+            with atomic_write(path) as file:
+                file.write(save(tensors))
+        return cls(corpus, split, load_file(path))
+
+    def __len__(self) -> int:
+        return len(self.clip)
+
+    def captions(self, entry: int) -> tuple[str, ...]:
+        """All captions of an entry; mirrored entries have mirrored text."""
+        return self._captions[int(self.clip[entry])]
+
+    def all_captions(self) -> list[str]:
+        """Every caption in use, sorted, for the embedding cache."""
+        return sorted({caption for captions in self._captions.values() for caption in captions})
+
+    def batch(self, size: int, seed: int, step: int) -> LatentBatch:
+        """The batch of a step: a pure function of (seed, step); latents are drawn from the posterior and normalised."""
+        generator = torch.Generator().manual_seed(seed * 1_000_003 + step)
+        entries = torch.multinomial(self.weights, size, replacement=True, generator=generator)
+        noise = torch.randn(size, *self.mean.shape[1:], generator=generator)
+        z0 = (self.mean[entries] + self.std[entries] * noise - self.center) / self.scale
+        pick = torch.rand(size, generator=generator).tolist()
+        captions = []
+        for entry, share in zip(entries.tolist(), pick, strict=True):
+            options = self.captions(entry)
+            captions.append(options[int(share * len(options))])
+        return LatentBatch(z0, self.frames[entries], captions)
+
+
+def _entries(corpus: Corpus, records: Sequence[int], store: FeatureStore, windows: int) -> list[Crop]:
+    """Every clip and its mirror image whole, and ``windows`` windows of 70-100 % of the plain ones."""
+    generator = torch.Generator().manual_seed(0)
+    crops = []
+    for record in records:
+        for clip in (2 * record, 2 * record + 1):
+            total = store.clips[clip].frames
+            crops.append(Crop(clip, 0, total))
+            # A window of a sequence or of a short take may miss what its caption says.
+            if corpus.records[record].kind != "take" or total < 48:
+                continue
+            for share, place in torch.rand(windows, 2, generator=generator).tolist():
+                frames = int(total * (0.7 + 0.3 * share))
+                crops.append(Crop(clip, int(place * (total - frames + 1)), frames))
+    return crops
+
+
+@torch.inference_mode()
+def _encode(crops: list[Crop], store: FeatureStore, vae: Encoder, batch: int) -> dict[str, Tensor]:
+    crops = sorted(crops, key=lambda crop: crop.frames)
+    means, stds = [], []
+    for start in tqdm(range(0, len(crops), batch), desc="latents", disable=None):
+        mean, log_variance = vae.encode(*store.batch(crops[start : start + batch]))
+        means.append(mean)
+        stds.append((0.5 * log_variance).exp())
+    mean, std = torch.cat(means), torch.cat(stds)
+    total = (mean.var(dim=0, correction=0) + std.square().mean(0)).sqrt()
+    return {
+        "mean": mean.half(),
+        "std": std.half(),
+        "center": mean.mean(0),
+        "scale": total,
+        "frames": torch.tensor([crop.frames for crop in crops]),
+        "clip": torch.tensor([crop.clip for crop in crops]),
+    }
