@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
 
-import torch
 from torch import Tensor
 
 from moveset.errors import InputError
@@ -80,8 +79,13 @@ class PhaseGrid:
 
     def lower(self, i: Tensor) -> Tensor:
         """s_m, the lower edge of the phase of point i, where the student lands."""
-        return torch.tensor(self.edges, device=i.device)[self.phase(i)]
+        return self._edge(self.phase(i))
 
     def upper(self, i: Tensor) -> Tensor:
         """s_{m+1}, the upper edge of the phase of point i."""
-        return torch.tensor(self.edges, device=i.device)[self.phase(i) + 1]
+        return self._edge(self.phase(i) + 1)
+
+    def _edge(self, m: Tensor) -> Tensor:
+        # Arithmetic instead of a table: nothing to copy to the device in every training step.
+        start = (m * self.points).div(self.phases, rounding_mode="floor")
+        return (start * (self.steps // self.points) - 1).clamp(min=0)

@@ -1,0 +1,266 @@
+"""Laws of phased consistency: exact students, a student that must converge, and who receives gradients."""
+
+import copy
+
+import pytest
+import torch
+from torch import nn
+
+from moveset.diffusion.schedule import scaled_linear
+from moveset.diffusion.steps import add_noise, ddim_step, predict_z0
+from moveset.pcm.consistency import (
+    adversarial_pair,
+    draw,
+    lcm_prediction,
+    lcm_scalings,
+    lcm_target,
+    phased_prediction,
+    phased_target,
+    teacher_step,
+)
+from moveset.pcm.losses import pseudo_huber
+from moveset.pcm.phases import PhaseGrid
+from moveset.pcm.sampler import lcm_timesteps, sample_lcm, sample_phased
+
+SCHEDULE = scaled_linear()
+GRIDS = [PhaseGrid(10, m) for m in (1, 2, 4)]
+MU, OTHER, V = torch.tensor([[1.5, -0.5, 0.3]]), torch.tensor([[1.0, -0.5, 0.5]]), torch.tensor([[0.3, 1.5, 0.05]])
+
+
+def tables(t, like):
+    shape = (*t.shape, *(1,) * (like.ndim - t.ndim))
+    return SCHEDULE.alpha(t, like.dtype).view(shape), SCHEDULE.sigma(t, like.dtype).view(shape)
+
+
+def gaussian_eps(z, t, mu):
+    a, s = tables(t, z)
+    return s * (z - a * mu) / (a * a * V + s * s)
+
+
+def gaussian_flow(z, t, s, mu):
+    (at, st), (as_, ss) = tables(t, z), tables(s, z)
+    return as_ * mu + ((as_**2 * V + ss**2) / (at**2 * V + st**2)).sqrt() * (z - at * mu)
+
+
+def teacher(z, t):
+    return gaussian_eps(z, t, MU), gaussian_eps(z, t, OTHER)
+
+
+def normal(*shape, seed=0, dtype=torch.float32):
+    return torch.randn(*shape, dtype=dtype, generator=torch.Generator().manual_seed(seed))
+
+
+class ExactStudent:
+    """The noise with which one jump to the phase's lower edge lands exactly on the probability flow."""
+
+    def __init__(self, grid):
+        self.below = {t: s for t, s in grid.jumps} | {
+            int(grid.time(i)): int(grid.lower(i)) for i in torch.arange(grid.points)
+        }
+
+    def __call__(self, z, t, w):
+        s = torch.tensor([self.below[int(k)] for k in t])
+        landed = gaussian_flow(z, t, s, MU)
+        at_zero = ddim_step(SCHEDULE, z, torch.zeros_like(z), t, s)
+        slope = ddim_step(SCHEDULE, torch.zeros_like(z), torch.ones_like(z), t, s)
+        return (landed - at_zero) / slope
+
+
+@pytest.mark.parametrize("grid", GRIDS, ids=lambda g: f"M={g.phases}")
+def test_exact_students_land_on_one_trajectory_whatever_the_number_of_phases(grid):
+    z = normal(32, 1, 3, dtype=torch.float64)
+    seen = []
+    exact = ExactStudent(grid)
+
+    def model(z, t, w):
+        seen.append((z, t, exact(z, t, w)))
+        return seen[-1][2]
+
+    result = sample_phased(model, SCHEDULE, grid, z)
+    top, zero = torch.full((32,), 999), torch.zeros(32, dtype=torch.int64)
+    for at, t, _ in seen:
+        torch.testing.assert_close(at, gaussian_flow(z, top, t, MU), atol=1e-9, rtol=1e-9)
+    # adding back the noise that the last jump leaves out gives the flow's own end at t = 0
+    landed = add_noise(SCHEDULE, result, seen[-1][2], zero)
+    torch.testing.assert_close(landed, gaussian_flow(z, top, zero, MU), atol=1e-9, rtol=1e-9)
+
+
+@pytest.mark.parametrize("grid", GRIDS, ids=lambda g: f"M={g.phases}")
+def test_exact_students_are_consistent_along_the_flow(grid):
+    i = torch.arange(1, grid.points)
+    same = grid.phase(i) == grid.phase(i - 1)
+    z = normal(len(i), 1, 3, dtype=torch.float64)
+    below = gaussian_flow(z, grid.time(i), grid.time(i - 1), MU)
+    student, w = ExactStudent(grid), torch.zeros(len(i), dtype=torch.float64)
+    high = phased_prediction(SCHEDULE, grid, student, z, i, w)
+    low = phased_prediction(SCHEDULE, grid, student, below, i - 1, w)
+    torch.testing.assert_close(high[same], low[same], atol=1e-9, rtol=1e-9)
+    assert int(same.sum()) == grid.points - grid.phases
+
+
+class TinyStudent(nn.Module):
+    """Noise that is affine in z and in w, with its own coefficients at every time: can represent the answer exactly."""
+
+    def __init__(self, grid):
+        super().__init__()
+        i = torch.arange(grid.points)
+        a, s = SCHEDULE.alpha(grid.time(i))[:, None], SCHEDULE.sigma(grid.time(i))[:, None]
+        scale = s / (a * a * V + s * s)
+        # as a student starts from its teacher: the text-conditional noise, and no effect of w; the last row is t = 0
+        self.scale, self.shift = (nn.Parameter(torch.cat((x, torch.zeros(1, 3)))) for x in (scale, -scale * a * MU))
+        self.guidance = nn.Parameter(torch.zeros(grid.points + 1, 3))
+
+    def forward(self, z, t, w):
+        row = (t + 1) // 100 - 1
+        w = torch.zeros(len(z)) if w is None else w
+        return self.scale[row, None] * z + (self.shift[row] + self.guidance[row] * w[:, None])[:, None]
+
+
+def train(student, prediction, target, grid, steps):
+    """A few hundred iterations on Gaussian data, as the trainer does them; returns the last loss."""
+    ema = copy.deepcopy(student)
+    optimizer = torch.optim.Adam(student.parameters(), lr=0.02)
+    decay = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, steps, 1e-5)
+    generator = torch.Generator().manual_seed(1)
+    for _ in range(steps):
+        z0 = MU + V.sqrt() * torch.randn(128, 1, 3, generator=generator)
+        d = draw(grid, z0, (1.0, 4.0), generator)
+        z = add_noise(SCHEDULE, z0, d.noise_BND, grid.time(d.point_B))
+        aim = target(SCHEDULE, grid, teacher, ema, z, d.point_B, d.w_B)
+        loss = pseudo_huber(prediction(student, z, d), aim)
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step()
+        decay.step()
+        with torch.no_grad():
+            for slow, fast in zip(ema.parameters(), student.parameters(), strict=True):
+                slow.lerp_(fast, 0.05)
+    return float(loss.detach())
+
+
+def solved(z, w, t_from, t_to, grid):
+    """The teacher's own solver steps from one grid time down to another."""
+    for i in reversed(range(grid.points)):
+        point = torch.full((len(z),), i)
+        if t_to < int(grid.time(point[0])) <= t_from:
+            z = teacher_step(SCHEDULE, grid, teacher, z, point, w)
+    return z
+
+
+@pytest.mark.parametrize("grid", GRIDS, ids=lambda g: f"M={g.phases}")
+def test_a_phased_student_converges_to_the_teachers_solver(grid):
+    student = TinyStudent(grid)
+    loss = train(
+        student, lambda s, z, d: phased_prediction(SCHEDULE, grid, s, z, d.point_B, d.w_B), phased_target, grid, 700
+    )
+    assert loss < 1e-4
+    z, w = normal(256, 1, 3, seed=4), torch.linspace(1.0, 4.0, 256)
+    seen = []
+    with torch.no_grad():
+        sample_phased(lambda z, t, w: seen.append(z) or student(z, t, w), SCHEDULE, grid, z, w)
+        for at, (t, s) in zip(seen, grid.jumps, strict=True):
+            t_B = torch.full((256,), t)
+            jump = ddim_step(SCHEDULE, at, student(at, t_B, w), t_B, torch.full((256,), s))
+            torch.testing.assert_close(jump, solved(at, w, t, s, grid), atol=0.04, rtol=0)
+        one, other = (sample_phased(student, SCHEDULE, grid, z, torch.full((256,), g)) for g in (1.0, 4.0))
+    # guidance moves the mean of the samples by about 3 (MU - OTHER); ten solver steps are off by a few per cent
+    torch.testing.assert_close((other - one).mean(0), 3 * (MU - OTHER), atol=0.1, rtol=0)
+
+
+def test_a_consistency_student_converges_too():
+    grid = PhaseGrid(10)
+    student = TinyStudent(grid)
+
+    def prediction(s, z, d):
+        return lcm_prediction(SCHEDULE, s, z, grid.time(d.point_B), d.w_B)
+
+    assert train(student, prediction, lcm_target, grid, 700) < 1e-4
+    z, w = normal(256, 1, 3, seed=4), torch.linspace(1.0, 4.0, 256)
+    with torch.no_grad():
+        result = sample_lcm(student, SCHEDULE, lcm_timesteps(1), [z], w)
+    # its target at t_0 is the teacher's z at t = 0
+    torch.testing.assert_close(result, solved(z, w, 999, 0, grid), atol=0.04, rtol=0)
+
+
+def test_scalings_of_the_consistency_model():
+    t = torch.tensor([0, 99, 999])
+    skip, out = lcm_scalings(t)
+    assert (skip[0], out[0]) == (1, 0)
+    torch.testing.assert_close(skip[1:], torch.zeros(2), atol=1e-6, rtol=0)
+    torch.testing.assert_close(out[1:], torch.ones(2), atol=1e-6, rtol=0)
+    z, eps = normal(2, 3, 1, 3)
+    zero = torch.zeros(3, dtype=torch.int64)
+    assert torch.equal(lcm_prediction(SCHEDULE, lambda *_: eps, z, zero, None), z)
+
+
+@pytest.mark.parametrize("grid", GRIDS, ids=lambda g: f"M={g.phases}")
+def test_at_phase_starts_the_target_is_the_teachers_step(grid):
+    z, w = normal(10, 1, 3), torch.full((10,), 3.0)
+    i = torch.arange(10)
+    absurd = lambda z, t, w: 1e6 * torch.ones_like(z)  # noqa: E731
+    target = phased_target(SCHEDULE, grid, teacher, absurd, z, i, w)
+    step = teacher_step(SCHEDULE, grid, teacher, z, i, w)
+    starts = torch.isin(i, torch.tensor(grid.starts))
+    assert torch.equal(target[starts], step[starts])
+    assert not torch.isclose(target[~starts], step[~starts]).any()
+    # and the consistency model's target at its only phase start
+    assert torch.equal(lcm_target(SCHEDULE, grid, teacher, absurd, z, i, w)[0], step[0])
+
+
+@pytest.mark.parametrize("targets", [phased_target, lcm_target])
+def test_no_gradient_reaches_teacher_or_average(targets):
+    grid = PhaseGrid(10, 2)
+    nets = nn.ModuleDict({name: nn.Linear(3, 3) for name in ("student", "teacher", "ema")})
+    guided = lambda z, t: (nets["teacher"](z), nets["teacher"](z + 1))  # noqa: E731
+    student, ema = (lambda z, t, w, n=n: nets[n](z) for n in ("student", "ema"))
+    z0 = normal(16, 1, 3)
+    d = draw(grid, z0, (5.0, 15.0), torch.Generator().manual_seed(0))
+    z = add_noise(SCHEDULE, z0, d.noise_BND, grid.time(d.point_B))
+    prediction = phased_prediction(SCHEDULE, grid, student, z, d.point_B, d.w_B)
+    target = targets(SCHEDULE, grid, guided, ema, z, d.point_B, d.w_B)
+    assert not target.requires_grad
+    fake, real = adversarial_pair(SCHEDULE, grid, d, prediction, z0)
+    (pseudo_huber(prediction, target) + fake.mean()).backward()
+    assert not real.requires_grad
+    assert all(p.grad is None for n in ("teacher", "ema") for p in nets[n].parameters())
+    assert all(p.grad is not None and p.grad.abs().sum() > 0 for p in nets["student"].parameters())
+
+
+@pytest.mark.parametrize("grid", GRIDS, ids=lambda g: f"M={g.phases}")
+def test_draws_stay_in_range_and_cover_it(grid):
+    d = draw(grid, torch.zeros(40_000, 1, 1), (5.0, 15.0), torch.Generator().manual_seed(2))
+    assert d.w_B.min() >= 5
+    assert d.w_B.max() <= 15
+    assert abs(d.w_B.mean() - 10) < 0.1
+    assert torch.equal(d.point_B.unique(), torch.arange(10))
+    low, high = grid.lower(d.point_B), grid.upper(d.point_B)
+    assert (low <= d.judged_B).all()
+    assert (d.judged_B <= high).all()
+    where = (d.judged_B - low) / (high - low)
+    assert abs(where.mean() - 0.5) < 0.01
+    assert torch.isin(torch.tensor(grid.edges), d.judged_B).all()
+    flat = torch.stack((d.noise_BND, d.fake_noise_BND, d.real_noise_BND)).view(3, -1)
+    torch.testing.assert_close(torch.corrcoef(flat), torch.eye(3), atol=0.02, rtol=0)
+    again = draw(grid, torch.zeros(40_000, 1, 1), (5.0, 15.0), torch.Generator().manual_seed(2))
+    assert all(torch.equal(getattr(d, n), getattr(again, n)) for n in vars(d))
+
+
+@pytest.mark.parametrize("grid", GRIDS, ids=lambda g: f"M={g.phases}")
+def test_a_perfect_students_fakes_are_distributed_like_the_real_ones(grid):
+    z0 = MU.double() + V.double().sqrt() * normal(60_000, 1, 3, dtype=torch.float64)
+    d = draw(grid, z0, (0.0, 0.0), torch.Generator().manual_seed(3))
+    z = add_noise(SCHEDULE, z0, d.noise_BND, grid.time(d.point_B))
+    landed = gaussian_flow(z, grid.time(d.point_B), grid.lower(d.point_B), MU)
+    fake, real = adversarial_pair(SCHEDULE, grid, d, landed, z0)
+    for s in (d.judged_B < 300, d.judged_B > 600):
+        torch.testing.assert_close(fake[s].mean(0), real[s].mean(0), atol=0.03, rtol=0)
+        torch.testing.assert_close(fake[s].std(0), real[s].std(0), atol=0.03, rtol=0)
+
+
+def test_prediction_at_the_top_is_what_sampling_uses():
+    grid = PhaseGrid(10, 1)
+    student, z, w = TinyStudent(grid), normal(4, 1, 3), torch.ones(4)
+    jump = phased_prediction(SCHEDULE, grid, student, z, torch.full((4,), 9), w)
+    t = torch.full((4,), 999)
+    eps = student(z, t, w)
+    torch.testing.assert_close(jump, add_noise(SCHEDULE, predict_z0(SCHEDULE, z, eps, t), eps, torch.zeros_like(t)))
