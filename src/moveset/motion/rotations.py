@@ -187,5 +187,4 @@ def from_euler(degrees: Tensor, order: str) -> Tensor:
 
 def to_euler(q: Tensor, order: str) -> Tensor:
     """Intrinsic Euler angles in degrees (..., 3); ``order`` names three different axes, e.g. "ZXY"."""
-    angles = roma.unitquat_to_euler(order.upper(), q.reshape(-1, 4), degrees=True, as_tensor=True)
-    return angles.reshape(*q.shape[:-1], 3)
+    return roma.unitquat_to_euler(order.upper(), q, degrees=True)
