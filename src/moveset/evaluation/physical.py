@@ -71,7 +71,7 @@ def skating(
     moved = (toes[..., 1:, :, :] - toes[..., :-1, :, :])[..., [0, 2]].norm(dim=-1) * fps
     low = (toes[..., 1] < height)[..., 1:, :] & (toes[..., 1] < height)[..., :-1, :]
     # Padding must not leak into a clip's last moving averages.
-    average = _moving_average(moved * valid[..., None], window)
+    average = _moving_average(torch.where(valid[..., None], moved, 0.0), window)
     slides = (low & (moved > speed) & (average > speed)).any(dim=-1)
     return _mean(slides.float(), valid)
 

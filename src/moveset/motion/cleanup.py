@@ -134,7 +134,8 @@ def _within_reach(leg: Tensor, target: Tensor) -> Tensor:
     room = (bones - reach).clamp_min(1e-9)
     stretch = (wanted - reach).clamp_min(0.0)
     allowed = torch.minimum(wanted, reach) + room * -torch.expm1(-stretch / room)
-    return leg[:, 0] + (target - leg[:, 0]) * (allowed / wanted)[:, None]
+    near: Tensor = leg[:, 0] + (target - leg[:, 0]) * (allowed / wanted)[:, None]
+    return near
 
 
 def _stillest(path: Tensor) -> Tensor:

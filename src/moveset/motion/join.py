@@ -1,0 +1,159 @@
+"""Clips one after the other, and clips that repeat, without a pop. F frames, J joints.
+
+At a seam two clips differ in pose and in speed. Both sides give way by half: an offset that is half the difference at
+the seam, and starts with half the difference of the speeds, dies away into either clip (``inertia.decay``). Poses and
+their speeds are then continuous, and nothing changes beyond the blend.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import roma
+import torch
+from torch import Tensor
+
+from moveset.errors import InputError
+from moveset.motion import rotations
+from moveset.motion.clip import Motion
+from moveset.motion.inertia import decay
+
+_SEAM = 0.5  # frames
+
+
+def join(motions: Sequence[Motion], blend_seconds: float = 0.3) -> Motion:
+    """One motion of all clips: each goes on from where, and in the direction in which, the one before it ended.
+
+    The first frame of a clip follows one frame after the last of the clip before; no frame is added or lost. The blend
+    reaches ``blend_seconds`` into both clips (at most half of a clip), so feet may slide there: ``lock_feet`` after.
+
+    Raises:
+        InputError: no clips, a clip of one frame, different skeletons or frame rates, or a negative duration.
+    """
+    if not motions or blend_seconds < 0:
+        raise InputError(
+            f"joining takes clips and a blend of 0 s or more; got {len(motions)} clips and {blend_seconds} s"
+        )
+    first = motions[0]
+    if any(m.skeleton.name != first.skeleton.name or m.fps != first.fps for m in motions):
+        raise InputError("clips to join must have one skeleton and one frame rate; retarget and resample them first")
+    if len(motions) == 1:
+        return first
+    if min(len(m) for m in motions) < 2:
+        raise InputError("a clip of one frame has no direction to go on in; join clips of at least 2 frames")
+
+    done = [_doubled(first)]
+    for motion in motions[1:]:
+        # The seam is the instant halfway between the last frame and the first.
+        end, clip = _Edge.of(done[-1], last=True, beyond=_SEAM), _doubled(motion)
+        clip = clip.transformed(*_placement(end, _Edge.of(clip, last=False, beyond=_SEAM)))
+        gap = _Gap.between(end, _Edge.of(clip, last=False, beyond=_SEAM), beyond=_SEAM)
+        done[-1] = gap.closed(done[-1], blend_seconds * first.fps, last=True)
+        done.append(gap.closed(clip, blend_seconds * first.fps, last=False))
+    turned = rotations.unroll(torch.cat([m.rotations for m in done]))
+    return Motion(turned.float(), torch.cat([m.root for m in done]).float(), first.fps, first.skeleton)
+
+
+def make_loop(motion: Motion, blend_seconds: float = 0.5) -> Motion:
+    """The motion made to repeat: its last frame has the pose and the speed of its first, and takes its place.
+
+    Equal are all local rotations, the pelvis' tilt and its height; place and heading go on from cycle to cycle, as a
+    walk does (play it again from ``canonical`` placement, or take ``in_place`` first to stay). The difference between
+    end and start is shared by both and dies away within ``blend_seconds`` (at most half of the clip).
+
+    Raises:
+        InputError: fewer than 4 frames, or a negative duration.
+    """
+    if len(motion) < 4 or blend_seconds < 0:
+        raise InputError(
+            f"a loop takes 4 frames or more and a blend of 0 s or more; got {len(motion)}, {blend_seconds} s"
+        )
+    clip = _doubled(motion)
+    end, start = _Edge.of(clip, last=True, beyond=0.0), _Edge.of(clip, last=False, beyond=0.0)
+    turn, shift = _placement(end, start)
+    again = clip.transformed(turn, shift)
+    gap = _Gap.between(end, _Edge.of(again, last=False, beyond=0.0), beyond=0.0)
+    reach, half = blend_seconds * motion.fps, len(clip) // 2
+    ended = gap.closed(clip, reach, last=True)
+    back = rotations.inv(turn)
+    started = gap.closed(again, reach, last=False).transformed(back, -rotations.rotate(back, shift))
+    turned = rotations.unroll(torch.cat((started.rotations[:half], ended.rotations[half:])))
+    root = torch.cat((started.root[:half], ended.root[half:]))
+    return Motion(turned.float(), root.float(), motion.fps, motion.skeleton)
+
+
+@dataclass(frozen=True, eq=False)
+class _Edge:
+    """Pose and speed of a clip at a seam: rotations (J, 4), root (3,), and their change a frame (J, 3) and (3,)."""
+
+    turned: Tensor
+    root: Tensor
+    spin: Tensor
+    step: Tensor
+
+    @classmethod
+    def of(cls, motion: Motion, last: bool, beyond: float) -> "_Edge":
+        """At the end or the start of a motion, ``beyond`` frames outside, where it goes on as it does at its edge."""
+        near, inner, earlier = (-1, -2, -2) if last else (0, 1, 0)
+        later = near if last else inner
+        spin = _log(rotations.mul(motion.rotations[later], rotations.inv(motion.rotations[earlier])))
+        step = motion.root[later] - motion.root[earlier]
+        out = beyond if last else -beyond
+        return cls(rotations.mul(_exp(out * spin), motion.rotations[near]), motion.root[near] + out * step, spin, step)
+
+
+@dataclass(frozen=True, eq=False)
+class _Gap:
+    """What a clip's start lacks to be the end before it: half of it goes to either side."""
+
+    beyond: float
+    turned: Tensor
+    spin: Tensor
+    root: Tensor
+    step: Tensor
+
+    @classmethod
+    def between(cls, end: _Edge, start: _Edge, beyond: float) -> "_Gap":
+        turned = _log(rotations.mul(end.turned, rotations.inv(start.turned)))
+        # Spins are compared in the pose in the middle, where both sides will meet.
+        spin = rotations.rotate(_exp(-0.5 * turned), end.spin) - rotations.rotate(_exp(0.5 * turned), start.spin)
+        return cls(beyond, turned, spin, end.root - start.root, end.step - start.step)
+
+    def closed(self, motion: Motion, reach: float, last: bool) -> Motion:
+        """The clip before (``last``) or after the seam, having given way within ``reach`` frames."""
+        count = min(int(reach), len(motion) // 2)
+        if count == 0:
+            return motion
+        sign = -1.0 if last else 1.0
+        at = torch.arange(count, dtype=torch.float64) + self.beyond
+        # Time runs away from the seam on both sides, which turns the sign of the speeds before it.
+        turn = decay(0.5 * sign * self.turned, 0.5 * self.spin, count + self.beyond, at)
+        shift = decay(0.5 * sign * self.root, 0.5 * self.step, count + self.beyond, at)
+        if last:
+            turn, shift = turn.flip(0), shift.flip(0)
+        frames = slice(len(motion) - count, None) if last else slice(0, count)
+        turned, root = motion.rotations.clone(), motion.root.clone()
+        turned[frames] = rotations.mul(_exp(turn), turned[frames])
+        root[frames] += shift
+        return Motion(rotations.normalize(turned), root, motion.fps, motion.skeleton)
+
+
+def _placement(end: _Edge, start: _Edge) -> tuple[Tensor, Tensor]:
+    """Turn about Y and horizontal shift that bring a clip's start to where, and how headed, another ended."""
+    turn = rotations.mul(rotations.heading(end.turned[0]), rotations.inv(rotations.heading(start.turned[0])))
+    shift = end.root - rotations.rotate(turn, start.root)
+    return turn, shift * shift.new_tensor((1.0, 0.0, 1.0))
+
+
+def _doubled(motion: Motion) -> Motion:
+    return Motion(motion.rotations.double(), motion.root.double(), motion.fps, motion.skeleton)
+
+
+def _log(q: Tensor) -> Tensor:
+    """Rotation vectors (..., 3) of the shorter way around."""
+    v: Tensor = roma.unitquat_to_rotvec(q)
+    return v
+
+
+def _exp(v: Tensor) -> Tensor:
+    q: Tensor = roma.rotvec_to_unitquat(v)
+    return q
