@@ -132,35 +132,67 @@ def class_names(clips: Sequence[LabelledClip], min_takes: int) -> tuple[str, ...
 def train_classifier(
     corpus: Corpus,
     *,
-    epochs: int = 40,
+    min_takes: int = 8,
+    epochs: int = 24,
     patience: int = 10,
     batch: int = 64,
     learning_rate: float = 2e-3,
-    min_takes: int = 12,
     width: int = 96,
     seed: int = 0,
     report: Callable[[str], None] | None = None,
 ) -> tuple[ContentClassifier, TrainingCurve]:
-    """Train on the train takes, keep the epoch with the lowest loss on the val takes; minutes on one core.
-
-    Classes are drawn by the inverse square root of their size; clips are mirrored (with their label) half of the time
-    and cropped in time.
+    """Train on the real train takes of a corpus, choose the epoch on its val takes: ``fit`` for a corpus.
 
     Args:
-        epochs: at most; training also ends after ``patience`` epochs without a better one.
-        min_takes: classes with fewer train takes are not learned.
-        report: gets one line an epoch.
+        min_takes: contents with fewer train takes are not learned.
+        epochs, patience, batch, learning_rate, width, seed, report: as in ``fit``.
 
     Raises:
-        InputError: no class has enough takes in train, or none of them occurs in val.
+        InputError: no content has enough takes in train, or none of these occurs in val.
     """
-    train_all, val_all = labelled_clips(corpus, "train"), labelled_clips(corpus, "val")
-    labels = class_names(train_all, min_takes)
-    train, val = ([c for c in clips if c.label in labels] for clips in (train_all, val_all))
-    if not train or not val:
+    train, val = labelled_clips(corpus, "train"), labelled_clips(corpus, "val")
+    labels = class_names(train, min_takes)
+    if not any(clip.label in labels for clip in train) or not any(clip.label in labels for clip in val):
         raise InputError(
             f"no content has {min_takes} train takes and a val take; lower min_takes or build a larger corpus"
         )
+    return fit(
+        train,
+        val,
+        labels,
+        epochs=epochs,
+        patience=patience,
+        batch=batch,
+        learning_rate=learning_rate,
+        width=width,
+        seed=seed,
+        report=report,
+    )
+
+
+def fit(
+    train: Sequence[LabelledClip],
+    val: Sequence[LabelledClip],
+    labels: tuple[str, ...],
+    *,
+    epochs: int,
+    patience: int = 10,
+    batch: int = 64,
+    learning_rate: float = 2e-3,
+    width: int = 96,
+    seed: int = 0,
+    report: Callable[[str], None] | None = None,
+) -> tuple[ContentClassifier, TrainingCurve]:
+    """Train a classifier of ``labels`` and keep the epoch with the lowest loss on ``val``; two minutes on one core.
+
+    Clips of other classes are left out. Classes are drawn by the inverse square root of their size; clips are mirrored
+    (with their label) half of the time and cropped in time.
+
+    Args:
+        epochs: at most; training also ends after ``patience`` epochs without a better one.
+        report: gets one line an epoch.
+    """
+    train, val = ([clip for clip in clips if clip.label in labels] for clips in (train, val))
     generator = torch.Generator().manual_seed(seed)
     with torch.random.fork_rng(devices=[]):  # initial weights and dropout draw from the global generator
         torch.manual_seed(seed)
