@@ -8,11 +8,13 @@ the clip's length modulate the blocks (one shared adaLN, arXiv 2310.00426) inste
 Shapes: B batch, N latent tokens, d latent width, L text tokens, C text width, W model width, H heads.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as fn
+
+from moveset.models.registry import register, require_range
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -28,6 +30,13 @@ class LatentDenoiserConfig:
     blocks: int = 5
     dropout: float = 0.0
     guided: bool = False
+
+    def __post_init__(self) -> None:
+        for name in ("tokens", "token_dim", "text_dim", "width", "heads", "hidden"):
+            require_range(name, getattr(self, name), 1, 16384)
+        require_range("blocks", self.blocks, 1, 64)
+        require_range("dropout", self.dropout, 0.0, 0.9)
+        require_range("width modulo heads", self.width % self.heads, 0, 0)
 
     def build(self) -> "LatentDenoiser":
         """The module with fresh weights."""
@@ -148,6 +157,12 @@ class LatentDenoiser(nn.Module):
         with torch.autocast(x.device.type, enabled=False):
             return self.out(self.norm_out(x.float()) * (1 + scale.float()) + shift.float())
 
+    def student(self) -> "LatentDenoiser":
+        """A copy with a guidance embedding that changes nothing yet: the start of distillation."""
+        out = replace(self.config, guided=True).build().to(self.position)
+        out.load_state_dict({**out.state_dict(), **self.state_dict()})
+        return out.train(self.training)
+
 
 class Block(nn.Module):
     """Self-attention over the latents with the text as extra keys and values, then a feed-forward; modulated."""
@@ -199,3 +214,6 @@ def waves(x_B: Tensor) -> Tensor:
     frequency = torch.exp(torch.arange(half, device=x_B.device) * (-9.210340371976184 / half))
     angle = x_B.float()[:, None] * frequency
     return torch.cat((angle.cos(), angle.sin()), dim=-1)
+
+
+register("latent_denoiser", LatentDenoiserConfig)

@@ -12,6 +12,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as fn
 
+from moveset.models.registry import register, require_range
+
 PATCH = 4
 SLOTS_PER_TOKEN = 3
 
@@ -30,6 +32,12 @@ class TimedVAEConfig:
     token_blocks: int = 2
     frame_blocks: int = 2
 
+    def __post_init__(self) -> None:
+        for name in ("features", "tokens", "token_dim", "width", "frame_width"):
+            require_range(name, getattr(self, name), 1, 16384)
+        for name in ("encoder_blocks", "decoder_blocks", "token_blocks", "frame_blocks"):
+            require_range(name, getattr(self, name), 0, 64)
+
     def build(self) -> "TimedVAE":
         """The module with fresh weights."""
         return TimedVAE(self)
@@ -47,6 +55,7 @@ class TimedVAE(nn.Module):
         self.encoder = nn.ModuleList(ConvBlock(c.width, 3, 1) for _ in range(c.encoder_blocks))
         self.merge = nn.Linear(SLOTS_PER_TOKEN * c.width, c.width)
         self.encoder_mixer = nn.ModuleList(TokenMixer(c.width, c.tokens) for _ in range(c.token_blocks))
+        self.norm_latent = nn.LayerNorm(c.width)
         self.to_latent = nn.Linear(c.width, 2 * c.token_dim)
 
         self.from_latent = nn.Linear(c.token_dim, c.width)
@@ -75,8 +84,10 @@ class TimedVAE(nn.Module):
         tokens = self.merge(slots.reshape(batch, self.config.tokens, -1))
         for mixer in self.encoder_mixer:
             tokens = mixer(tokens)
-        mean, log_variance = self.to_latent(tokens).chunk(2, dim=-1)
-        return mean, log_variance
+        # Full precision, and a bounded spread: exp(log-variance) of one bad batch would otherwise end a training.
+        with torch.autocast(x.device.type, enabled=False):
+            mean, spread = self.to_latent(self.norm_latent(tokens.float())).chunk(2, dim=-1)
+        return mean, _MOST_LOG_VARIANCE - fn.softplus(_MOST_LOG_VARIANCE - spread)
 
     def decode(self, z_BND: Tensor, lengths_B: Tensor, frames: int) -> Tensor:
         """Features (B, frames, D) of latents (B, N, d); rows beyond a clip's length are zero.
@@ -143,6 +154,7 @@ class TokenMixer(nn.Module):
 
 
 _RELATIVE_WAVES = 8
+_MOST_LOG_VARIANCE = 1.0
 
 
 def _patches(lengths_B: Tensor) -> Tensor:
@@ -173,3 +185,6 @@ def _resample(x: Tensor, from_B: Tensor, to_B: Tensor, size: int | None = None) 
     part = (where - low)[..., None].to(x.dtype)
     take = (-1, -1, x.shape[-1])
     return x.gather(1, low[..., None].expand(take)) * (1 - part) + x.gather(1, high[..., None].expand(take)) * part
+
+
+register("timed_vae", TimedVAEConfig)

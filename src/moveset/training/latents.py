@@ -34,6 +34,10 @@ class LatentBatch:
     frames: Tensor
     captions: list[str]
 
+    def to(self, device: torch.device | str) -> "LatentBatch":
+        """The same on another device."""
+        return LatentBatch(self.z0.to(device), self.frames.to(device), self.captions)
+
 
 class LatentSet:
     """Posteriors of M entries: each clip of a split whole, and windows of it, with both of its captions' wordings.

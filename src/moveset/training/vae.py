@@ -8,6 +8,7 @@ from torch import Tensor, nn
 
 from moveset.data.corpus import Corpus
 from moveset.evaluation.physical import jerk, skating
+from moveset.models.registry import describe
 from moveset.models.timed_vae import TimedVAEConfig
 from moveset.models.token_vae import TokenVAEConfig
 from moveset.motion.native import NativeCodec
@@ -35,13 +36,17 @@ class VAETrainingConfig:
 
     model: TimedVAEConfig | TokenVAEConfig = field(default_factory=TimedVAEConfig)
     weights: ReconstructionWeights = field(default_factory=ReconstructionWeights)
-    kl: float = 1e-3
+    kl: float = 1e-2
     batch: int = 64
     lr: float = 1e-3
     warmup: int = 100
     weight_decay: float = 0.0
     ema: float = 0.998
     composed_share: float = 0.3
+    kind: str = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "kind", describe(self.model)[0])
 
 
 class VAETask(Task):

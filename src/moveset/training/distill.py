@@ -1,0 +1,231 @@
+"""Distilling the teacher: MotionPCM's students for 1, 2 and 4 phases, and the latent consistency model as the baseline.
+
+Both learn from the same teacher, data, solver grid and guidance range; PCM adds phases and the discriminator.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import torch
+from torch import Tensor, nn
+
+from moveset.diffusion.schedule import scaled_linear
+from moveset.diffusion.steps import add_noise, ddim_timesteps
+from moveset.models.discriminator import DiscriminatorConfig, LatentDiscriminator
+from moveset.models.latent_denoiser import LatentDenoiserConfig
+from moveset.models.registry import describe, parse_config
+from moveset.models.token_denoiser import TokenDenoiserConfig
+from moveset.pcm.consistency import (
+    Student,
+    Teacher,
+    adversarial_pair,
+    draw,
+    lcm_prediction,
+    lcm_target,
+    phased_prediction,
+    phased_target,
+)
+from moveset.pcm.losses import hinge_discriminator, hinge_generator, pseudo_huber
+from moveset.pcm.phases import PhaseGrid
+from moveset.pcm.sampler import lcm_timesteps, sample_ddim_cfg, sample_lcm, sample_phased
+from moveset.text.encoder import TextEmbedding, stack
+from moveset.training import frozen
+from moveset.training.ema import Ema
+from moveset.training.engine import Loop, Task
+from moveset.training.optim import cosine_lr
+from moveset.training.tasks import Sources
+from moveset.training.teacher import LatentData
+
+
+@dataclass(frozen=True, kw_only=True)
+class DistillationConfig:
+    """What a student is and how it learns; the learning rate is a cosine over the run.
+
+    Args:
+        points: solver points N of the grid (k = 1000 / N).
+        phases: M; 1 for LCM.
+        guidance: range of the guidance scale w that the student is trained for.
+        huber: c of the pseudo-Huber distance.
+        adversarial: weight of the discriminator's verdict; 0 leaves the discriminator out.
+        ema: decay of the target network.
+        model: the student's architecture; filled in from the teacher's.
+    """
+
+    points: int = 10
+    phases: int = 1
+    guidance: tuple[float, float] = (5.0, 15.0)
+    huber: float = 0.5
+    adversarial: float = 0.1
+    ema: float = 0.95
+    batch: int = 128
+    lr: float = 2e-4
+    warmup: int = 1000
+    discriminator_lr: float = 1e-4
+    text_encoder: str = "minilm"
+    model: LatentDenoiserConfig | TokenDenoiserConfig | None = None
+    kind: str = field(init=False, default="")
+
+    def __post_init__(self) -> None:
+        if self.model is not None:
+            object.__setattr__(self, "kind", describe(self.model)[0])
+
+
+class _DistillationTask(Task):
+    """What LCM and PCM share: frozen teacher, student with its averaged target, one update from their distance."""
+
+    def __init__(self, config: DistillationConfig, sources: Sources, loop: Loop) -> None:
+        self.steps = loop.config.steps
+        self.data = LatentData(sources, config.text_encoder, loop)
+        teacher = frozen.load(sources.teacher, "teacher_ema", loop.device)
+        self.teacher = teacher.module
+        self.student = self.teacher.student().requires_grad_(True)
+        self.config = _with_model(config, self.student)
+        self.ema = Ema(self.student, config.ema)
+        self.schedule = scaled_linear()
+        self.grid = PhaseGrid(config.points, config.phases)
+        self.draws = loop.generator("draws")
+        self.optimizer = torch.optim.AdamW(self.student.parameters(), config.lr, betas=(0.9, 0.999), weight_decay=0.0)
+        self._reference: Tensor | None = None
+
+    def modules(self) -> dict[str, nn.Module]:
+        return {"student": self.student}
+
+    def averages(self) -> dict[str, nn.Module]:
+        return {"student_ema": self.ema.module}
+
+    def optimizers(self) -> dict[str, torch.optim.Optimizer]:
+        return {"student": self.optimizer}
+
+    def learning_rates(self, step: int) -> dict[str, float]:
+        return {"student": cosine_lr(step, self.config.lr, self.config.warmup, self.steps)}
+
+    def validate(self, step: int, loop: Loop) -> dict[str, float]:
+        """Mean squared distance in the latent to the teacher's 50 guided steps from the same noise, captions of val."""
+        batch = self.data.val.batch(32, 0, 0).to(loop.device)
+        text, w = self.data.read(batch.captions), sum(self.config.guidance) / 2
+        noise = torch.randn(batch.z0.shape, generator=torch.Generator().manual_seed(0)).to(batch.z0)
+        if self._reference is None:
+            self._reference = sample_ddim_cfg(
+                self._bound_teacher(text, batch.frames), self.schedule, ddim_timesteps(50), noise, w
+            )
+        report = {}
+        for name, network in (("student", self.student), ("ema", self.ema.module)):
+            made = self.sample(_bound(network, text, batch.frames), noise, w)
+            report[f"{name}_gap"] = float((made - self._reference).square().mean())
+        return report | {"teacher_std": float(self._reference.std()), "student_std": float(made.std())}
+
+    def sample(self, model: Student, noise: Tensor, w: float) -> Tensor:
+        """Latents by this student."""
+        raise NotImplementedError
+
+    def _bound_teacher(self, text: TextEmbedding, frames: Tensor) -> Teacher:
+        both = _bound(self.teacher, stack([text, self.data.read([""] * len(text))]), frames.repeat(2))
+
+        def teacher(z: Tensor, t: Tensor) -> tuple[Tensor, Tensor]:
+            conditional, unconditional = both(z.repeat(2, 1, 1), t.repeat(2), None).chunk(2)
+            return conditional, unconditional
+
+        return teacher
+
+
+class LCMTask(_DistillationTask):
+    """The latent consistency model of MotionLCM: every point of the trajectory maps to its origin."""
+
+    name = "lcm"
+
+    def training_step(self, step: int, loop: Loop) -> dict[str, Tensor]:
+        batch = self.data.batch(self.config.batch, step)
+        text, draws = self.data.read(batch.captions), draw(self.grid, batch.z0, self.config.guidance, self.draws)
+        t = self.grid.time(draws.point_B)
+        z = add_noise(self.schedule, batch.z0, draws.noise_BND, t)
+        student, ema = _bound(self.student, text, batch.frames), _bound(self.ema.module, text, batch.frames)
+        teacher = self._bound_teacher(text, batch.frames)
+        target = lcm_target(self.schedule, self.grid, teacher, ema, z, draws.point_B, draws.w_B)
+        made = lcm_prediction(self.schedule, student, z, t, draws.w_B)
+        loss = pseudo_huber(made, target, self.config.huber)
+        norm = loop.minimise(loss, "student")
+        self.ema.update(self.student)
+        return {"loss": loss.detach(), "gradient_norm": norm}
+
+    def sample(self, model: Student, noise: Tensor, w: float) -> Tensor:
+        w_B = torch.full((len(noise),), w, device=noise.device)
+        return sample_lcm(model, self.schedule, lcm_timesteps(1, self.config.points), [noise], w_B)
+
+
+class PCMTask(_DistillationTask):
+    """MotionPCM (Section 4): consistency inside each of M phases, and a discriminator on the frozen teacher's features."""
+
+    name = "pcm"
+
+    def __init__(self, config: DistillationConfig, sources: Sources, loop: Loop) -> None:
+        super().__init__(config, sources, loop)
+        taps: list[Tensor] = []
+        batch = self.data.val.batch(1, 0, 0).to(loop.device)
+        text = self.data.read(batch.captions)
+        with torch.no_grad():
+            self.teacher(batch.z0, torch.zeros_like(batch.frames), text.tokens, text.mask, None, taps, batch.frames)
+        heads = DiscriminatorConfig(width=taps[0].shape[-1], taps=len(taps)).build().to(loop.device)
+        self.judge = LatentDiscriminator(self.teacher, heads)
+        # Betas as in PCM's public code; the heads see every fake only once.
+        self.judge_optimizer = torch.optim.AdamW(
+            heads.parameters(), config.discriminator_lr, betas=(0.0, 0.999), weight_decay=0.0
+        )
+
+    def modules(self) -> dict[str, nn.Module]:
+        return {"student": self.student, "discriminator": self.judge.heads}
+
+    def optimizers(self) -> dict[str, torch.optim.Optimizer]:
+        return {"student": self.optimizer, "discriminator": self.judge_optimizer}
+
+    def training_step(self, step: int, loop: Loop) -> dict[str, Tensor]:
+        config = self.config
+        batch = self.data.batch(config.batch, step)
+        text, draws = self.data.read(batch.captions), draw(self.grid, batch.z0, config.guidance, self.draws)
+        z = add_noise(self.schedule, batch.z0, draws.noise_BND, self.grid.time(draws.point_B))
+        student, ema = _bound(self.student, text, batch.frames), _bound(self.ema.module, text, batch.frames)
+        teacher = self._bound_teacher(text, batch.frames)
+        target = phased_target(self.schedule, self.grid, teacher, ema, z, draws.point_B, draws.w_B)
+        made = phased_prediction(self.schedule, self.grid, student, z, draws.point_B, draws.w_B)
+        loss = pseudo_huber(made, target, config.huber)
+        report = {"consistency": loss.detach()}
+        if config.adversarial:
+            fake, real = adversarial_pair(self.schedule, self.grid, draws, made, batch.z0)
+            seen = self._features(fake, draws.judged_B, text, batch.frames)
+            with torch.no_grad():
+                real_seen = self._features(real, draws.judged_B, text, batch.frames)
+            real_logits, fake_logits = self.judge.heads(real_seen), self.judge.heads([x.detach() for x in seen])
+            verdict = hinge_discriminator(real_logits, fake_logits)
+            loop.minimise(verdict, "discriminator")
+            fooled = hinge_generator(self.judge.heads(seen))
+            loss = loss + config.adversarial * fooled
+            report |= {
+                "discriminator": verdict.detach(),
+                "generator": fooled.detach(),
+                "real_logit": real_logits.mean().detach(),
+                "fake_logit": fake_logits.mean().detach(),
+            }
+        report["gradient_norm"] = loop.minimise(loss, "student")
+        self.ema.update(self.student)
+        return report | {"loss": loss.detach()}
+
+    def sample(self, model: Student, noise: Tensor, w: float) -> Tensor:
+        w_B = torch.full((len(noise),), w, device=noise.device)
+        return sample_phased(model, self.schedule, self.grid, noise, w_B)
+
+    def _features(self, z: Tensor, s: Tensor, text: TextEmbedding, frames: Tensor) -> list[Tensor]:
+        """The frozen teacher's block outputs: one pass serves both the discriminator's step and the student's."""
+        taps: list[Tensor] = []
+        self.teacher(z, s, text.tokens, text.mask, None, taps, frames)
+        return taps
+
+
+def _bound(network: Callable[..., Tensor], text: TextEmbedding, frames: Tensor) -> Student:
+    def call(z: Tensor, t: Tensor, w: Tensor | None) -> Tensor:
+        return network(z, t, text.tokens, text.mask, w, None, frames).float()
+
+    return call
+
+
+def _with_model(config: DistillationConfig, student: nn.Module) -> DistillationConfig:
+    kind, settings = describe(student.config)  # type: ignore[arg-type]
+    return replace(config, model=parse_config(kind, settings))

@@ -1,0 +1,47 @@
+"""Trained networks as the next stage uses them: in evaluation mode, without gradients, known by their weights' hash."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import nn
+
+from moveset.models import latent_denoiser, timed_vae, token_denoiser, token_vae  # noqa: F401  (they register their kinds)
+from moveset.models.registry import build_model
+from moveset.training import checkpoint
+
+
+@dataclass(frozen=True, eq=False)
+class Frozen:
+    """A network of a checkpoint.
+
+    Args:
+        module: in evaluation mode, parameters without gradient.
+        kind: its name in the registry of models.
+        config: the registry's JSON object.
+        digest: sha256 of its weights file.
+        path: the checkpoint it is from.
+    """
+
+    module: Any
+    kind: str
+    config: dict[str, Any]
+    digest: str
+    path: Path
+
+
+def load(path: Path, name: str, device: torch.device | str = "cpu") -> Frozen:
+    """The network saved as ``NAME.safetensors`` in a run folder's latest checkpoint, or in the checkpoint given.
+
+    Raises:
+        InputError: there is no checkpoint, or it holds no such network.
+        FormatError: it is damaged.
+    """
+    step = checkpoint.resolve(path)
+    task = checkpoint.read_document(step, "config")["config"]
+    kind, config = task["kind"], task["model"]
+    module: nn.Module = build_model(kind, config)
+    checkpoint.load_module(module, step, name)
+    digest = checkpoint.verify(step)["files"][f"{name}.safetensors"]["sha256"]
+    return Frozen(module.eval().requires_grad_(False).to(device), kind, config, digest, step)

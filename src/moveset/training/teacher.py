@@ -1,0 +1,128 @@
+"""Training the teacher: noise prediction in the VAE's latent space, text dropped now and then for guidance."""
+
+from dataclasses import dataclass, field
+
+import torch
+from torch import Tensor, nn
+
+from moveset.data.corpus import Corpus
+from moveset.diffusion.schedule import scaled_linear
+from moveset.diffusion.steps import add_noise
+from moveset.models.latent_denoiser import LatentDenoiserConfig
+from moveset.models.registry import describe
+from moveset.models.token_denoiser import TokenDenoiserConfig
+from moveset.motion.native import NativeCodec
+from moveset.text.cache import EmbeddingCache
+from moveset.text.encoder import TextEmbedding, get_text_encoder
+from moveset.training import frozen
+from moveset.training.clips import FeatureStore
+from moveset.training.ema import Ema, ema_warmup
+from moveset.training.engine import Loop, Task
+from moveset.training.latents import LatentBatch, LatentSet
+from moveset.training.optim import cosine_lr
+from moveset.training.tasks import Sources
+
+MAX_TOKENS = 32
+
+
+@dataclass(frozen=True, kw_only=True)
+class TeacherConfig:
+    """What ``TeacherTask`` trains and how; the learning rate is a cosine over the run."""
+
+    model: LatentDenoiserConfig | TokenDenoiserConfig = field(default_factory=LatentDenoiserConfig)
+    batch: int = 128
+    lr: float = 8e-4
+    warmup: int = 200
+    weight_decay: float = 0.0
+    text_drop: float = 0.1
+    ema: float = 0.999
+    text_encoder: str = "minilm"
+    kind: str = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "kind", describe(self.model)[0])
+
+
+class LatentData:
+    """Latents and embedded captions of both splits, each made once and kept in the cache folder."""
+
+    def __init__(self, sources: Sources, text_encoder: str, loop: Loop) -> None:
+        corpus = Corpus.open(sources.corpus)
+        store = FeatureStore.of(corpus, NativeCodec(corpus.skeleton), sources.cache / "features", loop.rank == 0)
+        self.vae = frozen.load(sources.vae, "vae_ema")
+        name = f"latents-{self.vae.digest[:12]}"
+        self.train = LatentSet.of(corpus, "train", store, self.vae.module, sources.cache / f"{name}-train.safetensors")
+        self.val = LatentSet.of(
+            corpus, "val", store, self.vae.module, sources.cache / f"{name}-val.safetensors", windows=0
+        )
+        captions = sorted({*self.train.all_captions(), *self.val.all_captions()})
+        encoder = get_text_encoder(text_encoder)
+        self.text = EmbeddingCache.build(encoder, captions, sources.cache / f"text-{text_encoder}.safetensors").to(
+            loop.device
+        )
+        self.seed, self.device = loop.config.seed * 64 + loop.rank, loop.device
+
+    def batch(self, size: int, step: int) -> LatentBatch:
+        """Training latents of a step, on the device."""
+        return self.train.batch(size, self.seed, step).to(self.device)
+
+    def read(self, captions: list[str]) -> TextEmbedding:
+        """Token states of captions; "" is the unconditional input."""
+        return self.text.lookup(captions, MAX_TOKENS)
+
+
+class TeacherTask(Task):
+    """Epsilon prediction on 1000 scaled-linear steps (MotionPCM, Section 4.1; MLD)."""
+
+    name = "teacher"
+
+    def __init__(self, config: TeacherConfig, sources: Sources, loop: Loop) -> None:
+        self.config, self.steps = config, loop.config.steps
+        self.data = LatentData(sources, config.text_encoder, loop)
+        self.schedule = scaled_linear()
+        self.teacher = config.model.build().to(loop.device)
+        self.ema = Ema(self.teacher, config.ema)
+        self.noise = loop.generator("noise")
+        self.optimizer = torch.optim.AdamW(
+            self.teacher.parameters(), config.lr, betas=(0.9, 0.99), weight_decay=config.weight_decay
+        )
+
+    def modules(self) -> dict[str, nn.Module]:
+        return {"teacher": self.teacher}
+
+    def averages(self) -> dict[str, nn.Module]:
+        return {"teacher_ema": self.ema.module}
+
+    def optimizers(self) -> dict[str, torch.optim.Optimizer]:
+        return {"teacher": self.optimizer}
+
+    def learning_rates(self, step: int) -> dict[str, float]:
+        return {"teacher": cosine_lr(step, self.config.lr, self.config.warmup, self.steps)}
+
+    def training_step(self, step: int, loop: Loop) -> dict[str, Tensor]:
+        batch = self.data.batch(self.config.batch, step)
+        dropped = torch.rand(len(batch.captions), generator=self.noise) < self.config.text_drop
+        captions = ["" if drop else caption for drop, caption in zip(dropped.tolist(), batch.captions, strict=True)]
+        t = torch.randint(1000, (len(captions),), generator=self.noise).to(loop.device)
+        loss = self._loss(self.teacher, batch, captions, t, self.noise)
+        norm = loop.minimise(loss, "teacher")
+        self.ema.update(self.teacher, ema_warmup(step, self.config.ema))
+        return {"loss": loss.detach(), "gradient_norm": norm}
+
+    def validate(self, step: int, loop: Loop) -> dict[str, float]:
+        generator = torch.Generator().manual_seed(0)
+        losses = []
+        for k in range(4):
+            batch = self.data.val.batch(128, 0, k).to(loop.device)
+            t = (torch.arange(128, device=loop.device) * 1000) // 128
+            losses.append(self._loss(self.ema.module, batch, batch.captions, t, generator))
+        return {"loss": float(torch.stack(losses).mean())}
+
+    def _loss(
+        self, model: nn.Module, batch: LatentBatch, captions: list[str], t: Tensor, generator: torch.Generator
+    ) -> Tensor:
+        noise = torch.randn(batch.z0.shape, generator=generator).to(batch.z0)
+        text = self.data.read(captions)
+        noisy = add_noise(self.schedule, batch.z0, noise, t)
+        made = model(noisy, t, text.tokens, text.mask, None, None, batch.frames)
+        return (made.float() - noise).square().mean()
