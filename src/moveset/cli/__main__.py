@@ -59,6 +59,9 @@ def usage() -> str:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; the result is the exit code."""
     arguments = list(sys.argv[1:] if argv is None else argv)
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        # A terminal that is not UTF-8 gets escapes, not a UnicodeEncodeError.
+        sys.stdout.reconfigure(errors="backslashreplace")
     try:
         return _run(arguments)
     except MovesetError as error:
@@ -75,7 +78,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _run(arguments: list[str]) -> int:
     if not arguments or arguments[0] in ("-h", "--help"):
-        print(usage())
+        print(usage(), file=sys.stdout if arguments else sys.stderr)
         return 0 if arguments else 2
     if arguments[0] in ("-V", "--version"):
         from moveset import __version__
@@ -121,12 +124,16 @@ def _deferred(function: Command) -> Callable[..., Callable[[], Any]]:
 
 
 def _one_line(box: str) -> str:
-    """What a parser's error box says, without the frame and the excerpt of the help text."""
-    lines = [re.sub(r"\x1b\[[0-9;]*m", "", line).strip("│╭╮╰╯ \n") for line in box.splitlines()]
-    text = " ".join(line for line in lines[1:] if line)
-    said = text.split("────")[0].split("Got errors:")[0].strip().rstrip(".")
-    near = re.search(r"Perhaps you meant: +(--[\w-]+)", text.replace("─", ""))
-    return f"{said} (did you mean {near[1]}?)" if near else said or "these arguments cannot be read"
+    """What a parser's error box says, without the frame, the title and the excerpt of the help text."""
+    # The frame is drawn in dashes alone where stdout is not UTF-8.
+    lines = [line.strip("│╭╮╰╯ ") for line in re.sub(r"\x1b\[[0-9;]*m", "", box).splitlines()[1:]]
+    if lines and re.fullmatch("-+", lines[0]):
+        del lines[0]
+    rule = next((k for k, line in enumerate(lines) if re.fullmatch(r"[-─]{4,}", line)), len(lines))
+    said = " ".join(lines[:rule]).split("Got errors:")[0]
+    near = re.search(r"Perhaps you meant:\s+(--[\w-]+)", " ".join(lines[rule:]))
+    said = " ".join(said.split()).rstrip(".") or "these arguments cannot be read"
+    return f"{said} (did you mean {near[1]}?)" if near else said
 
 
 def _fail(message: str, code: int) -> int:

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from moveset.cli.generate import progress, stage_times
-from moveset.cli.output import Finish, metadata, plan_outputs, write
+from moveset.cli.output import Finish, plan_outputs, write
 from moveset.errors import FormatError, InputError
 from moveset.io.limits import read_limited
 from moveset.pipelines.request import Method, Request, check_request
@@ -70,7 +70,7 @@ def bulk(
         timings.update(motions[0].timings_ms)
         for wanted, motion, paths in zip(missing, motions, planned[block], strict=True):
             if wanted:
-                timings["export"] += write(motion.motion, paths, finish, metadata(motion))[1]
+                timings["export"] += write(motion.motion, paths, finish, motion.metadata)[1]
                 made += map(str, paths)
                 warnings += motion.warnings
     report = {
@@ -86,7 +86,7 @@ def bulk(
         "warnings": list(dict.fromkeys(warnings)),
     }
     if json:
-        print(jsonlib.dumps(report, ensure_ascii=False))
+        print(jsonlib.dumps(report))
     else:
         print(f"made {report['made']} motions, skipped {skipped} that were there")
     return 0

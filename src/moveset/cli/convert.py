@@ -1,16 +1,17 @@
 """``moveset convert``: one motion file to another format, skeleton or frame rate."""
 
 from pathlib import Path
+from typing import Annotated
 
 import tyro
 
 
 def convert(
-    source: tyro.conf.Positional[Path],
-    target: tyro.conf.Positional[Path],
+    source: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="IN")],
+    target: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="OUT")],
     *,
-    skeleton: str | None = None,
-    fps: float | None = None,
+    skeleton: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None,
+    fps: Annotated[float | None, tyro.conf.arg(metavar="N")] = None,
     in_place: tyro.conf.FlagCreatePairsOff[bool] = False,
     loop: tyro.conf.FlagCreatePairsOff[bool] = False,
 ) -> int:

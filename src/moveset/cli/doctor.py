@@ -35,7 +35,7 @@ def doctor(
         report["checks"][name] = _outcome(check)
     report["ok"] = all(check["ok"] for check in report["checks"].values())
     if json:
-        print(jsonlib.dumps(report, ensure_ascii=False))
+        print(jsonlib.dumps(report))
         return 0 if report["ok"] else 1
     print("  ".join(f"{name} {version}" for name, version in report["versions"].items()))
     for name, check in report["checks"].items():

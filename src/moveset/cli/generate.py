@@ -19,24 +19,24 @@ DEFAULT_OUTPUT = Path("motion.glb")
 
 
 def generate(
-    prompt: tyro.conf.Positional[tuple[str, ...]] = (),
+    prompt: Annotated[tyro.conf.Positional[tuple[str, ...]], tyro.conf.arg(metavar="PROMPT …")] = (),
     *,
-    output: Annotated[tyro.conf.UseAppendAction[tuple[Path, ...]], tyro.conf.arg(aliases=["-o"])] = (),
-    seconds: tyro.conf.UseAppendAction[tuple[float, ...]] = (),
-    model: str = "motionpcm-small",
-    steps: int | None = None,
+    output: Annotated[tyro.conf.UseAppendAction[tuple[Path, ...]], tyro.conf.arg(aliases=["-o"], metavar="FILE")] = (),
+    seconds: Annotated[tyro.conf.UseAppendAction[tuple[float, ...]], tyro.conf.arg(metavar="S")] = (),
+    model: Annotated[str, tyro.conf.arg(metavar="NAME")] = "motionpcm-small",
+    steps: Annotated[int | None, tyro.conf.arg(metavar="N")] = None,
     solver: Literal["pcm", "lcm", "teacher"] = "pcm",
-    guidance: float | None = None,
-    seed: int = 0,
-    num: int = 1,
-    fps: float | None = None,
-    skeleton: str | None = None,
+    guidance: Annotated[float | None, tyro.conf.arg(metavar="W")] = None,
+    seed: Annotated[int, tyro.conf.arg(metavar="N")] = 0,
+    num: Annotated[int, tyro.conf.arg(metavar="N")] = 1,
+    fps: Annotated[float | None, tyro.conf.arg(metavar="N")] = None,
+    skeleton: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None,
     in_place: tyro.conf.FlagCreatePairsOff[bool] = False,
     loop: tyro.conf.FlagCreatePairsOff[bool] = False,
     foot_lock: bool = True,
-    prompts: Path | None = None,
-    batch: int = 1,
-    device: str = "auto",
+    prompts: Annotated[Path | None, tyro.conf.arg(metavar="FILE.jsonl")] = None,
+    batch: Annotated[int, tyro.conf.arg(metavar="N")] = 1,
+    device: Annotated[str, tyro.conf.arg(metavar="NAME")] = "auto",
     json: tyro.conf.FlagCreatePairsOff[bool] = False,
 ) -> int:
     """Turn text into motion files. Several prompts follow one another in one motion.
@@ -63,7 +63,7 @@ def generate(
         device: auto, cpu, cuda or mps.
         json: Print one JSON object on stdout and nothing else.
     """
-    from moveset.cli.output import Finish, metadata, plan_outputs, write
+    from moveset.cli.output import Finish, plan_outputs, write
     from moveset.pipelines.request import check_method, check_request
     from moveset.pipelines.text_to_motion import TextToMotion
 
@@ -88,7 +88,7 @@ def generate(
     files: list[Path] = []
     for request, paths in zip(progress(requests), planned, strict=True):
         made = t2m.generate([request], method, foot_lock=foot_lock)[0]
-        motion, export = write(made.motion, paths, finish, metadata(made))
+        motion, export = write(made.motion, paths, finish, made.metadata)
         files += paths
         timings.update(made.timings_ms | {"export": export})
         if request is requests[0]:
@@ -156,7 +156,7 @@ def tell(report: dict[str, Any], json: bool) -> None:
     for warning in report["warnings"]:
         print(f"moveset: warning: {warning}", file=sys.stderr)
     if json:
-        print(jsonlib.dumps(report, ensure_ascii=False))
+        print(jsonlib.dumps(report))
         return
     spent = ", ".join(f"{stage} {ms:.0f} ms" for stage, ms in report["timings_ms"].items())
     for file in report["files"]:

@@ -33,7 +33,7 @@ def models(*, json: tyro.conf.FlagCreatePairsOff[bool] = False) -> int:
             }
         )
     if json:
-        print(jsonlib.dumps({"models": rows}, ensure_ascii=False))
+        print(jsonlib.dumps({"models": rows}))
         return 0
     if not rows:
         print("no models are installed; reinstall moveset, or give a model folder with --model")

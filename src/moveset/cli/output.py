@@ -11,7 +11,6 @@ from moveset.errors import InputError
 
 if TYPE_CHECKING:
     from moveset.motion.clip import Motion
-    from moveset.pipelines.text_to_motion import Generation
 
 
 @dataclass(frozen=True)
@@ -32,12 +31,12 @@ class Finish:
         Raises:
             InputError: a frame rate out of range, or an unknown skeleton.
         """
-        from moveset.motion.retarget import TARGETS
+        from moveset.motion.rigs import RIGS
 
         if fps is not None and not 1 <= fps <= 240:
             raise InputError(f"frame rate {fps:g} is not in 1 to 240; give a rate such as 20, 24, 30 or 60")
-        if skeleton is not None and skeleton not in TARGETS:
-            raise InputError(f"unknown skeleton {skeleton!r}; choose one of {', '.join(TARGETS)}")
+        if skeleton is not None and skeleton not in RIGS:
+            raise InputError(f"unknown skeleton {skeleton!r}; choose one of {', '.join(RIGS)}")
         return cls(fps, skeleton, in_place, loop)
 
     def __call__(self, motion: "Motion") -> "Motion":
@@ -97,20 +96,6 @@ def write(
         except OSError as error:
             raise InputError(f"cannot write {str(path)!r}: {error.strerror or error}; choose another place") from error
     return motion, round((time.perf_counter() - start) * 1e3, 3)
-
-
-def metadata(made: "Generation") -> dict[str, str | int | float]:
-    """What a file tells about how it was made."""
-    from moveset import __version__
-
-    return {
-        "generator": f"moveset {__version__}",
-        "model": made.model,
-        "prompt": " | ".join(made.prompts),
-        "seed": made.seed,
-        "steps": made.steps,
-        "guidance": made.guidance,
-    }
 
 
 def _check_folder(folder: Path) -> None:

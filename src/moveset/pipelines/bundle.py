@@ -1,7 +1,7 @@
 """A model folder: everything one generator needs, as safetensors and JSON, each file guarded by its sha256.
 
 ``config.json``             what the parts are (``BundleConfig``)
-``<model>.safetensors``     weights in half precision: ``vae``, ``length``, ``teacher``, ``lcm-1``, ``pcm-1``, ``pcm-2`` …
+``<model>.safetensors``     weights in half precision: ``vae``, ``length``, ``teacher``, ``lcm-1``, ``pcm-1`` …
 ``normalizer.safetensors``  feature_mean, feature_std (D,), latent_mean, latent_std (N, d) or (d,)
 ``prompts.json``            captions of the training data
 ``prompts.safetensors``     ``pooled`` (P, C), their pooled text embeddings
@@ -98,11 +98,13 @@ class BundleConfig:
             models = {name: ModelSpec(**spec) for name, spec in raw.pop("models").items()}
             tokens, width = (int(n) for n in raw.pop("latent"))
             config = cls(**raw, latent=(tokens, width), models=models)
-            config.steps("pcm"), config.steps("lcm")
+            for denoiser in ("teacher", *(f"{solver}-{n}" for solver in ("pcm", "lcm") for n in config.steps(solver))):
+                if denoiser in models and not config.guidance[denoiser] >= 0:
+                    raise ValueError(f"guidance of {denoiser!r} is below 0")
             if not 1 <= config.min_frames <= config.max_frames <= 10_000 or not 0 < config.fps <= 1000:
                 raise ValueError("frame numbers or frame rate out of range")
             return config
-        except (TypeError, ValueError, AttributeError) as error:
+        except (TypeError, ValueError, KeyError, AttributeError) as error:
             raise FormatError(f"{where} does not describe a model: {error}") from error
 
 
@@ -138,7 +140,9 @@ class Bundle:
         where = self.path / "manifest.json"
         raw = _json_object(read_limited(where, 2**20), where)
         try:
-            return {str(name): (str(entry["sha256"]), int(entry["bytes"])) for name, entry in raw["files"].items()}
+            if any(Path(name).name != name for name in raw["files"]):
+                raise ValueError("a file outside the folder")
+            return {name: (str(entry["sha256"]), int(entry["bytes"])) for name, entry in raw["files"].items()}
         except (TypeError, ValueError, KeyError, AttributeError) as error:
             raise FormatError(f"{where} is not a manifest; copy the model folder again") from error
 
@@ -210,7 +214,7 @@ class Bundle:
         sha256, size = self.files[file]
         if len(data) != size or hashlib.sha256(data).hexdigest() != sha256:
             raise FormatError(
-                f"{path} is damaged: it does not match the sha256 in manifest.json; reinstall moveset or copy the folder again"
+                f"{path} is damaged: it does not match the sha256 in manifest.json; reinstall moveset or copy it again"
             )
         return data
 
@@ -292,8 +296,6 @@ def save_bundle(
 
 
 def _build(spec: ModelSpec) -> nn.Module:
-    # Importing a model's file makes its kind known to the registry.
-    from moveset.models import latent_denoiser, length, timed_vae, token_denoiser, token_vae  # noqa: F401
     from moveset.models.registry import build_model
 
     return build_model(spec.kind, spec.config)

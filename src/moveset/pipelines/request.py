@@ -106,8 +106,7 @@ def check_method(
         if steps not in known:
             choice = ", ".join(map(str, known))
             raise InputError(
-                f"model {config.name!r} has no {solver} student for {steps} steps; choose {choice}, or solver 'teacher' for "
-                "any number"
+                f"model {config.name!r} has no {solver} student for {steps} steps; choose {choice}, or solver 'teacher'"
             )
         network = f"{solver}-{steps}"
     if guidance is None:

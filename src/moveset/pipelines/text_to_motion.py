@@ -12,20 +12,20 @@ from typing import cast
 import torch
 from torch import Tensor, nn
 
+from moveset import __version__
 from moveset.errors import InputError
 from moveset.models.length import LengthPredictor
 from moveset.motion.cleanup import lock_feet
 from moveset.motion.clip import Motion
 from moveset.motion.features import get_codec
 from moveset.motion.join import join
+from moveset.pcm.sampler import item_noise
 from moveset.pipelines.bundle import DEFAULT_MODEL, Bundle
 from moveset.pipelines.denoise import Denoise
 from moveset.pipelines.device import Stopwatch, pick_device
 from moveset.pipelines.familiarity import too_long, unfamiliar
 from moveset.pipelines.request import Method, Request, check_method, check_request
 from moveset.text.encoder import TextEmbedding, TextEncoder, get_text_encoder, stack
-
-BLEND_SECONDS = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,6 +62,18 @@ class Generation:
     def motion(self) -> Motion:
         """The first variant."""
         return self.motions[0]
+
+    @property
+    def metadata(self) -> dict[str, str | int | float]:
+        """What a file should tell about how it was made; for ``moveset.save(…, metadata=…)``."""
+        return {
+            "generator": f"moveset {__version__}",
+            "model": self.model,
+            "prompt": " | ".join(self.prompts),
+            "seed": self.seed,
+            "steps": self.steps,
+            "guidance": self.guidance,
+        }
 
 
 class TextToMotion:
@@ -144,9 +156,10 @@ class TextToMotion:
         warnings = {request.prompts: self._warnings(request.prompts, known) for request in requests}
         clock.lap("text")
 
-        noise = torch.cat([self._noise(request) for request in requests])
+        # The clips of a timeline take one after the other from their motion's seed.
+        noise = torch.cat([item_noise([r.seed], (len(r.prompts), *self.bundle.config.latent))[0] for r in requests])
         rows = [slice(k, k + batch) for k in range(0, len(prompts), batch)]
-        latents = [denoise(noise[part], stack([known[prompt] for prompt in prompts[part]])) for part in rows]
+        latents = [denoise(noise[part], stack([known[p] for p in prompts[part]]), frames[part]) for part in rows]
         clock.lap("sample")
 
         clips = iter(
@@ -154,7 +167,7 @@ class TextToMotion:
         )
         clock.lap("decode")
 
-        raw = [join([next(clips) for _ in request.prompts], BLEND_SECONDS) for request in requests]
+        raw = [join([next(clips) for _ in request.prompts]) for request in requests]
         motions = [lock_feet(motion) for motion in raw] if foot_lock else raw
         clock.lap("finish")
         return tuple(
@@ -194,11 +207,6 @@ class TextToMotion:
     def _warnings(self, prompts: tuple[str, ...], known: Mapping[str, TextEmbedding]) -> tuple[str, ...]:
         pooled = torch.cat([known[prompt].pooled for prompt in prompts])
         return (*too_long(self.encoder, prompts), *unfamiliar(self.bundle, prompts, pooled))
-
-    def _noise(self, request: Request) -> Tensor:
-        """(S, N, d) starting noise of the S clips of one motion, from its own seed, the same on every device."""
-        generator = torch.Generator().manual_seed(request.seed)
-        return torch.randn(len(request.prompts), *self.bundle.config.latent, generator=generator)
 
     def _decode(self, vae: nn.Module, z_BND: Tensor, frames: Sequence[int]) -> list[Motion]:
         """Motions of ``frames[k]`` frames of normalised latents (B, N, d)."""

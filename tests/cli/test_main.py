@@ -1,0 +1,95 @@
+"""The overview, unknown verbs, parse errors in one line, and what start-up must not import."""
+
+import subprocess
+import sys
+
+import pytest
+
+from moveset.cli.__main__ import VERBS, main
+
+# What costs more than a tenth of a second to import, or is only needed for training and research.
+SLOW = ("torch", "numpy", "scipy", "matplotlib", "transformers", "sklearn", "sentence_transformers", "lightning_fabric",
+        "tensorboard", "tyro", "PIL", "pygltflib", "imageio_ffmpeg", "roma", "tokenizers")  # fmt: skip
+NOT_TO_GENERATE = {*SLOW, "diffusers", "moveset.training", "moveset.data"} - {
+    "torch", "numpy", "roma", "tokenizers", "tyro",
+}  # fmt: skip
+
+
+def imported_after(code):
+    """Modules in sys.modules after running code in a fresh interpreter."""
+    script = f"{code}\nimport sys\nprint('\\n'.join(sys.modules))"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    return set(done.stdout.split())
+
+
+def test_help_imports_nothing_slow():
+    modules = imported_after("from moveset.cli.__main__ import main\nmain(['--help'])")
+    assert not modules & set(SLOW)
+
+
+def test_importing_the_package_imports_nothing_slow():
+    assert not imported_after("import moveset") & set(SLOW)
+
+
+def test_generating_imports_only_what_it_needs():
+    modules = imported_after("from moveset import TextToMotion\nimport moveset.cli.generate")
+    assert "torch" in modules
+    assert not modules & NOT_TO_GENERATE
+
+
+def test_overview_names_every_verb(capsys):
+    assert main(["--help"]) == 0
+    out = capsys.readouterr().out
+    assert all(f"  {verb}" in out for verb in VERBS)
+
+
+@pytest.mark.parametrize("verb", ["generate", "convert", "models", "doctor", "train"])
+def test_every_verb_explains_itself(verb, capsys):
+    assert main([verb, "--help"]) == 0
+    assert f"moveset {verb}" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["genrate", "a"], "unknown verb 'genrate'; did you mean 'generate'?"),
+        (["zzz"], "unknown verb 'zzz'; choose one of generate"),
+        (["generate", "a", "--stepz", "3"], "--stepz"),
+        (["generate", "a", "--steps", "two"], "--steps"),
+        (["generate", "a", "--solver", "euler"], "--solver"),
+        (["generate", "a", "-o"], "-o/--output"),
+        (["convert", "a.bvh"], "OUT"),
+        (["models", "extra"], "extra"),
+    ],
+)
+def test_wrong_arguments_are_one_line(arguments, message, capsys):
+    assert main(arguments) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert message in err
+    assert err.startswith("moveset: ")
+    assert err.count("\n") == 1
+    assert not set("│╭─") & set(err)
+
+
+def test_no_verb_shows_the_overview_and_fails(capsys):
+    assert main([]) == 2
+    assert "usage: moveset" in capsys.readouterr().err
+
+
+def test_faults_are_one_line_unless_debugging(monkeypatch, capsys):
+    import moveset.cli.models as module
+
+    monkeypatch.setattr(module, "models", lambda: 1 / 0)
+    assert main(["models"]) == 1
+    assert capsys.readouterr().err == "moveset: ZeroDivisionError: division by zero (MOVESET_DEBUG=1 shows where)\n"
+    monkeypatch.setenv("MOVESET_DEBUG", "1")
+    assert main(["models"]) == 1
+    assert "Traceback" in capsys.readouterr().err
+
+
+def test_a_closed_pipe_is_no_fault():
+    command = f"{sys.executable} -m moveset.cli --help | true; exit ${{PIPESTATUS[0]}}"
+    done = subprocess.run(["bash", "-c", command], capture_output=True, text=True)
+    assert done.returncode == 0
+    assert done.stderr == ""

@@ -1,0 +1,97 @@
+"""``convert``, ``models`` and ``doctor``."""
+
+import json
+import shutil
+
+import pytest
+
+from moveset import load
+from moveset.cli.__main__ import main
+from moveset.pipelines import bundle
+from moveset.pipelines.text_to_motion import TextToMotion
+from tests.bundles import tiny_bundle
+
+
+@pytest.fixture(scope="module")
+def model(tmp_path_factory):
+    return tiny_bundle(tmp_path_factory.mktemp("bundles") / "tiny")
+
+
+@pytest.fixture
+def clip(model, tmp_path):
+    return TextToMotion.from_pretrained(model)("a person walks", seconds=1.0).motion.save(tmp_path / "clip.bvh")
+
+
+@pytest.fixture
+def shipped(model, monkeypatch):
+    monkeypatch.setattr(bundle, "shipped", lambda: {"tiny": model})
+
+
+def test_convert_keeps_the_joints(clip, tmp_path):
+    target = tmp_path / "clip.glb"
+    assert main(["convert", str(clip), str(target)]) == 0
+    a, b = load(clip), load(target)
+    assert float((a.joints - b.joints).abs().max()) < 1e-4
+
+
+def test_convert_retargets_and_resamples(clip, tmp_path, capsys):
+    target = tmp_path / "clip.npz"
+    assert main(["convert", str(clip), str(target), "--skeleton", "vrm", "--fps", "30"]) == 0
+    assert "on vrm" in capsys.readouterr().out
+    assert load(target).fps == 30
+
+
+@pytest.mark.parametrize(
+    ("source", "target", "message"),
+    [
+        ("none.bvh", "b.glb", "none.bvh"),
+        ("clip.bvh", "b.fbx", "unknown extension"),
+        ("half.bvh", "b.glb", "half.bvh"),
+        ("empty.bvh", "b.glb", "empty.bvh"),
+        ("text.glb", "b.bvh", "text.glb"),
+    ],
+)
+def test_convert_refuses_in_one_line(clip, tmp_path, monkeypatch, capsys, source, target, message):
+    monkeypatch.chdir(tmp_path)
+    data = clip.read_bytes()
+    (tmp_path / "half.bvh").write_bytes(data[: len(data) // 2])
+    (tmp_path / "empty.bvh").write_bytes(b"")
+    (tmp_path / "text.glb").write_bytes(b"hello")
+    before = sorted(tmp_path.iterdir())
+    assert main(["convert", source, target]) == 2
+    err = capsys.readouterr().err
+    assert message in err
+    assert err.count("\n") == 1
+    assert sorted(tmp_path.iterdir()) == before
+
+
+def test_models_lists_what_is_shipped(shipped, capsys):
+    assert main(["models", "--json"]) == 0
+    [row] = json.loads(capsys.readouterr().out)["models"]
+    assert row["name"] == "tiny"
+    assert row["pcm_steps"] == [1, 2, 4]
+    assert row["max_seconds"] == 9.8
+    assert main(["models"]) == 0
+    assert "MotionPCM in 1/2/4 steps, LCM, teacher" in capsys.readouterr().out
+
+
+def test_doctor_is_content_with_a_whole_installation(shipped, model, capsys):
+    assert main(["doctor", "--model", str(model), "--json"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert report["ok"]
+    assert set(report["checks"]) == {"device", "weights", "video", "self_test"}
+    assert report["checks"]["self_test"]["frames"] == 20
+    assert report["versions"]["torch"]
+
+
+def test_doctor_names_what_is_damaged(model, tmp_path, monkeypatch, capsys):
+    folder = shutil.copytree(model, tmp_path / "tiny")
+    path = folder / "vae.safetensors"
+    path.write_bytes(path.read_bytes()[:-4])
+    monkeypatch.setattr(bundle, "shipped", lambda: {"tiny": folder})
+    assert main(["doctor", "--model", str(folder)]) == 1
+    out = capsys.readouterr().out
+    assert "ok    device" in out
+    assert "FAIL  weights: error" in out
+    assert "FAIL  self_test" in out
+    assert "vae.safetensors is damaged" in out

@@ -1,0 +1,148 @@
+"""Model folders: what is written is read, what is damaged is refused, what is not needed is not touched."""
+
+import json
+import shutil
+
+import pytest
+import torch
+
+from moveset.errors import FormatError, InputError
+from moveset.pipelines.bundle import Bundle, BundleConfig, find_folder, save_bundle
+from tests.bundles import tiny_bundle
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    return tiny_bundle(tmp_path_factory.mktemp("bundles") / "tiny")
+
+
+@pytest.fixture
+def folder(whole, tmp_path):
+    return shutil.copytree(whole, tmp_path / "tiny")
+
+
+def rewrite(folder, change):
+    """Edit config.json and its manifest entry, as somebody with bad intentions could."""
+    import hashlib
+
+    config = json.loads((folder / "config.json").read_text())
+    change(config)
+    data = json.dumps(config).encode()
+    (folder / "config.json").write_bytes(data)
+    manifest = json.loads((folder / "manifest.json").read_text())
+    manifest["files"]["config.json"] = {"sha256": hashlib.sha256(data).hexdigest(), "bytes": len(data)}
+    (folder / "manifest.json").write_text(json.dumps(manifest))
+
+
+def test_weights_survive_to_half_precision(folder):
+    bundle = Bundle.find(folder)
+    first, again = bundle.module("pcm-2"), Bundle(folder).module("pcm-2")
+    assert first is bundle.module("pcm-2")
+    for (name, a), (_, b) in zip(first.state_dict().items(), again.state_dict().items(), strict=True):
+        assert torch.equal(a, b), name
+        assert a.dtype == torch.float32
+        assert torch.equal(a, a.half().float()), name
+    assert not first.training
+    assert not any(p.requires_grad for p in first.parameters())
+
+
+def test_steps_are_those_of_the_students(folder):
+    config = Bundle(folder).config
+    assert config.steps("pcm") == (1, 2, 4)
+    assert config.steps("lcm") == (1,)
+
+
+@pytest.mark.parametrize("file", ["config.json", "vae.safetensors", "normalizer.safetensors", "prompts.json"])
+def test_one_flipped_bit_is_found(folder, file):
+    data = bytearray((folder / file).read_bytes())
+    data[len(data) // 2] ^= 1
+    (folder / file).write_bytes(data)
+    with pytest.raises(FormatError, match=rf"{file} is damaged.*copy it again"):
+        Bundle(folder).verify()
+
+
+@pytest.mark.parametrize("size", [0, 100])
+def test_truncation_is_found(folder, size):
+    path = folder / "pcm-1.safetensors"
+    path.write_bytes(path.read_bytes()[:size])
+    with pytest.raises(FormatError, match="damaged"):
+        Bundle(folder).module("pcm-1")
+
+
+def test_only_what_is_asked_for_is_read(folder):
+    for unused in ("teacher", "pcm-4", "lcm-1", "length"):
+        (folder / f"{unused}.safetensors").write_bytes(b"not read")
+    bundle = Bundle(folder)
+    bundle.module("vae")
+    bundle.module("pcm-1")
+    with pytest.raises(FormatError, match="teacher"):
+        bundle.module("teacher")
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda c: c.update(format=2), "format 2"),
+        (lambda c: c.update(format=None), "format None"),
+        (lambda c: c.pop("latent"), "'latent' is missing"),
+        (lambda c: c.update(colour="red"), "'colour' is missing or unknown"),
+        (lambda c: c.update(latent=7), "does not describe a model"),
+        (lambda c: c.update(min_frames=0), "out of range"),
+        (lambda c: c.update(max_frames=10**9), "out of range"),
+        (lambda c: c.update(models=[]), "does not describe a model"),
+        (lambda c: c["guidance"].pop("pcm-2"), "does not describe a model"),
+        (lambda c: c["models"].update({"pcm-x": c["models"]["pcm-1"]}), "does not describe a model"),
+    ],
+)
+def test_absurd_descriptions_are_refused(folder, change, message):
+    rewrite(folder, change)
+    with pytest.raises(FormatError, match=message):
+        Bundle(folder)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda c: c["models"]["vae"].update(kind="os.system"), "unknown model kind"),
+        (lambda c: c["models"]["vae"]["config"].update(width=10**12), "outside"),
+        (lambda c: c["models"]["vae"]["config"].update(width=32), "does not fit the architecture"),
+    ],
+)
+def test_absurd_architectures_are_refused(folder, change, message):
+    rewrite(folder, change)
+    with pytest.raises(FormatError, match=message):
+        Bundle(folder).module("vae")
+
+
+def test_a_manifest_cannot_point_outside(folder):
+    manifest = json.loads((folder / "manifest.json").read_text())
+    manifest["files"]["../secret"] = {"sha256": "0" * 64, "bytes": 1}
+    (folder / "manifest.json").write_text(json.dumps(manifest))
+    with pytest.raises(FormatError, match="is not a manifest"):
+        Bundle(folder)
+
+
+def test_unknown_models_are_named(tmp_path):
+    with pytest.raises(InputError, match="unknown model 'nothing'"):
+        find_folder("nothing")
+    with pytest.raises(FormatError, match="no manifest"):
+        Bundle.find(tmp_path)
+
+
+def test_saving_replaces_and_leaves_nothing_else(folder):
+    before = Bundle(folder).module("pcm-1").state_dict()
+    tiny_bundle(folder, seed=1)
+    after = Bundle(folder).module("pcm-1").state_dict()
+    assert any(not torch.equal(before[name], after[name]) for name in before)
+    assert [p.name for p in folder.parent.iterdir()] == ["tiny"]
+    assert {p.name for p in folder.iterdir()} == {*Bundle(folder).files, "manifest.json"}
+
+
+def test_a_failed_save_leaves_the_old_folder(folder):
+    module = Bundle(folder).module("pcm-1")
+    with torch.no_grad():
+        module.latent_in.weight[0, 0] = 1e6
+    with pytest.raises(ValueError, match="half precision"):
+        save_bundle(folder, BundleConfig(name="tiny"), {"pcm-1": module}, {}, [], torch.zeros(0, 384))
+    Bundle(folder).verify()
+    assert [p.name for p in folder.parent.iterdir()] == ["tiny"]

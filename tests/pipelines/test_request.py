@@ -1,0 +1,88 @@
+"""Every limit refuses in one sentence that names the value, the limit and the remedy."""
+
+import pytest
+
+from moveset.errors import InputError
+from moveset.pipelines.bundle import BundleConfig, ModelSpec
+from moveset.pipelines.request import check_method, check_request
+
+SPEC = ModelSpec(kind="none", config={})
+CONFIG = BundleConfig(
+    name="m",
+    models=dict.fromkeys(("vae", "teacher", "lcm-1", "pcm-1", "pcm-2", "pcm-4"), SPEC),
+    guidance={"teacher": 2.0, "lcm-1": 3.0, "pcm-1": 4.0, "pcm-2": 5.0, "pcm-4": 6.0},
+)
+
+
+def test_variants_count_seeds_up():
+    requests = check_request(CONFIG, "walk", 4.0, seed=7, num=3)
+    assert [r.seed for r in requests] == [7, 8, 9]
+    assert requests[2] == check_request(CONFIG, "walk", 4.0, seed=9)[0]
+    assert requests[0].frames == (80,)
+
+
+def test_one_duration_serves_all_prompts():
+    assert check_request(CONFIG, ["a", "b"], 2.0)[0].frames == (40, 40)
+    assert check_request(CONFIG, ["a", "b"], [2.0, 3.0])[0].frames == (40, 60)
+    assert check_request(CONFIG, ["a", "b"])[0].frames == (None, None)
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"prompt": ""}, "the prompt is empty; describe"),
+        ({"prompt": " \n"}, "the prompt is empty"),
+        ({"prompt": []}, "0 prompts"),
+        ({"prompt": ["a"] * 65}, "65 prompts were given; give 1 to 64"),
+        ({"prompt": "a" * 10_240}, "10,240 characters, more than the limit of 1,000; shorten"),
+        ({"prompt": "a\0b"}, "control characters"),
+        ({"seconds": 0.0}, r"0 seconds are not in 1 to 9\.8 for a prompt; .*several prompts"),
+        ({"seconds": 1e6}, r"1e\+06 seconds"),
+        ({"seconds": -1.0}, "-1 seconds"),
+        ({"seconds": float("nan")}, "nan seconds"),
+        ({"seconds": float("inf")}, "inf seconds"),
+        ({"seconds": [1.0, 2.0]}, "2 durations do not fit 1 prompts"),
+        ({"seed": -1}, "seed -1 is not in 0 to"),
+        ({"seed": 2**63}, "is not in 0 to"),
+        ({"num": 0}, "num 0 is not in 1 to 1000"),
+        ({"num": 1001}, "num 1001"),
+    ],
+)
+def test_requests_out_of_range(given, message):
+    with pytest.raises(InputError, match=message):
+        check_request(CONFIG, **{"prompt": "a", **given})
+
+
+def test_methods():
+    assert check_method(CONFIG).network == "pcm-1"
+    assert check_method(CONFIG, steps=4).guidance == 6.0
+    assert check_method(CONFIG, "lcm").network == "lcm-1"
+    teacher = check_method(CONFIG, "teacher")
+    assert (teacher.network, teacher.steps, teacher.guidance) == ("teacher", 50, 2.0)
+    assert check_method(CONFIG, guidance=0.0).guidance == 0.0
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"solver": "euler"}, "unknown solver 'euler'; choose one of pcm, lcm, teacher"),
+        ({"steps": 3}, "no pcm student for 3 steps; choose 1, 2, 4"),
+        ({"steps": 0}, "no pcm student for 0 steps"),
+        ({"solver": "lcm", "steps": 2}, "no lcm student for 2 steps; choose 1"),
+        ({"solver": "teacher", "steps": 1}, "1 steps are not in 2 to 500"),
+        ({"solver": "teacher", "steps": 10**9}, "not in 2 to 500"),
+        ({"guidance": -0.5}, "guidance -0.5 is not in 0 to 30; this model's own choice is 4"),
+        ({"guidance": float("nan")}, "guidance nan"),
+    ],
+)
+def test_methods_out_of_range(given, message):
+    with pytest.raises(InputError, match=message):
+        check_method(CONFIG, **given)
+
+
+def test_a_model_without_teacher_says_so():
+    config = BundleConfig(name="m", models={"pcm-1": SPEC}, guidance={"pcm-1": 1.0})
+    with pytest.raises(InputError, match="comes without its teacher"):
+        check_method(config, "teacher")
+    with pytest.raises(InputError, match="has no lcm students"):
+        check_method(config, "lcm")
