@@ -1,5 +1,6 @@
 """Bandai-Namco-Research-Motiondataset 1 and 2: BVH at 30 fps in centimetres, content and style in the file's name."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,47 +15,41 @@ from moveset.motion import rotations
 from moveset.motion.skeleton import HML22
 
 _METRES = 0.01
-_X, _Y, _Z = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
+_X, _Y, _Z = torch.eye(3, dtype=torch.float64)
 
 
-def _negative(v: tuple[float, float, float]) -> tuple[float, float, float]:
-    return (-v[0], -v[1], -v[2])
-
-
-def _undo(x: tuple[float, ...], y: tuple[float, ...]) -> Tensor:
+def _undo(x: Tensor, y: Tensor) -> Tensor:
     """Inverse of the source joint's frame in hml22's rest pose, given where its local x and y axes point there."""
-    columns = torch.tensor((x, y), dtype=torch.float64)
-    frame = torch.stack((columns[0], columns[1], torch.linalg.cross(columns[0], columns[1])), dim=-1)
+    frame = torch.stack((x, y, torch.linalg.cross(x, y)), dim=-1)
     return rotations.inv(rotations.from_matrix(frame))
 
 
 def _constants() -> dict[str, tuple[str, Tensor]]:
     """hml22 joint -> (source joint, constant A)."""
     toe = HML22.offsets[HML22.index("left_foot")].double()
-    toe = tuple((toe / toe.norm()).tolist())
-    down = _negative(_Y)
-    table = {
-        "pelvis": ("Hips", _Y, _negative(_X), turn("x", 3.0)),
+    toe = toe / toe.norm()
+    table: dict[str, tuple[str, Tensor, Tensor, Tensor | None]] = {
+        "pelvis": ("Hips", _Y, -_X, turn("x", 3.0)),
         "spine2": ("Spine", _Y, _Z, None),
         "spine3": ("Chest", _Y, _Z, None),
         "neck": ("Neck", _Y, _Z, turn("x", -3.0)),
         "head": ("Head", _Y, _Z, turn("x", -8.0)),
         "left_collar": ("Shoulder_L", _X, _Y, turn("y", -18.0)),
-        "right_collar": ("Shoulder_R", _X, _negative(_Y), turn("y", 17.0)),
+        "right_collar": ("Shoulder_R", _X, -_Y, turn("y", 17.0)),
         "left_shoulder": ("UpperArm_L", _X, _Y, None),
-        "right_shoulder": ("UpperArm_R", _X, _negative(_Y), None),
+        "right_shoulder": ("UpperArm_R", _X, -_Y, None),
         "left_elbow": ("LowerArm_L", _X, _Y, None),
-        "right_elbow": ("LowerArm_R", _X, _negative(_Y), None),
+        "right_elbow": ("LowerArm_R", _X, -_Y, None),
         "left_wrist": ("Hand_L", _X, _Y, None),
-        "right_wrist": ("Hand_R", _X, _negative(_Y), None),
-        "left_hip": ("UpperLeg_L", down, _X, None),
+        "right_wrist": ("Hand_R", _X, -_Y, None),
+        "left_hip": ("UpperLeg_L", -_Y, _X, None),
         "right_hip": ("UpperLeg_R", _Y, _X, None),
-        "left_knee": ("LowerLeg_L", down, _X, None),
+        "left_knee": ("LowerLeg_L", -_Y, _X, None),
         "right_knee": ("LowerLeg_R", _Y, _X, None),
         "left_ankle": ("Foot_L", toe, _X, turn("x", -13.5)),
-        "right_ankle": ("Foot_R", _negative(toe), _X, turn("x", -13.5)),
+        "right_ankle": ("Foot_R", -toe, _X, turn("x", -13.5)),
         "left_foot": ("Toes_L", _Z, _X, turn("x", -23.0)),
-        "right_foot": ("Toes_R", _negative(_Z), _X, turn("x", -23.0)),
+        "right_foot": ("Toes_R", -_Z, _X, turn("x", -23.0)),
     }
     return {
         joint: (source, _undo(x, y) if extra is None else rotations.mul(_undo(x, y), extra))
@@ -91,15 +86,13 @@ def read_take(ref: TakeRef) -> ImportedTake:
         FormatError: it is damaged or not a take of this data set.
     """
     bvh = read_bvh(ref.path)
-    if "Hips" not in bvh.joints:
-        raise FormatError(f"{ref.path} has no joint 'Hips'; it is not a take of the Bandai-Namco data set")
+    missing = [source for source, _ in _CONSTANTS.values() if source not in bvh.joints]
+    if missing:
+        raise FormatError(f"{ref.path} has no joint {missing[0]!r}; it is not a take of the Bandai-Namco data set")
     # The motion of the root sits in Hips, in a few loops also in joint_Root: both are composed.
     frames = _resampled(local_frames(bvh, root="Hips"), bvh.fps)
     turned, placed = frames.world()
     where = {name: j for j, name in enumerate(frames.joints)}
-    missing = [source for source, _ in _CONSTANTS.values() if source not in where]
-    if missing:
-        raise FormatError(f"{ref.path} has no joint {missing[0]!r}; it is not a take of the Bandai-Namco data set")
     ours = {
         joint: rotations.mul(turned[:, where[source]], constant) for joint, (source, constant) in _CONSTANTS.items()
     }
@@ -125,4 +118,4 @@ def _resampled(frames: LocalFrames, fps: float) -> LocalFrames:
     times = np.arange(int((count - 1) / fps * FPS + 1e-6) + 1) / FPS
     values = torch.from_numpy(CubicSpline(np.arange(count) / fps, channels)(times))
     turned = rotations.normalize(values[:, :-3].reshape(-1, joints, 4))
-    return LocalFrames(frames.joints, frames.parents, frames.offsets, turned, values[:, -3:], frames.stretch)
+    return replace(frames, rotations=turned, root=values[:, -3:])

@@ -1,6 +1,7 @@
 """CMU Graphics Lab Motion Capture Database: ASF/AMC takes, and BVH conversions where there is no AMC."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 from torch import Tensor
@@ -10,7 +11,7 @@ from moveset.data.hml22_calibration import FPS, assemble, chain, finish, turn
 from moveset.data.takes import ImportedTake, RejectedTake, TakeRef, imported
 from moveset.errors import FormatError, InputError
 from moveset.io.asf_amc import read_amc, read_asf
-from moveset.io.bvh import LocalFrames, local_frames, read_bvh
+from moveset.io.bvh import local_frames, read_bvh
 from moveset.motion import rotations
 from moveset.motion.kinematics import fk
 from moveset.motion.skeleton import HML22
@@ -52,9 +53,9 @@ def list_takes(root: Path) -> list[TakeRef]:
             trial = json.loads(line)
             name, files, description = str(trial["trial"]), list(trial["files"]), str(trial["description"])
             fps, sentences = int(trial["fps"]), tuple(str(text) for text in trial["kit_captions"])
-        except (ValueError, KeyError, TypeError) as error:
+            file = next((str(file) for file in files if str(file).endswith(".amc")), str(files[0]))
+        except (ValueError, KeyError, TypeError, IndexError) as error:
             raise FormatError(f"{listing}, line {number}: not a trial ({error}); restore the original file") from error
-        file = next((file for file in files if file.endswith(".amc")), files[0])
         amc = file.endswith(".amc")
         subject = name.split("_")[0]
         takes.append(
@@ -99,15 +100,18 @@ def read_take(ref: TakeRef) -> ImportedTake:
     return imported(ref, finish(local, root[start:stop]), (start, stop))
 
 
-def read_whole(ref: TakeRef) -> tuple[Tensor, Tensor]:
-    """A whole trial: local rotations (F, 22, 4) and root (F, 3) in the capture's own place, 20 fps, nothing cut."""
+def read_whole(ref: TakeRef, *, start: int | None = None) -> tuple[Tensor, Tensor]:
+    """A whole trial: local rotations (F, 22, 4) and root (F, 3) in the capture's own place, 20 fps, nothing cut.
+
+    ``start`` is the first frame of the file to take; without it the conversions' T-pose is skipped.
+    """
     stride, rest = divmod(ref.fps, int(FPS))
     if rest or stride < 1:
         raise InputError(f"{ref.name} has {ref.fps} frames per second, not a multiple of {FPS:g}; correct trials.jsonl")
     subject = ref.name.split("_")[0]
     if ref.skeleton is None:
-        return _from_bvh(ref, subject, stride)
-    return _from_amc(ref, ref.skeleton, subject, stride)
+        return _from_bvh(ref, subject, slice(_BVH_LEADING if start is None else start, None, stride))
+    return _from_amc(ref, ref.skeleton, subject, slice(start or 0, None, stride))
 
 
 def clean_run(ref: TakeRef, local: Tensor, root: Tensor) -> tuple[int, int]:
@@ -127,9 +131,9 @@ def clean_run(ref: TakeRef, local: Tensor, root: Tensor) -> tuple[int, int]:
     return start, stop
 
 
-def _from_amc(ref: TakeRef, skeleton: Path, subject: str, stride: int) -> tuple[Tensor, Tensor]:
+def _from_amc(ref: TakeRef, skeleton: Path, subject: str, frames: slice) -> tuple[Tensor, Tensor]:
     asf = read_asf(skeleton)
-    take = read_amc(ref.path, asf)[::stride]
+    take = read_amc(ref.path, asf)[frames]
     turned, ends = take.world
     where = {bone: j for j, bone in enumerate(asf.bones)}
     source = {"pelvis": "root", "spine2": "upperback", "spine3": "thorax", "head": "head"}
@@ -151,16 +155,9 @@ def _from_amc(ref: TakeRef, skeleton: Path, subject: str, stride: int) -> tuple[
     return assemble(_calibrated(ours, constant, subject), hips, leg)
 
 
-def _from_bvh(ref: TakeRef, subject: str, stride: int) -> tuple[Tensor, Tensor]:
+def _from_bvh(ref: TakeRef, subject: str, taken: slice) -> tuple[Tensor, Tensor]:
     frames = local_frames(read_bvh(ref.path), root="hip")
-    frames = LocalFrames(
-        frames.joints,
-        frames.parents,
-        frames.offsets,
-        frames.rotations[_BVH_LEADING::stride],
-        frames.root[_BVH_LEADING::stride],
-        frames.stretch,
-    )
+    frames = replace(frames, rotations=frames.rotations[taken], root=frames.root[taken])
     turned, placed = frames.world()
     where = {name: j for j, name in enumerate(frames.joints)}
     source = {"pelvis": "hip", "spine2": "abdomen", "spine3": "chest", "head": "head"}

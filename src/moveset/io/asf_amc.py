@@ -1,6 +1,7 @@
 """Acclaim ASF (skeleton) and AMC (motion), as the CMU Graphics Lab database uses them. F frames, J bones."""
 
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -11,11 +12,24 @@ import torch
 from torch import Tensor
 
 from moveset.errors import FormatError
-from moveset.io.limits import MAX_DEPTH, MAX_FRAMES, MAX_JOINTS, MAX_LINE, MAX_NUMBER, read_limited
+from moveset.io.limits import (
+    MAX_BYTES,
+    MAX_DEPTH,
+    MAX_FRAMES,
+    MAX_JOINTS,
+    MAX_LINE,
+    MAX_NUMBER,
+    MAX_POSES,
+    read_limited,
+)
 from moveset.motion import rotations
 
 _INCH = 0.0254
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
+_NO_DIGITS = str.maketrans("", "", "0123456789+-.eE")
+_BLOCK = 4096
+_MAX_LINES = 4_000_000
+_MAX_ASF_BYTES = 2**20
 _DOFS = ("tx", "ty", "tz", "rx", "ry", "rz")
 
 
@@ -77,15 +91,27 @@ class AmcTake:
 class _Lines:
     """Numbered, tokenised lines of a text file without comments and blanks."""
 
-    def __init__(self, path: str | Path) -> None:
+    def __init__(self, path: str | Path, max_bytes: int) -> None:
         self.path = path
-        data = read_limited(path)
+        data = read_limited(path, max_bytes)
         if b"\0" in data:
             raise FormatError(f"{path} is not a text file; give an .asf or .amc file")
-        self.raw = data.decode("latin-1").splitlines()
+        if b"\r" in data:
+            data = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
+        count = data.count(b"\n")
+        if count > _MAX_LINES:
+            raise FormatError(f"{path} has {count} lines, over the limit of {_MAX_LINES}; split the file")
+        self.raw = data.decode("latin-1").split("\n")
         longest = max(map(len, self.raw), default=0)
         if longest > MAX_LINE:
             raise FormatError(f"{path} has a line of {longest} bytes, over the limit of {MAX_LINE}; it is damaged")
+
+    def tokens(self) -> Iterator[tuple[int, list[str]]]:
+        """Number and tokens of each line that has any."""
+        for number, raw in enumerate(self.raw, start=1):
+            tokens = (raw.split("#", 1)[0] if "#" in raw else raw).split()
+            if tokens:
+                yield number, tokens
 
     def fail(self, message: str, line: int) -> NoReturn:
         raise FormatError(f"{self.path}, line {line}: {message}")
@@ -128,7 +154,7 @@ def read_asf(path: str | Path) -> AsfSkeleton:
         InputError: the file cannot be read.
         FormatError: the file is damaged or over the limits of ``io.limits``.
     """
-    lines = _Lines(path)
+    lines = _Lines(path, _MAX_ASF_BYTES)
     length, degrees = 1.0, 1.0
     root_order: tuple[str, ...] = ("tx", "ty", "tz", "rx", "ry", "rz")
     root_axis, root_turn = "XYZ", [0.0, 0.0, 0.0]
@@ -136,10 +162,7 @@ def read_asf(path: str | Path) -> AsfSkeleton:
     children: dict[str, list[str]] = {}
     section, name, bone = "", "", _Bone(0)
     number = 0
-    for number, raw in enumerate(lines.raw, start=1):
-        tokens = raw.split("#", 1)[0].split()
-        if not tokens:
-            continue
+    for number, tokens in lines.tokens():
         key, rest = tokens[0].lower(), tokens[1:]
         if key.startswith(":"):
             section = key
@@ -174,6 +197,8 @@ def read_asf(path: str | Path) -> AsfSkeleton:
                     lines.fail("a bone's direction has no length; the file is damaged", number)
             elif key == "length":
                 bone.length = lines.number(rest[0] if rest else "", number)
+                if bone.length < 0:
+                    lines.fail(f"a bone's length of {bone.length:g} is below 0; the file is damaged", number)
             elif key == "axis":
                 angles = [degrees * value for value in lines.vector(rest, number)]
                 bone.axis = _frame(angles, _axis_order(lines, rest[3:4], number))
@@ -240,60 +265,68 @@ def read_amc(path: str | Path, asf: AsfSkeleton) -> AmcTake:
         InputError: the file cannot be read.
         FormatError: the file is damaged, over the limits of ``io.limits``, or belongs to another skeleton.
     """
-    lines = _Lines(path)
-    start = next((k for k, raw in enumerate(lines.raw) if raw.strip().isdigit()), len(lines.raw))
-    header = " ".join(lines.raw[:start]).upper()
-    if start == len(lines.raw):
+    lines = _Lines(path, MAX_BYTES)
+    stream = lines.tokens()
+    degrees = 1.0
+    for _, tokens in stream:
+        if _is_count(tokens[0]):
+            break
+        degrees = float(np.degrees(1.0)) if tokens[0].upper() == ":RADIANS" else degrees
+    else:
         lines.fail("no frame begins with a number; this is no AMC file or it is truncated", len(lines.raw))
-    degrees = float(np.degrees(1.0)) if ":RADIANS" in header else 1.0
-    rows = [(number, raw.split()) for number, raw in enumerate(lines.raw[start:], start=start + 1) if raw.strip()]
-    rows = [(number, tokens) for number, tokens in rows if not tokens[0].startswith("#")]
-    moving = sum(1 for dof in asf.dofs if dof)
-    if len(rows) % (1 + moving):
-        lines.fail(
-            f"{len(rows)} lines are not whole frames of {moving} bones; the file is truncated, damaged or belongs to "
-            "another skeleton",
-            rows[-1][0],
-        )
-    frames = len(rows) // (1 + moving)
-    if frames > MAX_FRAMES:
-        lines.fail(f"{frames} frames exceed the limit of {MAX_FRAMES}; split the file", start + 1)
     widths = {name: len(dof) for name, dof in zip(asf.bones, asf.dofs, strict=True) if dof}
-    layout = [tokens[0] for _, tokens in rows[1 : 1 + moving]]
-    if sorted(layout) != sorted(widths):
-        lines.fail("the first frame does not list every bone of the skeleton once; use the take's own .asf", start + 1)
-    lengths = [2 if k == 0 else 1 + widths[layout[k - 1]] for k in range(1 + moving)]
-    flat: list[str] = []
-    expected = 0
-    for k, (number, tokens) in enumerate(rows):
-        place = k % (1 + moving)
-        if place == 0:
-            if len(tokens) != 1 or not tokens[0].isdigit() or len(tokens[0]) > 9:
-                lines.fail(f"expected a frame number and found {tokens[0][:32]!r}; the file is damaged", number)
-            if expected and int(tokens[0]) != expected:
-                lines.fail(f"frame {tokens[0]} follows frame {expected - 1}; the file has a gap", number)
-            expected = int(tokens[0]) + 1
-        elif tokens[0] != layout[place - 1] or len(tokens) != lengths[place]:
-            lines.fail(f"expected {lengths[place] - 1} values of bone {layout[place - 1]!r}", number)
-        else:
-            flat += tokens[1:]
-    values = _floats(lines, rows, flat).reshape(frames, -1)
-    return _pose(asf, layout, values, degrees)
+    layout: list[str] = []
+    blocks: list[np.ndarray] = []
+    block: list[tuple[int, list[str]]] = []
+    frame, frames, place, number = int(tokens[0]), 1, 0, len(lines.raw)
+    for number, tokens in stream:
+        name = tokens[0]
+        if _is_count(name) and len(tokens) == 1:
+            if place < len(widths):
+                lines.fail(f"frame {frame} lists {place} of the skeleton's {len(widths)} moving bones", number)
+            if int(name) != frame + 1:
+                lines.fail(f"frame {name} follows frame {frame}; the file has a gap", number)
+            if frames == MAX_FRAMES or frames * len(asf.bones) > MAX_POSES:
+                lines.fail(f"more than {MAX_FRAMES} frames or {MAX_POSES} poses; split the file", number)
+            frame, frames, place = frame + 1, frames + 1, 0
+            if len(block) > _BLOCK:
+                blocks.append(_floats(lines, block))
+                block = []
+            continue
+        if frames == 1 and name in widths and name not in layout:
+            layout.append(name)
+        if place >= len(layout) or name != layout[place] or len(tokens) != 1 + widths[name]:
+            lines.fail(
+                f"bone {name[:32]!r} with {len(tokens) - 1} values is not what the skeleton expects here; "
+                "use the take's own .asf",
+                number,
+            )
+        block.append((number, tokens))
+        place += 1
+    if place < len(widths):
+        lines.fail(f"the last frame lists {place} of {len(widths)} bones; the file is truncated or damaged", number)
+    blocks.append(_floats(lines, block))
+    return _pose(asf, layout, np.concatenate(blocks).reshape(frames, -1), degrees)
 
 
-def _floats(lines: _Lines, rows: list[tuple[int, list[str]]], flat: list[str]) -> np.ndarray:
+def _is_count(token: str) -> bool:
+    return len(token) <= 12 and token.isascii() and token.isdigit()
+
+
+def _floats(lines: _Lines, block: list[tuple[int, list[str]]]) -> np.ndarray:
+    flat = [token for _, tokens in block for token in tokens[1:]]
     try:
         # float() also takes "nan", "inf" and "1_0", which no AMC may hold.
-        if "".join(flat).translate(str.maketrans("", "", "0123456789+-.eE")):
+        if "".join(flat).translate(_NO_DIGITS):
             raise ValueError
         values = np.fromiter(map(float, flat), dtype=np.float64, count=len(flat))
         if not np.abs(values).max() <= MAX_NUMBER:
             raise ValueError
     except ValueError:
-        for number, tokens in rows:
+        for number, tokens in block:
             for token in tokens[1:]:
                 lines.number(token, number)
-        raise
+        lines.fail("a value is not a finite number; the file is damaged", block[0][0])
     return values
 
 

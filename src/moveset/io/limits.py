@@ -7,13 +7,15 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO
 
-from moveset.errors import FormatError, InputError
+from moveset.errors import FormatError, InputError, MovesetError
 
 MAX_BYTES = 64 * 2**20
 MAX_LINE = 64 * 2**10
 MAX_JOINTS = 512
 MAX_DEPTH = 128
 MAX_FRAMES = 100_000
+# Frames times joints: what may be unfolded from a file whose joints need not have a channel each.
+MAX_POSES = 8_000_000
 MAX_NUMBER = 1e7
 
 
@@ -48,7 +50,7 @@ def atomic_write(path: str | Path) -> Iterator[IO[bytes]]:
 
     Raises:
         InputError: the folder is missing or cannot be written to, or ``path`` is a folder.
-        OSError: writing fails half-way, for example on a full disk; nothing is left behind.
+        MovesetError: writing fails half-way, for example on a full disk.
     """
     path = Path(path)
     if path.is_dir():
@@ -69,7 +71,10 @@ def atomic_write(path: str | Path) -> Iterator[IO[bytes]]:
             file.flush()
             os.fsync(file.fileno())
         os.replace(name, path)
-    except BaseException:
+    except BaseException as error:
         with suppress(FileNotFoundError):
             os.unlink(name)
+        if isinstance(error, OSError):
+            reason = error.strerror or error
+            raise MovesetError(f"cannot write {path}: {reason}; free some space or choose another disk") from error
         raise

@@ -1,0 +1,77 @@
+"""Fixtures that several tests share."""
+
+import hashlib
+import os
+import tarfile
+import tempfile
+from pathlib import Path
+
+import pytest
+
+REPOSITORY = Path(__file__).resolve().parents[1]
+# What the tests read from the archives; a folder given by MOVESET_RAW or data/raw may hold the whole sets.
+MEMBERS = {
+    "cmu.tar.xz": (
+        "cmu/trials.jsonl",
+        *(f"cmu/subjects/{s}/{s}.asf" for s in ("01", "02", "07")),
+        *(f"cmu/subjects/02/02_{k}.{form}" for k in ("01", "04", "07") for form in ("amc", "bvh")),
+        "cmu/subjects/01/01_08.amc",
+        "cmu/subjects/01/01_08.bvh",
+        "cmu/subjects/06/06_10.bvh",
+        "cmu/subjects/07/07_03.amc",
+        "cmu/subjects/13/13_18.bvh",
+    ),
+    "bandai-namco.tar.xz": (
+        *(f"dataset-1/data/dataset-1_{name}.bvh" for name in ("walk-back_normal_001", "bow_active_001")),
+        *(
+            f"dataset-2/data/dataset-2_{name}.bvh"
+            for name in (
+                "walk_active_002",
+                "walk-turn-left_normal_001",
+                "walk-turn-right_normal_002",
+                "wave-left-hand_normal_001",
+            )
+        ),
+    ),
+}
+
+
+@pytest.fixture(scope="session")
+def real_data() -> Path:
+    """Folder with real takes: cmu/, dataset-1/, dataset-2/. Tests that use it are skipped where there is none."""
+    if folder := os.environ.get("MOVESET_RAW"):
+        return Path(folder)
+    if (REPOSITORY / "data" / "raw" / "cmu").is_dir():
+        return REPOSITORY / "data" / "raw"
+    archives = {name: REPOSITORY.parent / "shared" / "data" / name for name in MEMBERS}
+    if not all(archive.is_file() for archive in archives.values()):
+        pytest.skip("no real takes here: set MOVESET_RAW to a folder with cmu/, dataset-1/ and dataset-2/")
+    return _unpacked(archives)
+
+
+def _unpacked(archives: dict[str, Path]) -> Path:
+    """The members that tests need, unpacked once into a cache folder that appears whole or not at all."""
+    key = hashlib.sha256(repr((MEMBERS, [archive.stat().st_size for archive in archives.values()])).encode())
+    cache = Path(tempfile.gettempdir()) / f"moveset-raw-{key.hexdigest()[:16]}"
+    if cache.is_dir():
+        return cache
+    with tempfile.TemporaryDirectory(prefix="moveset-raw-", dir=cache.parent) as scratch:
+        fresh = Path(scratch) / "raw"
+        for name, archive in archives.items():
+            wanted = set(MEMBERS[name])
+            with tarfile.open(archive) as tar:
+                for member in tar:
+                    if member.name in wanted:
+                        tar.extract(member, fresh, filter="data")
+                        wanted.discard(member.name)
+                    if not wanted:
+                        break
+            if wanted:
+                raise RuntimeError(f"{archive} lacks {sorted(wanted)}")
+        try:
+            fresh.rename(cache)
+        except OSError:
+            # Another run was quicker.
+            if not cache.is_dir():
+                raise
+    return cache
