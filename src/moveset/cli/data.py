@@ -1,0 +1,148 @@
+"""``moveset data``: build and inspect training data."""
+
+import json as jsonlib
+import os
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import tyro
+
+from moveset.errors import InputError
+
+if TYPE_CHECKING:
+    from moveset.data.corpus import Corpus
+
+
+def build(
+    *,
+    raw: Path = Path("data/raw"),
+    output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("data/corpus.safetensors"),
+    workers: int | None = None,
+    compositions: int = 3000,
+    keep_work: tyro.conf.FlagCreatePairsOff[bool] = False,
+    json: tyro.conf.FlagCreatePairsOff[bool] = False,
+) -> int:
+    """Build a corpus from motion capture; an interrupted build continues where it stopped.
+
+    Args:
+        raw: Folder with dataset-1, dataset-2 and cmu, or with bandai-namco.tar.xz and cmu.tar.xz.
+        output: The corpus to write; a report is written beside it.
+        workers: Processes (default: one a core).
+        compositions: Training clips to add that are composed of two takes each.
+        keep_work: Keep the imported takes, for a faster next build.
+        json: Print one JSON object on stdout and nothing else.
+    """
+    from moveset.data.build import build_corpus, summarize_rejections
+
+    cores = os.cpu_count() or 1
+    workers = cores if workers is None else workers
+    if not 1 <= workers <= 4 * cores:
+        raise InputError(f"{workers} workers on {cores} cores; use 1 to {4 * cores}")
+    if not 0 <= compositions <= 100_000:
+        raise InputError(f"{compositions} compositions are not in [0, 100000]; 3000 is usual")
+    if output.suffix != ".safetensors":
+        raise InputError(f"a corpus is a .safetensors file, not {output.name!r}; choose such a name")
+    begin = time.monotonic()
+    report = build_corpus(raw, output, workers=workers, compositions=compositions, keep_work=keep_work)
+    took = time.monotonic() - begin
+    if json:
+        print(
+            jsonlib.dumps(
+                {
+                    "corpus": report.corpus,
+                    "takes": report.takes,
+                    "clips": report.clips,
+                    "compositions": report.compositions,
+                    "hours": round(report.seconds / 3600, 3),
+                    "rejected": report.rejected,
+                    "seconds": round(took, 1),
+                }
+            )
+        )
+        return 0
+    print(
+        f"{report.corpus}: {report.clips} clips ({report.seconds / 3600:.2f} h) of {report.takes} takes and "
+        f"{report.compositions} compositions, in {took:.0f} s"
+    )
+    if report.rejected:
+        print(f"left out: {len(report.rejected)} takes (each with its reason in {report.corpus}.report.json)")
+        print(summarize_rejections(report))
+    return 0
+
+
+def info(
+    corpus: tyro.conf.Positional[Path] = Path("data/corpus.safetensors"),
+    *,
+    captions: int = 2,
+    plot: Path | None = None,
+    json: tyro.conf.FlagCreatePairsOff[bool] = False,
+) -> int:
+    """Show what a corpus, or a HumanML3D or KIT-ML folder, holds.
+
+    Args:
+        corpus: A file made by `moveset data build`, or a folder with new_joint_vecs and texts.
+        captions: Sentences to show per content.
+        plot: Draw lengths, labels and sources into this .png.
+        json: Print one JSON object on stdout and nothing else.
+    """
+    if plot is not None and plot.suffix != ".png":
+        raise InputError(f"a plot is a .png file, not {plot.name!r}; choose such a name")
+    if corpus.is_dir():
+        if plot is not None:
+            raise InputError("a plot is drawn of a corpus file only; leave --plot away for a folder")
+        return _folder_info(corpus, captions, json)
+    from moveset.data.corpus import Corpus
+    from moveset.data.summary import draw, summarize
+
+    opened = Corpus.open(corpus)
+    summary = summarize(opened)
+    if json:
+        print(jsonlib.dumps({"corpus": str(corpus), **summary}))
+    else:
+        _print_summary(corpus, summary, opened, captions)
+    if plot is not None:
+        draw(opened, plot)
+        print(f"drew {plot}", file=sys.stderr)
+    return 0
+
+
+def _print_summary(path: Path, summary: dict[str, Any], corpus: "Corpus", captions: int) -> None:
+    print(f"{path}: {summary['clips']} clips, {summary['hours']:.2f} h, {summary['compositions']} compositions")
+    print("          clips   hours   in time   bodies")
+    for name, row in summary["splits"].items():
+        print(f"  {name:<6}{row['clips']:>7}{row['hours']:>8.2f}{row['in_time']:>10}{row['body']:>9}")
+    print(f"  sentences: {summary['sentences']} distinct; styles: {', '.join(summary['styles'])}")
+    print(f"  sources: {', '.join(f'{name} {count}' for name, count in summary['sources'].items())}")
+    print("  length (frames):")
+    most = max(summary["lengths"].values())
+    for label, count in summary["lengths"].items():
+        print(f"    {label:>8} {count:>6} {'█' * round(40 * count / most)}")
+    print("  contents (clips):")
+    for content, count in summary["contents"].items():
+        print(f"    {content:<22}{count:>5}")
+        clip = next(i for i, r in enumerate(corpus.records) if r.contents == (content,))
+        sentences = corpus.captions(clip)
+        step = max(1, len(sentences) // max(captions, 1))
+        for sentence in sentences[: step * captions : step]:
+            print(f"        {sentence}")
+
+
+def _folder_info(folder: Path, captions: int, json: bool) -> int:
+    from moveset.data.humanml3d import HumanML3D
+
+    data = HumanML3D.open(folder)
+    splits = {name: len(names) for name, names in data.splits.items()}
+    if json:
+        print(jsonlib.dumps({"folder": str(folder), "layout": data.layout.name, "clips": len(data), "splits": splits}))
+        return 0
+    print(f"{folder}: {len(data)} motions of the {data.layout.name} kind ({data.layout.features} features)")
+    print("  " + ", ".join(f"{name} {count}" for name, count in splits.items()))
+    for name in data.names[:captions]:
+        for caption in data.captions(name)[:captions]:
+            print(f"        {name}: {caption.text}")
+    return 0
+
+
+COMMANDS = {"build": build, "info": info}

@@ -1,0 +1,138 @@
+"""New clips out of takes: one after the other, or the arms of one on the legs of another.
+
+F frames, J joints. Both work on ``hml22`` at one frame rate.
+"""
+
+from dataclasses import replace
+from typing import Literal
+
+import torch
+from torch import Tensor
+
+from moveset.errors import InputError
+from moveset.motion import rotations
+from moveset.motion.clip import Motion
+from moveset.motion.skeleton import HML22
+
+MAX_FRAMES = 196
+
+Arms = Literal["left", "right", "both"]
+
+_ARM = ("collar", "shoulder", "elbow", "wrist")
+_TRUNK = ("spine3", "neck", "head")
+
+
+def _upper_joints(arms: Arms) -> list[int]:
+    sides = ("left", "right") if arms == "both" else (arms,)
+    names = [f"{side}_{part}" for side in sides for part in _ARM]
+    return [HML22.index(name) for name in (*_TRUNK, *names)] if arms == "both" else [HML22.index(n) for n in names]
+
+
+def _same_kind(a: Motion, b: Motion) -> None:
+    if a.skeleton.name != "hml22" or b.skeleton.name != "hml22" or a.fps != b.fps:
+        raise InputError(
+            f"only motions on 'hml22' with one frame rate can be composed; got {a.skeleton.name!r} at {a.fps:g} fps "
+            f"and {b.skeleton.name!r} at {b.fps:g} fps"
+        )
+
+
+def _smoothstep(count: int) -> Tensor:
+    """(count,) weights rising from above 0 to below 1 with flat ends."""
+    x = torch.arange(1, count + 1) / (count + 1)
+    return x * x * (3.0 - 2.0 * x)
+
+
+def _travel(motion: Motion) -> tuple[Tensor, Tensor]:
+    """Steps between frames, in the heading of the earlier one: yaw (F-1,) radians, displacement (F-1, 3) metres."""
+    facing = rotations.heading(motion.rotations[:, 0])
+    turn = rotations.heading_angle(rotations.mul(facing[1:], rotations.inv(facing[:-1])))
+    return turn, rotations.rotate(rotations.inv(facing[:-1]), motion.root[1:] - motion.root[:-1])
+
+
+def compose_in_time(a: Motion, b: Motion, blend_frames: int) -> Motion:
+    """First ``a``, then ``b``, which starts where ``a`` leads: the last frames of ``a`` fade into the first of ``b``.
+
+    In the overlap joint rotations are interpolated, and so are the *velocities* of the root (turning rate, planar
+    velocity in the body's own heading), which are then summed up: no jump in place, heading or speed.
+
+    Args:
+        a: (F_a, J) motion.
+        b: (F_b, J) motion; only its relative travel matters, it is put where ``a`` ends.
+        blend_frames: frames of overlap, at least 1 and fewer than either motion has.
+
+    Returns:
+        F_a + F_b - blend_frames frames, at most 196.
+
+    Raises:
+        InputError: motions that do not fit together, a blend that does not fit, or too many frames.
+    """
+    _same_kind(a, b)
+    n = blend_frames
+    if not 1 <= n < min(len(a), len(b)):
+        raise InputError(f"{n} blend frames do not fit motions of {len(a)} and {len(b)} frames; use fewer")
+    total = len(a) + len(b) - n
+    if total > MAX_FRAMES:
+        raise InputError(f"the composition has {total} frames, more than the limit of {MAX_FRAMES}; shorten the parts")
+    w = _smoothstep(n)
+    tail = a[len(a) - n - 1 :]
+    (turn_a, step_a), (turn_b, step_b) = _travel(tail), _travel(b[: n + 1])
+    # Frame k of the overlap is reached by the step of ``a`` into it and by the step of ``b`` out of its counterpart.
+    turn = torch.lerp(turn_a, turn_b, w)
+    step = torch.lerp(step_a, step_b, w[:, None])
+    angle = rotations.heading_angle(tail.rotations[0, 0]) + torch.cat((turn.new_zeros(1), turn.cumsum(0)))
+    place = tail.root[0] + rotations.rotate(rotations.yaw(angle[:-1]), step).cumsum(0)
+    place[:, 1] = torch.lerp(tail.root[1:, 1], b.root[:n, 1], w)
+    local = rotations.slerp(_without_heading(tail[1:]), _without_heading(b[:n]), w[:, None])
+    local[:, 0] = rotations.mul(rotations.yaw(angle[1:]), local[:, 0])
+    blended = replace(a, rotations=local, root=place)
+    # The rest of b follows rigidly: its first step after the overlap continues from the last blended frame.
+    last = b[n - 1 :]
+    turned = rotations.mul(rotations.yaw(angle[-1]), rotations.inv(rotations.heading(last.rotations[0, 0])))
+    shift = (place[-1] - rotations.rotate(turned, last.root[0])) * torch.tensor((1.0, 0.0, 1.0))
+    rest = last.transformed(turned, shift)[1:]
+    parts = (a[: len(a) - n], blended, rest)
+    return replace(
+        a, rotations=torch.cat([p.rotations for p in parts]), root=torch.cat([p.root for p in parts])
+    ).canonical()
+
+
+def _without_heading(motion: Motion) -> Tensor:
+    """(F, J, 4) local rotations with the heading of the root removed."""
+    facing = rotations.inv(rotations.heading(motion.rotations[:, 0]))
+    return torch.cat((rotations.mul(facing, motion.rotations[:, 0])[:, None], motion.rotations[:, 1:]), dim=1)
+
+
+def stretched(motion: Motion, frames: int) -> Motion:
+    """The whole motion, slower or faster, in another number of frames: slerp between frames, linear for the root."""
+    if frames == len(motion):
+        return motion
+    where = torch.linspace(0, len(motion) - 1, frames)
+    low = where.long().clamp(max=max(len(motion) - 2, 0))
+    high = (low + 1).clamp(max=len(motion) - 1)
+    t = (where - low)[:, None]
+    return replace(
+        motion,
+        rotations=rotations.slerp(motion.rotations[low], motion.rotations[high], t),
+        root=torch.lerp(motion.root[low], motion.root[high], t),
+    )
+
+
+def compose_body(upper: Motion, lower: Motion, arms: Arms = "both") -> Motion:
+    """The arms of ``upper``, stretched to the length of ``lower``, on the legs, hips and travel of ``lower``.
+
+    With both arms the chest, neck and head come from ``upper`` too; with one arm only that arm does, so that the other
+    one keeps swinging.
+
+    Raises:
+        InputError: motions that do not fit together, or whose lengths differ by more than a factor of 1.5: that would
+            make the arms unnaturally fast or slow.
+    """
+    _same_kind(upper, lower)
+    if not 2 / 3 <= len(upper) / len(lower) <= 1.5:
+        raise InputError(
+            f"the upper body has {len(upper)} frames and the lower {len(lower)}; crop them to within a factor of 1.5"
+        )
+    local = lower.rotations.clone()
+    joints = _upper_joints(arms)
+    local[:, joints] = stretched(upper, len(lower)).rotations[:, joints]
+    return replace(lower, rotations=local).canonical()

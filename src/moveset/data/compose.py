@@ -1,0 +1,212 @@
+"""Which compositions a corpus gets: thousands of recipes out of its takes, each within one split.
+
+Every choice comes from a random generator seeded by a string, so that the same takes give the same recipes.
+"""
+
+import random
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import torch
+from torch import Tensor
+
+from moveset.data.augment import MAX_FRAMES
+from moveset.data.captions import composed_captions, names_a_side
+from moveset.data.corpus import CorpusWriter
+from moveset.data.labels import mirror_label
+from moveset.data.records import ClipRecord, Part, Recipe
+from moveset.data.splits import Split
+from moveset.motion import rotations
+from moveset.motion.clip import Motion
+
+#: Contents that travel and can be cut anywhere, and ones on the spot that have a beginning and an end.
+TRAVELLING = ("walk", "run", "walk-turn-left", "walk-turn-right", "walk-back", "walk-left", "walk-right")
+ON_THE_SPOT = (
+    "wave-left-hand", "wave-right-hand", "wave-both-hands", "raise-up-left-hand", "raise-up-right-hand",
+    "raise-up-both-hands", "bow", "bye", "byebye", "call", "respond", "guide", "punch", "kick", "slash",
+)  # fmt: skip
+#: What arms can do on walking legs, and which arms.
+_ARMS: dict[str, Literal["left", "right", "both"]] = {
+    "wave-left-hand": "left",
+    "wave-right-hand": "right",
+    "wave-both-hands": "both",
+    "raise-up-left-hand": "left",
+    "raise-up-right-hand": "right",
+    "raise-up-both-hands": "both",
+    "bye": "right",
+    "byebye": "both",
+    "respond": "left",
+    "drink": "both",
+}
+_LEGS = ("walk", "walk", "walk", "run", "run", "walk-turn-left", "walk-turn-right", "walk-back")
+#: How much more often than others a content is chosen: what people ask for, and what has takes enough to vary.
+_OFTEN = {"walk": 4, "run": 3, "walk-turn-left": 2, "walk-turn-right": 2} | {
+    c: 3 for c in ON_THE_SPOT if c.startswith(("wave", "raise"))
+}
+_BLEND = 12
+_SHORTEST = 24
+
+
+@dataclass(frozen=True, eq=False)
+class _Clip:
+    """A stored take, possibly to be used mirrored."""
+
+    number: int
+    record: ClipRecord
+    motion: Motion
+    content: str
+    mirrored: bool
+
+
+class _Pool:
+    """The takes of one split by content, mirrored ones included."""
+
+    def __init__(self, writer: CorpusWriter, split: Split) -> None:
+        self.by_content: dict[str, list[_Clip]] = defaultdict(list)
+        self._poses: dict[tuple[int, bool], Tensor] = {}
+        for number, (record, motion) in enumerate(zip(writer.records, writer.motions, strict=False)):
+            if record.split != split or record.frames < _SHORTEST:
+                continue
+            for mirrored in (False, True):
+                content = mirror_label(record.contents[0]) if mirrored else record.contents[0]
+                if mirrored and content == record.contents[0] and names_a_side(content):
+                    continue  # mirrored, a "bye" is done by the other hand than its sentences say
+                self.by_content[content].append(_Clip(number, record, motion, content, mirrored))
+
+    def pick(self, content: str, style: str | None, chance: random.Random) -> _Clip:
+        """A clip of a content, preferably of a style."""
+        clips = self.by_content[content]
+        same = [c for c in clips if c.record.style == style]
+        return chance.choice(same if same and style is not None else clips)
+
+    def poses(self, clip: _Clip) -> Tensor:
+        """(F - 1, D) poses and velocities in the body's own heading, metres and 0.2 m/s, to compare places to cut."""
+        key = (clip.number, clip.mirrored)
+        if key not in self._poses:
+            motion = clip.motion.mirrored() if clip.mirrored else clip.motion
+            facing = rotations.inv(rotations.heading(motion.rotations[:, 0]))[:, None]
+            feet = motion.joints[:, [*motion.skeleton.feet, 15, 20, 21]]
+            place = rotations.rotate(facing, feet - motion.root[:, None] * torch.tensor((1.0, 0.0, 1.0)))
+            speed = rotations.rotate(facing[:-1], feet[1:] - feet[:-1]) * motion.fps * 0.2
+            self._poses[key] = torch.cat((place[:-1], speed), dim=1).flatten(1)
+        return self._poses[key]
+
+
+def add_compositions(writer: CorpusWriter, train: int = 3000, seed: int = 0) -> int:
+    """Add about ``train`` training compositions, and in proportion ones for validation and test; returns how many."""
+    takes = {s: sum(r.split == s for r in writer.records) for s in ("train", "val", "test")}
+    added = 0
+    splits: tuple[Split, ...] = ("train", "val", "test")
+    for split in splits:
+        pool = _Pool(writer, split)
+        wanted = round(train * takes[split] / max(takes["train"], 1))
+        chance = random.Random(f"compositions of {split}, seed {seed}")
+        seen: set[Recipe] = set()
+        for attempt in range(6 * wanted):
+            if len(seen) == wanted:
+                break
+            made = _in_time(pool, chance) if attempt % 5 < 3 else _body(pool, chance)
+            if made is None or made[1] in seen:
+                continue
+            seen.add(made[1])
+            _add(writer, split, len(seen), *made)
+            added += 1
+    return added
+
+
+def _add(
+    writer: CorpusWriter, split: Split, number: int, kind: Literal["in_time", "body"], recipe: Recipe, frames: int,
+    contents: tuple[str, str], style: str | None,
+) -> None:  # fmt: skip
+    first = writer.records[recipe.parts[0].clip]
+    name = f"{kind}_{split}_{number:04d}"
+    record = ClipRecord(
+        name=name,
+        take=first.take,
+        source="composed",
+        subject=first.subject,
+        kind=kind,
+        contents=contents,
+        style=style,
+        split=split,
+        fps=first.fps,
+        frames=frames,
+        captions=(),
+        recipe=recipe,
+    )
+    writer.add_composition(record, composed_captions(kind, contents, name))
+
+
+_Made = tuple[Literal["in_time", "body"], Recipe, int, tuple[str, str], str | None]
+
+
+def _common_style(a: _Clip, b: _Clip) -> str | None:
+    return a.record.style if a.record.style == b.record.style else None
+
+
+def _available(pool: _Pool, contents: Sequence[str]) -> list[str]:
+    return [c for c in contents if pool.by_content.get(c)]
+
+
+def _in_time(pool: _Pool, chance: random.Random) -> _Made | None:
+    travelling, spot = _available(pool, TRAVELLING), _available(pool, ON_THE_SPOT)
+    kinds = chance.choices(("ts", "st", "tt", "ss"), (40, 25, 20, 15))[0]
+    choices = [{"t": travelling, "s": spot}[k] for k in kinds]
+    if not all(choices):
+        return None
+    first, second = (chance.choices(c, [_OFTEN.get(x, 1) for x in c])[0] for c in choices)
+    contents = (first, second)
+    if contents[0] == contents[1]:
+        return None
+    a = pool.pick(contents[0], None, chance)
+    b = pool.pick(contents[1], a.record.style if chance.random() < 0.7 else None, chance)
+    # Cuts: what travels may be cut anywhere, but a turn keeps all of itself; what is on the spot keeps its beginning,
+    # and as a first part its end too, so that its action is over when the next begins.
+    free_a, free_b = (c in TRAVELLING and "turn" not in c for c in contents)
+    room_a, room_b = chance.randint(32, 110), chance.randint(40, 110)
+    stops = range(min(room_a, a.record.frames) if free_a else a.record.frames, a.record.frames + 1)
+    starts = range(max(1, b.record.frames - room_b + 1)) if free_b else range(1)
+    a_stop, b_start = _best_seam(pool.poses(a), pool.poses(b), stops, starts)
+    a_start = max(0, a_stop - room_a) if free_a else 0
+    b_stop = min(b.record.frames, b_start + MAX_FRAMES + _BLEND - (a_stop - a_start))
+    if free_b:
+        b_stop = min(b_stop, b_start + room_b)
+    needed = 0.0 if free_b else 0.95 if contents[1] in TRAVELLING else 0.7
+    if b_stop - b_start < max(needed * (b.record.frames - b_start), _BLEND + 12) or a_stop - a_start < _BLEND + 12:
+        return None
+    parts = (Part(a.number, a_start, a_stop, a.mirrored), Part(b.number, b_start, b_stop, b.mirrored))
+    frames = a_stop - a_start + b_stop - b_start - _BLEND
+    return "in_time", Recipe(parts, blend=_BLEND), frames, contents, _common_style(a, b)
+
+
+def _best_seam(a: Tensor, b: Tensor, stops: range, starts: range) -> tuple[int, int]:
+    """Where to leave ``a`` (one past its last frame) and enter ``b``, so that the overlap fades between like poses."""
+    # The overlap is compared at its middle, where both count half.
+    half = _BLEND // 2
+    rows = torch.tensor(stops).sub(half).clamp(0, len(a) - 1)
+    columns = torch.tensor(starts).add(half).clamp(0, len(b) - 1)
+    best = int(torch.cdist(a[rows], b[columns]).argmin())
+    return stops[best // len(columns)], starts[best % len(columns)]
+
+
+def _body(pool: _Pool, chance: random.Random) -> _Made | None:
+    uppers, legs = _available(pool, tuple(_ARMS)), _available(pool, _LEGS)
+    if not uppers or not legs:
+        return None
+    contents = (chance.choice(uppers), chance.choice(legs))
+    lower = pool.pick(contents[1], None, chance)
+    upper = pool.pick(contents[0], lower.record.style if chance.random() < 0.5 else None, chance)
+    whole = "turn" in contents[1]
+    # The arms keep their whole action where it fits; the legs give as many frames, sped up or slowed down by up to 1.3.
+    wanted = round(min(upper.record.frames, MAX_FRAMES) / chance.uniform(0.85, 1.25))
+    frames = lower.record.frames if whole else min(wanted, lower.record.frames, MAX_FRAMES)
+    taken = min(upper.record.frames, round(frames * 1.3))
+    if frames < 32 or frames > MAX_FRAMES or not 0.75 <= taken / frames <= 1.31:
+        return None
+    # A wave may be cut short, a raised arm must come up: both keep their beginning.
+    at = chance.randint(0, lower.record.frames - frames)
+    arms = _ARMS[contents[0]]
+    parts = (Part(upper.number, 0, taken, upper.mirrored), Part(lower.number, at, at + frames, lower.mirrored))
+    return "body", Recipe(parts, arms=arms), frames, contents, _common_style(upper, lower)

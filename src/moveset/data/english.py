@@ -1,0 +1,47 @@
+"""English verbs in the four forms that captions need."""
+
+import re
+
+#: verb: (past tense, -ing form); all others are regular.
+_IRREGULAR = {
+    "bend": ("bent", "bending"), "bid": ("bid", "bidding"), "bring": ("brought", "bringing"),
+    "burst": ("burst", "bursting"), "cut": ("cut", "cutting"),
+    "creep": ("crept", "creeping"), "do": ("did", "doing"), "drink": ("drank", "drinking"),
+    "fight": ("fought", "fighting"), "give": ("gave", "giving"), "go": ("went", "going"), "hit": ("hit", "hitting"),
+    "hold": ("held", "holding"), "keep": ("kept", "keeping"),
+    "make": ("made", "making"), "put": ("put", "putting"), "run": ("ran", "running"),
+    "say": ("said", "saying"), "shake": ("shook", "shaking"), "shoot": ("shot", "shooting"),
+    "show": ("showed", "showing"), "spring": ("sprang", "springing"), "stand": ("stood", "standing"),
+    "stick": ("stuck", "sticking"), "stride": ("strode", "striding"), "strike": ("struck", "striking"),
+    "swing": ("swung", "swinging"), "take": ("took", "taking"), "throw": ("threw", "throwing"),
+}  # fmt: skip
+
+
+def _doubles(verb: str) -> bool:
+    # One short vowel before one final consonant: jog, step, grab; not walk, look, bow, show.
+    return bool(re.fullmatch(r"[^aeiou]*[aeiou][^aeiouwxy]", verb))
+
+
+def inflect(verb: str, form: str) -> str:
+    """A verb in one of the forms "base", "present" (he walks), "past", "ing".
+
+    >>> [inflect("jog", f) for f in ("base", "present", "past", "ing")], inflect("go", "present")
+    (['jog', 'jogs', 'jogged', 'jogging'], 'goes')
+    """
+    if form == "base":
+        return verb
+    if form == "present":
+        if re.search(r"(s|x|z|ch|sh|[^aeiou]o)$", verb):
+            return verb + "es"
+        return verb[:-1] + "ies" if re.search(r"[^aeiou]y$", verb) else verb + "s"
+    if verb in _IRREGULAR:
+        return _IRREGULAR[verb][form == "ing"]
+    if form == "ing":
+        if re.search(r"[^aeiou]e$|ue$", verb):
+            return verb[:-1] + "ing"
+        return verb + verb[-1] * _doubles(verb) + "ing"
+    if verb.endswith("e"):
+        return verb + "d"
+    if re.search(r"[^aeiou]y$", verb):
+        return verb[:-1] + "ied"
+    return verb + verb[-1] * _doubles(verb) + "ed"

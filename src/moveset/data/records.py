@@ -1,0 +1,151 @@
+"""What a corpus says about each of its clips."""
+
+from dataclasses import dataclass
+from typing import Any, Literal, get_args
+
+from moveset.data.augment import MAX_FRAMES
+from moveset.data.splits import Split
+from moveset.errors import FormatError
+
+Kind = Literal["take", "in_time", "body"]
+
+
+@dataclass(frozen=True)
+class Part:
+    """A piece of another clip: frames [start, stop) of record ``clip``, mirrored or not."""
+
+    clip: int
+    start: int
+    stop: int
+    mirrored: bool = False
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """How a composed clip is made from two parts.
+
+    Args:
+        parts: first and second in time; or upper body and legs.
+        blend: frames of overlap, for compositions in time.
+        arms: which arms the first part gives ("left", "right", "both"), for compositions of bodies.
+    """
+
+    parts: tuple[Part, Part]
+    blend: int = 0
+    arms: Literal["left", "right", "both"] = "both"
+
+
+@dataclass(frozen=True)
+class ClipRecord:
+    """One clip of a corpus.
+
+    Args:
+        name: unique name.
+        take: name of the take it was cut from; of the first part's, for a composition.
+        source: the data set.
+        subject: who performed.
+        kind: "take" as captured; composed "in_time" or of two bodies ("body").
+        contents: what is shown: one label, or two for compositions (first, second; upper body, legs).
+        style: how it is performed, one label; None where unknown or mixed.
+        split: "train", "val" or "test".
+        fps: frames per second.
+        frames: length.
+        captions: indices into the corpus's strings.
+        first_frame: where the clip starts in its take.
+        recipe: for compositions.
+    """
+
+    name: str
+    take: str
+    source: str
+    subject: str
+    kind: Kind
+    contents: tuple[str, ...]
+    style: str | None
+    split: Split
+    fps: float
+    frames: int
+    captions: tuple[int, ...]
+    first_frame: int = 0
+    recipe: Recipe | None = None
+
+
+def record_to_json(record: ClipRecord, caption_set: int) -> dict[str, Any]:
+    """The record as plain JSON values, its captions replaced by the number of a shared set."""
+    out: dict[str, Any] = {
+        "name": record.name,
+        "take": record.take,
+        "source": record.source,
+        "subject": record.subject,
+        "kind": record.kind,
+        "contents": list(record.contents),
+        "style": record.style,
+        "split": record.split,
+        "fps": record.fps,
+        "frames": record.frames,
+        "captions": caption_set,
+        "first_frame": record.first_frame,
+    }
+    if record.recipe is not None:
+        parts = [[p.clip, p.start, p.stop, p.mirrored] for p in record.recipe.parts]
+        out["recipe"] = {"parts": parts, "blend": record.recipe.blend, "arms": record.recipe.arms}
+    return out
+
+
+def record_from_json(data: Any, caption_sets: list[tuple[int, ...]]) -> ClipRecord:
+    """Inverse of ``record_to_json``.
+
+    Raises:
+        FormatError: a field is missing, of the wrong type or out of its range.
+    """
+    try:
+        if not 0 <= data["captions"] < len(caption_sets):
+            raise ValueError("captions")
+        recipe = None
+        if "recipe" in data:
+            first, second = (Part(*_integers(p[:3]), mirrored=bool(p[3])) for p in data["recipe"]["parts"])
+            recipe = Recipe(
+                (first, second),
+                int(data["recipe"]["blend"]),
+                _one_of(data["recipe"]["arms"], ("left", "right", "both")),
+            )
+        record = ClipRecord(
+            name=_text(data["name"]),
+            take=_text(data["take"]),
+            source=_text(data["source"]),
+            subject=_text(data["subject"]),
+            kind=_one_of(data["kind"], get_args(Kind)),
+            contents=tuple(_text(c) for c in data["contents"]),
+            style=None if data["style"] is None else _text(data["style"]),
+            split=_one_of(data["split"], get_args(Split)),
+            fps=float(data["fps"]),
+            frames=_integers([data["frames"]])[0],
+            captions=caption_sets[data["captions"]],
+            first_frame=_integers([data["first_frame"]])[0],
+            recipe=recipe,
+        )
+    except (KeyError, TypeError, ValueError, IndexError) as error:
+        raise FormatError(f"a clip record of the corpus is damaged ({error!r}); build the corpus again") from None
+    if not (0 < record.fps <= 1000 and record.frames >= 1 and record.contents):
+        raise FormatError(f"clip {record.name!r} of the corpus has absurd numbers; build the corpus again")
+    if (record.kind == "take") != (recipe is None) or (recipe is not None and record.frames > MAX_FRAMES):
+        raise FormatError(f"clip {record.name!r} of the corpus has no valid recipe; build the corpus again")
+    return record
+
+
+def _text(value: Any) -> str:
+    if not isinstance(value, str):
+        raise TypeError(f"{value!r} is not a string")
+    return value
+
+
+def _integers(values: Any) -> list[int]:
+    if not all(isinstance(v, int) and not isinstance(v, bool) and 0 <= v < 2**31 for v in values):
+        raise TypeError(f"{values!r} are not small integers")
+    return list(values)
+
+
+def _one_of(value: Any, known: tuple[str, ...]) -> Any:
+    if value not in known:
+        raise ValueError(f"{value!r} is not one of {known}")
+    return value
