@@ -1,0 +1,71 @@
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import torch
+
+from moveset.training import checkpoint
+from moveset.training.engine import run
+from tests.training.tiny_task import train
+from tests.training.two_processes import Regression, config
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+
+
+@pytest.fixture(scope="module")
+def both(tmp_path_factory):
+    """Folder of the two processes, and what each of them said."""
+    folder = tmp_path_factory.mktemp("two")
+    command = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2"]
+    environment = {**os.environ, "PYTHONPATH": str(REPOSITORY), "OMP_NUM_THREADS": "1"}
+    done = subprocess.run(
+        [*command, "-m", "tests.training.two_processes", str(folder)],
+        env=environment, cwd=REPOSITORY, capture_output=True, text=True, timeout=120,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr[-3000:]
+    return folder, [json.loads((folder / f"rank_{rank}.json").read_text()) for rank in (0, 1)]
+
+
+def test_both_processes_hold_equal_parameters(both):
+    _, said = both
+    assert [(one["rank"], one["world"]) for one in said] == [(0, 2), (1, 2)]
+    for what in ("regression", "generator", "average"):
+        assert said[0][what] == said[1][what]
+
+
+def test_two_half_batches_learn_what_one_whole_batch_learns(both, tmp_path):
+    made = []
+
+    def make(loop):
+        made.append(Regression(loop))
+        return made[0]
+
+    run(make, config(20), tmp_path)
+    for alone, together in zip(made[0].net.parameters(), both[1][0]["regression"], strict=True):
+        torch.testing.assert_close(alone.detach().flatten(), torch.tensor(together), rtol=1e-5, atol=1e-6)
+
+
+def test_processes_draw_different_noise(both):
+    assert both[1][0]["noise"] != both[1][1]["noise"]
+
+
+def test_resuming_in_two_processes_is_exact(both):
+    folder, said = both
+    for one in said:
+        for what in ("generator", "average", "noise"):
+            assert one[what][0] == one[what][1]
+    halves = {file.name: file.read_bytes() for file in (folder / "halves" / "step_12").iterdir()}
+    assert halves == {file.name: file.read_bytes() for file in (folder / "straight" / "step_12").iterdir()}
+    assert {"0/torch", "1/torch", "0/task/queue", "1/task/queue"} <= checkpoint.read_tensors(
+        folder / "straight" / "step_12", "rng"
+    ).keys()
+
+
+def test_another_number_of_processes_resumes_with_a_warning(both):
+    folder, _ = both
+    with pytest.warns(UserWarning, match="written by 2 processes and is resumed by 1"):
+        result = train(folder / "straight", steps=14, resume=True, validate_every=4, log_every=20)
+    assert result.step == 14

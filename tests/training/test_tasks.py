@@ -1,0 +1,57 @@
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import pytest
+
+from moveset.errors import InputError
+from moveset.training.tasks import TASKS, Sources, load_recipe, task_maker, with_settings
+
+
+@dataclass(frozen=True)
+class Model:
+    layers: int = 4
+    dropout: float = 0.1
+    widths: tuple[int, ...] = (8, 8)
+
+
+@dataclass(frozen=True)
+class Config:
+    lr: float = 1e-3
+    augment: bool = True
+    name: str = "x"
+    corpus: Path = Path("a")
+    model: Model = field(default_factory=Model)
+
+
+def test_settings_replace_fields_by_their_types():
+    got = with_settings(
+        Config(), ["lr=2", "augment=false", "name=y", "corpus=b/c", "model.layers=9", "model.widths=[1,2]"]
+    )
+    assert got == Config(2.0, False, "y", Path("b/c"), Model(9, 0.1, (1, 2)))
+    assert isinstance(got.lr, float)
+
+
+@pytest.mark.parametrize(
+    ("setting", "message"),
+    [
+        ("lr", "not of the form NAME=VALUE"),
+        ("lrr=1", "did you mean 'lr'"),
+        ("model.layer=1", "did you mean 'layers'"),
+        ("lr=fast", "is str but must be float"),
+        ("augment=1", "is int but must be bool"),
+        ("lr=true", "is bool but must be float"),
+        ("lr.x=1", "float has no setting 'x'"),
+        ("model=3", "must be Model"),
+    ],
+)
+def test_a_wrong_setting_is_one_sentence(setting, message):
+    with pytest.raises(InputError, match=message):
+        with_settings(Config(), [setting])
+
+
+def test_unknown_names_are_refused():
+    nowhere = Sources(corpus=Path(), vae=Path(), teacher=Path(), cache=Path())
+    with pytest.raises(InputError, match=f"choose one of {', '.join(TASKS)}"):
+        task_maker("gan", None, nowhere)
+    with pytest.raises(InputError, match="no recipe 'huge'"):
+        load_recipe("huge", "vae")

@@ -1,0 +1,84 @@
+"""What ``torchrun`` starts in test_processes.py: the same things in every process, each saying what it found."""
+
+import hashlib
+import json
+import sys
+import warnings
+from pathlib import Path
+
+import torch
+from torch import nn
+
+from moveset.training.engine import EngineConfig, Task, run
+from tests.training.tiny_task import TinyConfig, TinyTask
+
+
+def digest(module: nn.Module) -> str:
+    return hashlib.sha256(b"".join(p.detach().numpy().tobytes() for p in module.parameters())).hexdigest()
+
+
+class Regression(Task):
+    """Full-batch regression over rows RANK, RANK + WORLD, …; equal shares make it the one-process problem exactly."""
+
+    name = "regression"
+
+    def __init__(self, loop) -> None:
+        self.config = TinyConfig()
+        table = torch.Generator().manual_seed(3)
+        self.x, self.y = torch.randn(12, 4, generator=table), torch.randn(12, 2, generator=table)
+        self.net = nn.Sequential(nn.Linear(4, 8), nn.Tanh(), nn.Linear(8, 2))
+        self.unused = nn.Linear(4, 4)  # a parameter that no process uses must not stop the average
+        self.optimizer = torch.optim.AdamW([*self.net.parameters(), *self.unused.parameters()], lr=1e-2)
+
+    def modules(self):
+        return {"net": self.net, "unused": self.unused}
+
+    def optimizers(self):
+        return {"net": self.optimizer}
+
+    def training_step(self, step, loop):
+        mine = slice(loop.rank, None, loop.world_size)
+        loss = (self.net(self.x[mine]) - self.y[mine]).square().mean()
+        return {"norm": loop.minimise(loss, "net"), "loss": loss}
+
+
+def tiny(folder: Path, steps: int, resume: bool = False) -> TinyTask:
+    made = []
+
+    def make(loop):
+        made.append(TinyTask(TinyConfig(), loop))
+        return made[0]
+
+    run(make, config(steps), folder, resume)
+    return made[0]
+
+
+def config(steps: int) -> EngineConfig:
+    return EngineConfig(steps=steps, save_every=5, validate_every=4, device="cpu", threads=1, tensorboard=False)
+
+
+def main(folder: Path) -> None:
+    said = {}
+    regressions = []
+
+    def make(loop):
+        said["rank"], said["world"] = loop.rank, loop.world_size
+        regressions.append(Regression(loop))
+        return regressions[0]
+
+    run(make, config(20), folder / "regression")
+    said["regression"] = [p.detach().flatten().tolist() for p in regressions[0].net.parameters()]
+
+    straight = tiny(folder / "straight", 12)
+    tiny(folder / "halves", 7)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        resumed = tiny(folder / "halves", 12, resume=True)
+    said["generator"] = [digest(task.generator) for task in (straight, resumed)]
+    said["average"] = [digest(task.ema.module) for task in (straight, resumed)]
+    said["noise"] = [torch.rand(1, generator=task.noise).item() for task in (straight, resumed)]
+    (folder / f"rank_{said['rank']}.json").write_text(json.dumps(said))
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))
