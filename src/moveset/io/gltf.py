@@ -1,0 +1,159 @@
+"""GLB (glTF 2.0): writing a skinned body with its animation; ``gltf_reader`` reads. F frames, J joints."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from moveset.io.body_mesh import Mesh, body_meshes
+from moveset.io.limits import atomic_write
+from moveset.motion import rotations
+from moveset.motion.clip import Motion
+
+# glTF colours are linear: about the tones of the pictures.
+_COLOURS = {
+    "trunk": (0.68, 0.66, 0.61),
+    "left": (0.78, 0.20, 0.09),
+    "right": (0.05, 0.24, 0.50),
+    "face": (0.04, 0.05, 0.07),
+}
+_FLOAT, _BYTE, _SHORT = 5126, 5121, 5123
+_VERTICES, _INDICES = 34962, 34963
+
+
+class _Builder:
+    """Collects accessors and their bytes."""
+
+    def __init__(self) -> None:
+        self.accessors: list[dict[str, Any]] = []
+        self.views: list[dict[str, Any]] = []
+        self.data = bytearray()
+
+    def view(self, values: np.ndarray, target: int | None = None) -> int:
+        self.data += b"\0" * (-len(self.data) % 4)
+        raw = np.ascontiguousarray(values).tobytes()
+        view: dict[str, Any] = {"buffer": 0, "byteOffset": len(self.data), "byteLength": len(raw)}
+        self.views.append(view | ({"target": target} if target else {}))
+        self.data += raw
+        return len(self.views) - 1
+
+    def accessor(
+        self,
+        values: np.ndarray,
+        kind: str,
+        component: int = _FLOAT,
+        *,
+        target: int | None = None,
+        bounds: bool = False,
+        normalized: bool = False,
+    ) -> int:
+        """Add one accessor in a view of its own; ``values`` has the bytes' own type."""
+        accessor: dict[str, Any] = {"bufferView": self.view(values, target), "componentType": component}
+        accessor |= {"count": len(values), "type": kind} | ({"normalized": True} if normalized else {})
+        if bounds:
+            rows = values.reshape(len(values), -1)
+            accessor |= {"min": rows.min(axis=0).tolist(), "max": rows.max(axis=0).tolist()}
+        self.accessors.append(accessor)
+        return len(self.accessors) - 1
+
+
+def write_glb(motion: Motion, path: str | Path, *, metadata: Mapping[str, object] | None = None) -> None:
+    """Write a motion as a GLB file: joints by name, a body skinned to them, one animation in seconds.
+
+    At rest the joints' axes are the world's and the body stands on the floor. Every joint has a linear rotation
+    channel, the root one of translation. ``metadata``, the frame rate and the skeleton's name go into
+    ``asset.extras.moveset``.
+
+    Raises:
+        InputError: the path cannot be written to.
+    """
+    import pygltflib
+
+    skeleton, out = motion.skeleton, _Builder()
+    rest = skeleton.rest_positions.numpy()
+    stand = np.array((0.0, -float(rest[:, 1].min()), 0.0), dtype=np.float32)
+    nodes = [
+        {"name": name, "translation": (skeleton.offsets[j].tolist() if j else stand.tolist())}
+        | ({"children": list(skeleton.children[j])} if skeleton.children[j] else {})
+        for j, name in enumerate(skeleton.joints)
+    ]
+    nodes.append({"name": "Body", "mesh": 0, "skin": 0})
+    bind = np.tile(np.eye(4, dtype=np.float32), (len(skeleton), 1, 1))
+    bind[:, 3, :3] = -(rest + stand)  # column-major, so the translation is the last row here
+    skin = {
+        "name": skeleton.name,
+        "joints": list(range(len(skeleton))),
+        "skeleton": 0,
+        "inverseBindMatrices": out.accessor(bind, "MAT4"),
+    }
+    materials, primitives = [], []
+    for tone, mesh in body_meshes(skeleton).items():
+        materials.append(
+            {
+                "name": tone,
+                "pbrMetallicRoughness": {
+                    "baseColorFactor": [*_COLOURS[tone], 1.0],
+                    "metallicFactor": 0.0,
+                    "roughnessFactor": 0.75,
+                },
+            }
+        )
+        primitives.append(_primitive(out, mesh, stand) | {"material": len(materials) - 1})
+    extras = {**(metadata or {}), "fps": motion.fps, "skeleton": skeleton.name}
+    document = pygltflib.GLTF2.from_dict(
+        {
+            "asset": {"version": "2.0", "generator": "moveset", "extras": {"moveset": extras}},
+            "scene": 0,
+            "scenes": [{"name": "Scene", "nodes": [0, len(skeleton)]}],
+            "nodes": nodes,
+            "meshes": [{"name": "Body", "primitives": primitives}],
+            "skins": [skin],
+            "materials": materials,
+            "animations": [_animation(out, motion, str((metadata or {}).get("prompt", "motion"))[:60])],
+            "accessors": out.accessors,
+            "bufferViews": out.views,
+            "buffers": [{"byteLength": len(out.data)}],
+        }
+    )
+    document.set_binary_blob(bytes(out.data))
+    with atomic_write(path) as file:
+        file.write(b"".join(document.save_to_bytes()))
+
+
+def _primitive(out: _Builder, mesh: Mesh, stand: np.ndarray) -> dict[str, Any]:
+    many = int(mesh.joints.max()) > 255
+    owner = np.zeros((len(mesh.joints), 4), dtype=np.uint16 if many else np.uint8)
+    owner[:, 0] = mesh.joints
+    weight = np.tile(np.array((255, 0, 0, 0), dtype=np.uint8), (len(mesh.joints), 1))
+    wide = len(mesh.positions) > 65_535
+    return {
+        "attributes": {
+            "POSITION": out.accessor(mesh.positions + stand, "VEC3", target=_VERTICES, bounds=True),
+            "NORMAL": out.accessor(mesh.normals, "VEC3", target=_VERTICES),
+            "JOINTS_0": out.accessor(owner, "VEC4", _SHORT if many else _BYTE, target=_VERTICES),
+            "WEIGHTS_0": out.accessor(weight, "VEC4", _BYTE, target=_VERTICES, normalized=True),
+        },
+        "indices": out.accessor(
+            mesh.triangles.ravel().astype(np.uint32 if wide else np.uint16),
+            "SCALAR",
+            5125 if wide else _SHORT,
+            target=_INDICES,
+        ),
+    }
+
+
+def _animation(out: _Builder, motion: Motion, name: str) -> dict[str, Any]:
+    times = (np.arange(len(motion)) / motion.fps).astype(np.float32)
+    clock = out.accessor(times, "SCALAR", bounds=True)
+    # Neighbouring keys in one hemisphere: not every player takes the short way by itself.
+    turns = rotations.unroll(motion.rotations).numpy()
+    outputs = [(j, "rotation", out.accessor(turns[:, j], "VEC4")) for j in range(len(motion.skeleton))]
+    outputs.append((0, "translation", out.accessor(motion.root.numpy(), "VEC3")))
+    return {
+        "name": name or "motion",
+        "samplers": [{"input": clock, "output": o, "interpolation": "LINEAR"} for _, _, o in outputs],
+        "channels": [
+            {"sampler": k, "target": {"node": node, "path": path}} for k, (node, path, _) in enumerate(outputs)
+        ],
+    }

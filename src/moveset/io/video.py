@@ -1,0 +1,115 @@
+"""Moving pictures: GIF by Pillow, MP4 (H.264) by the ffmpeg that imageio-ffmpeg brings."""
+
+import os
+import tempfile
+from collections import deque
+from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
+
+from PIL import Image, ImageDraw
+
+from moveset.errors import InputError, MovesetError
+from moveset.io.limits import atomic_write
+from moveset.io.render import INK, TRAIL, Painter, fitted, font, three_quarter_view
+from moveset.motion.clip import Motion
+
+MAX_SECONDS = 300.0
+_VIDEO, _GIF = 480, 320
+_COLOURS = 64
+
+
+def write_mp4(motion: Motion, path: str | Path, *, caption: str = "", metadata: str = "") -> None:
+    """Write an H.264 video, 480 x 480 pixels, at the motion's own rate between 20 and 30 frames a second.
+
+    Slower and faster motions are resampled to 30; ``metadata`` (JSON) becomes the comment tag.
+
+    Raises:
+        InputError: longer than 300 s, or the path cannot be written to.
+        MovesetError: ffmpeg failed.
+    """
+    from imageio_ffmpeg import write_frames
+
+    motion = _limited(motion, path)
+    motion = motion if 20 <= motion.fps <= 30 else motion.resampled(30.0)
+    options = ["-preset", "veryfast", "-crf", "23", "-movflags", "+faststart", "-fflags", "+bitexact"]
+    options += ["-metadata", f"comment={metadata}"] if metadata else []
+    # ffmpeg wants a seekable file of its own with the right extension.
+    with atomic_write(path) as file, tempfile.TemporaryDirectory() as folder:
+        name = str(Path(folder, "motion.mp4"))
+        writer = write_frames(
+            name, (_VIDEO, _VIDEO), fps=motion.fps, codec="libx264", output_params=options, macro_block_size=2
+        )
+        try:
+            writer.send(None)
+            for picture in _pictures(motion, _VIDEO, caption):
+                writer.send(picture.tobytes())
+            writer.close()
+            file.write(Path(name).read_bytes())
+        except (OSError, RuntimeError) as error:
+            raise MovesetError(f"ffmpeg could not write the video ({error}); try .gif instead") from error
+
+
+def write_gif(motion: Motion, path: str | Path, *, caption: str = "", metadata: str = "") -> None:
+    """Write a looping GIF, 320 x 320 pixels, in the motion's time: GIF counts hundredths of a second.
+
+    A rate of 100/4 or 100/5 frames a second is kept, any other becomes 20. ``metadata`` (JSON) becomes the comment.
+
+    Raises:
+        InputError: longer than 300 s, or the path cannot be written to.
+    """
+    motion = _limited(motion, path)
+    motion = motion if motion.fps in (20.0, 25.0) else motion.resampled(20.0)
+    # One palette for all frames: they show the same materials, light and floor.
+    samples = [motion[k : k + 1] for k in {0, len(motion) // 2, len(motion) - 1}]
+    swatch = Image.new("RGB", (_GIF * len(samples), _GIF))
+    for k, sample in enumerate(samples):
+        swatch.paste(next(_pictures(sample, _GIF, caption)), (_GIF * k, 0))
+    swatch.paste(TRAIL, (0, 0, _GIF, 4))
+    palette = swatch.quantize(_COLOURS, method=Image.Quantize.MEDIANCUT)
+    indexed = (
+        picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in _pictures(motion, _GIF, caption)
+    )
+    with atomic_write(path) as file:
+        next(indexed).save(
+            file,
+            format="GIF",
+            save_all=True,
+            append_images=indexed,
+            duration=round(1000 / motion.fps),
+            loop=0,
+            optimize=False,
+            comment=metadata.encode()[:60_000],
+        )
+
+
+def _limited(motion: Motion, path: str | Path) -> Motion:
+    if motion.seconds > MAX_SECONDS:
+        raise InputError(
+            f"a motion of {motion.seconds:.0f} s exceeds the {MAX_SECONDS:.0f} s that {Path(path).suffix} files hold; "
+            "save a slice of it, or write .bvh, .glb or .npz"
+        )
+    return motion
+
+
+def _pictures(motion: Motion, size: int, caption: str) -> Iterator[Image.Image]:
+    """Every frame with its caption, in order, drawn by a few threads a little ahead of the encoder."""
+    painter = Painter(motion, three_quarter_view(motion, size, size, below=44))
+    text = fitted(caption, 15, size - 84, lines=2)
+
+    def draw(index: int) -> Image.Image:
+        picture = painter.frame(index)
+        pen = ImageDraw.Draw(picture)
+        pen.multiline_text((12, size - 9), text, font=font(15), fill=INK, anchor="ld", spacing=2)
+        pen.text((size - 12, size - 9), f"{index / motion.fps:.1f} s", font=font(15), fill=INK, anchor="rd")
+        return picture
+
+    workers = min(4, os.cpu_count() or 1)
+    with ThreadPoolExecutor(workers) as pool:
+        ahead: deque[Future[Image.Image]] = deque()
+        for index in range(len(motion)):
+            ahead.append(pool.submit(draw, index))
+            if len(ahead) > 4 * workers:
+                yield ahead.popleft().result()
+        while ahead:
+            yield ahead.popleft().result()
