@@ -1,0 +1,411 @@
+"""The HumanML3D / KIT-ML codec against a second implementation that follows the published procedure frame by frame."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from moveset.data import bandai_namco, cmu
+from moveset.errors import InputError
+from moveset.motion import rotations
+from moveset.motion.clip import Motion
+from moveset.motion.hml import HmlCodec
+from moveset.motion.hml_skeletons import HUMANML3D, KIT_ML
+from moveset.motion.skeleton import KIT21
+from moveset.motion.smoothing import gaussian_smooth
+from tests.motions import gait, wander
+
+CODEC = HmlCodec()
+UP, FRONT = np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0])
+
+# --- The oracle: numpy, quaternions as w, x, y, z, one frame and one bone at a time ----------------------------------
+
+
+def cross(u, v):
+    return np.array((u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]))
+
+
+def q_mul(a, b):
+    aw, ax, ay, az = a
+    bw, bx, by, bz = b
+    return (
+        aw * bw - ax * bx - ay * by - az * bz,
+        aw * bx + bw * ax + ay * bz - az * by,
+        aw * by + bw * ay + az * bx - ax * bz,
+        aw * bz + bw * az + ax * by - ay * bx,
+    )
+
+
+def q_inv(q):
+    return (q[0], -q[1], -q[2], -q[3])
+
+
+def q_turn(q, v):
+    return np.array(q_mul(q_mul(q, (0.0, v[0], v[1], v[2])), q_inv(q))[1:])
+
+
+def q_arc(u, v):
+    w = math.sqrt((u @ u) * (v @ v)) + u @ v
+    q = (w, *cross(u, v))
+    size = math.sqrt(sum(c * c for c in q))
+    return tuple(c / size for c in q)
+
+
+def q_matrix(q):
+    return np.stack([q_turn(q, e) for e in np.eye(3)], axis=1)
+
+
+def unit(v):
+    return v / math.sqrt(v @ v)
+
+
+def inverse_kinematics(convention, joints, smooth):
+    """Local quaternions (T, J, 4) of positions; the root's turn to +Z at index 0, frame 0 of it overwritten."""
+    from scipy.ndimage import gaussian_filter1d
+
+    frames, count = joints.shape[:2]
+    hip_r, hip_l, shoulder_r, shoulder_l = convention.face
+    forward = np.zeros((frames, 3))
+    for t in range(frames):
+        # The slip of the published code: its hips arrive in the other order than its shoulders.
+        across = joints[t, hip_l] - joints[t, hip_r] + joints[t, shoulder_r] - joints[t, shoulder_l]
+        forward[t] = cross(UP, unit(across))
+    if smooth:
+        forward = gaussian_filter1d(forward, 20, axis=0, mode="nearest")
+    out = np.zeros((frames, count, 4))
+    out[:, :, 0] = 1.0
+    directions = convention.directions.numpy()
+    for t in range(frames):
+        root = q_arc(unit(forward[t]), FRONT) if t > 0 else (1.0, 0.0, 0.0, 0.0)
+        out[t, 0] = root
+        for chain in convention.chains:
+            turn = root
+            for k in range(1, len(chain)):
+                bone = unit(joints[t, chain[k]] - joints[t, chain[k - 1]])
+                local = q_mul(q_inv(turn), q_arc(directions[chain[k]], bone))
+                out[t, chain[k]] = local
+                turn = q_mul(turn, local)
+    return out
+
+
+def reposed(convention, joints, lengths):
+    """``joints`` (T, J, 3) on a body with the given bone lengths, by inverse and forward kinematics."""
+    directions = convention.directions.numpy()
+    parents = convention.parents
+    legs = convention.legs
+    own = sum(np.linalg.norm(joints[0, j] - joints[0, parents[j]]) for j in legs)
+    wanted = sum(np.abs(directions[j] * lengths[j]).max() for j in legs)
+    quaternions = inverse_kinematics(convention, joints, smooth=False)
+    out = np.zeros_like(joints)
+    for t in range(len(joints)):
+        out[t, 0] = joints[t, 0] * (wanted / own)
+        for chain in convention.chains:
+            turn = quaternions[t, 0]
+            for k in range(1, len(chain)):
+                turn = q_mul(turn, quaternions[t, chain[k]])
+                out[t, chain[k]] = out[t, chain[k - 1]] + q_turn(turn, directions[chain[k]] * lengths[chain[k]])
+    return out
+
+
+def extract(convention, joints, lengths, uniform=True):
+    """The features (T - 1, D) of ``joints`` in the dataset's unit, and the positions they describe."""
+    if uniform:
+        joints = reposed(convention, joints, lengths)
+    joints = joints - UP * joints[:, :, 1].min()
+    joints = joints - joints[0, 0] * (1 - UP)
+    hip_r, hip_l, shoulder_r, shoulder_l = convention.face
+    across = joints[0, hip_r] - joints[0, hip_l] + joints[0, shoulder_r] - joints[0, shoulder_l]
+    start = q_arc(unit(cross(UP, unit(across))), FRONT)
+    joints = np.array([[q_turn(start, p) for p in frame] for frame in joints])
+
+    quaternions = inverse_kinematics(convention, joints, smooth=True)
+    rows = []
+    for t in range(len(joints) - 1):
+        q, q_next, root = quaternions[t, 0], quaternions[t + 1, 0], joints[t, 0]
+        step = joints[t + 1] - joints[t]
+        planar = q_turn(q_next, step[0])
+        row = [np.arcsin(q_mul(q_next, q_inv(q))[2]), planar[0], planar[2], root[1]]
+        for p in joints[t, 1:]:
+            row += list(q_turn(q, p - root * (1 - UP)))
+        for local in quaternions[t, 1:]:
+            row += list(q_matrix(local)[:, 0]) + list(q_matrix(local)[:, 1])
+        for v in step:
+            row += list(q_turn(q, v))
+        row += [float((step[j] ** 2).sum() < convention.contact) for j in convention.feet]
+        rows.append(row)
+    return np.array(rows), joints
+
+
+def recover(convention, features):
+    """Positions (F, J, 3) from the root and position columns, frame by frame."""
+    count = len(convention.parents)
+    angle, root, out = 0.0, np.zeros(3), []
+    for t, row in enumerate(features):
+        if t > 0:
+            angle += features[t - 1, 0]
+            back = (math.cos(angle), 0.0, -math.sin(angle), 0.0)
+            root = root + q_turn(back, np.array([features[t - 1, 1], 0.0, features[t - 1, 2]]))
+        back = (math.cos(angle), 0.0, -math.sin(angle), 0.0)
+        frame = [root + UP * row[3]]
+        frame += [q_turn(back, row[4 + 3 * j : 7 + 3 * j]) + root for j in range(count - 1)]
+        out.append(frame)
+    return np.array(out)
+
+
+# --- Helpers ---------------------------------------------------------------------------------------------------------
+
+
+def described(codec, joints):
+    """The positions that features of ``joints`` describe: re-posed, on the floor, canonical; metres, float64."""
+    unit_ = codec.convention.unit
+    return codec._on_ground(codec._uniform(joints.double()) / unit_)[:-1] * unit_
+
+
+def turned(joints, degrees, shift=(3.0, 0.0, -8.0)):
+    q = rotations.about("y", torch.tensor(degrees, dtype=torch.float64))
+    return rotations.rotate(q, joints.double()) + torch.tensor(shift, dtype=torch.float64)
+
+
+def columns(codec, *names):
+    return [c for name in names for c in range(codec.dim)[codec.groups[name]]]
+
+
+SYNTHETIC = {
+    "wander": lambda: wander(35, 1),
+    "bent": lambda: wander(12, 2, bend=0.8),
+    "left": lambda: wander(30, 3, turn=1.0),
+    "walk": lambda: gait(25),
+    "short": lambda: wander(2, 4),
+}
+
+# --- Tests -----------------------------------------------------------------------------------------------------------
+
+
+def test_widths_and_groups_are_the_published_ones():
+    kit = HmlCodec("kit")
+    assert (CODEC.dim, kit.dim) == (263, 251)
+    assert CODEC.groups == {
+        "root_yaw": slice(0, 1), "root_velocity": slice(1, 3), "root_height": slice(3, 4), "positions": slice(4, 67),
+        "rotations": slice(67, 193), "velocities": slice(193, 259), "contacts": slice(259, 263),
+    }  # fmt: skip
+    assert (kit.groups["positions"], kit.groups["rotations"]) == (slice(4, 64), slice(64, 184))
+    assert (kit.groups["velocities"], kit.groups["contacts"]) == (slice(184, 247), slice(247, 251))
+
+
+@pytest.mark.parametrize("uniform", [True, False])
+@pytest.mark.parametrize("name", SYNTHETIC)
+def test_features_equal_the_oracle(name, uniform):
+    joints = turned(SYNTHETIC[name]().joints, 200.0)
+    expected, _ = extract(HUMANML3D, joints.numpy(), HUMANML3D.lengths.numpy(), uniform)
+    features = CODEC.encode_joints(joints, uniform=uniform)
+    assert features.dtype == torch.float32
+    np.testing.assert_allclose(features.numpy(), expected, atol=2e-6)
+
+
+def test_kit_features_equal_the_oracle():
+    codec = HmlCodec("kit")
+    motion = wander(40, 5, KIT21, fps=12.5)
+    mirrored = motion.joints.double() * torch.tensor([-1.0, 1.0, 1.0])
+    expected, _ = extract(KIT_ML, 1000 * mirrored.numpy(), 1000 * KIT_ML.lengths.numpy())
+    features = codec.encode(motion).double().numpy()
+    scale = np.maximum(np.abs(expected), 1.0)
+    np.testing.assert_allclose(features / scale, expected / scale, atol=1e-6)
+    np.testing.assert_allclose(
+        codec.joints(torch.from_numpy(features)).numpy(), recover(KIT_ML, expected) / 1000, atol=1e-5
+    )
+
+
+def test_recovery_equals_the_oracle():
+    features = CODEC.encode(wander(50, 6, turn=0.7))
+    np.testing.assert_allclose(CODEC.joints(features).numpy(), recover(HUMANML3D, features.double().numpy()), atol=2e-6)
+
+
+@pytest.mark.parametrize("name", SYNTHETIC)
+def test_round_trip_below_a_hundredth_of_a_millimetre(name):
+    joints = SYNTHETIC[name]().joints
+    features = CODEC.encode_joints(joints)
+    truth = described(CODEC, joints)
+    assert (CODEC.joints(features) - truth).norm(dim=-1).max() < 1e-5
+    assert (CODEC.joints_from_rotations(features) - truth).norm(dim=-1).max() < 1e-5
+
+
+def test_encoded_clips_have_the_datasets_body():
+    joints = CODEC.joints(CODEC.encode(wander(30, 7)))
+    parents = list(HUMANML3D.parents[1:])
+    lengths = (joints[:, 1:] - joints[:, parents]).norm(dim=-1)
+    assert (lengths - HUMANML3D.lengths[1:]).abs().max() < 1e-5
+    assert joints[..., 1].min().abs() < 1e-5
+    assert joints[0, 0, [0, 2]].abs().max() == 0.0
+    taller = HmlCodec(lengths=1.2 * HUMANML3D.lengths)
+    assert taller.joints(taller.encode(wander(30, 7)))[0, 0, 1] == pytest.approx(1.2 * joints[0, 0, 1].item(), rel=1e-4)
+
+
+@pytest.mark.parametrize("degrees", [37.0, 90.0, -150.0])
+def test_place_and_heading_do_not_show(degrees):
+    joints = wander(40, 8).joints
+    features, moved = CODEC.encode_joints(joints), CODEC.encode_joints(turned(joints, degrees))
+    torch.testing.assert_close(moved, features, atol=1e-5, rtol=0)
+
+
+def test_rotations_depend_on_the_heading_within_a_clip():
+    """Cropping features is not extracting from a crop: the world-frame shortest arcs see the crop's initial heading."""
+    joints = wander(80, 9, turn=0.6).joints
+    cropped, crop = CODEC.encode_joints(joints)[40:], CODEC.encode_joints(joints[40:])
+    rows = slice(1, None)  # row 0 of any clip has its heading overwritten
+    invariant = columns(CODEC, "positions", "velocities")
+    assert (cropped - crop)[rows, columns(CODEC, "rotations")].abs().max() > 0.5
+    # Not the smoothing at the crop's start, which moves positions far less.
+    assert (cropped - crop)[rows, invariant].abs().max() < 0.25
+
+
+def test_rotations_see_a_yaw_that_nothing_else_sees():
+    joints = wander(40, 10).joints
+    base = CODEC._on_ground(CODEC._uniform(joints.double()))
+    q = CODEC._headings(base)
+    six = rotations.to_6d(CODEC._locals(base, q))
+    yaw = rotations.about("y", torch.tensor(60.0, dtype=torch.float64))
+    rotated = rotations.rotate(yaw, base)
+    six_rotated = rotations.to_6d(CODEC._locals(rotated, CODEC._headings(rotated)))
+    assert (six - six_rotated)[1:, 1:].abs().amax(dim=(0, 2)).min() > 0.1  # all joints
+    around, around_rotated = (rotations.rotate(CODEC._headings(p)[:, None], p - p[:, :1])[1:] for p in (base, rotated))
+    assert (around - around_rotated).abs().max() < 1e-12
+
+
+def test_the_yaw_step_is_a_half_angle():
+    """90 degrees a second at 20 fps: 4.5 degrees a frame, written as 2.25 degrees = 0.0393."""
+    still = wander(1, 11, bend=0.0)
+    heading = rotations.about("y", 4.5 * torch.arange(240.0))
+    spinning = Motion(still.rotations.repeat(240, 1, 1), still.root.repeat(240, 1)).rotations
+    spinning = torch.cat((rotations.mul(heading, spinning[:, 0])[:, None], spinning[:, 1:]), dim=1)
+    yaw = CODEC.encode(Motion(spinning, still.root.repeat(240, 1)))[:, 0]
+    torch.testing.assert_close(yaw[90:150].abs(), torch.full((60,), math.pi / 80), atol=1e-4, rtol=0)
+
+
+def test_a_turn_to_the_left_is_negative():
+    yaw = CODEC.encode(wander(60, 12, bend=0.0, turn=1.0))[:, 0]
+    assert (yaw[1:] < 0).all()
+
+
+def test_the_first_row_holds_a_jump_that_nobody_made():
+    """The heading of frame 0 is overwritten, that of frame 1 works the hips against the shoulders."""
+    still = wander(1, 13, bend=0.0)
+    local = still.rotations.clone()
+    local[:, [3, 6, 9]] = rotations.about("y", 15.0)
+    motion = Motion(local.repeat(30, 1, 1), still.root.repeat(30, 1))
+    yaw = CODEC.encode(motion)[:, 0]
+    assert abs(yaw[0]) > 0.05
+    assert yaw[1:].abs().max() < 1e-6
+
+
+def test_a_heading_that_passes_backward_is_recovered_with_a_wrong_step():
+    """Known and kept: arcsin drops the sign of the quaternion's w. Before that instant all is exact."""
+    joints = wander(140, 14, bend=0.05, turn=0.9).joints
+    features = CODEC.encode_joints(joints)
+    error = (CODEC.joints(features) - described(CODEC, joints)).norm(dim=-1).amax(dim=1)
+    wrong = torch.nonzero(error > 1e-3)[:, 0]
+    assert len(wrong) > 0
+    first = int(wrong[0])
+    assert error[: first - 1].max() < 1e-5
+    assert features[first - 1, 0] > 0  # one step to the right in a turn to the left
+    assert (features[1 : first - 1, 0] < 0).all()
+
+
+@pytest.mark.parametrize(("step", "planted"), [(0.0446, 1.0), (0.0448, 0.0), (0.0, 1.0)])
+def test_contacts_ask_for_speed_alone(step, planted):
+    joints = wander(1, 15, bend=0.0).joints.double().repeat(12, 1, 1)
+    up = torch.arange(12.0, dtype=torch.float64)[:, None]
+    joints[:, [7, 8]] += up[..., None] * torch.tensor([0.0, step, 0.0], dtype=torch.float64)
+    contacts = CODEC.encode_joints(joints, uniform=False)[:, -4:]
+    assert (contacts[:, [0, 2]] == planted).all()
+    assert (contacts[:, [1, 3]] == 1.0).all()
+
+
+def test_contact_columns_are_left_ankle_left_toe_right_ankle_right_toe():
+    for column, joint in enumerate((7, 10, 8, 11)):
+        joints = wander(1, 15, bend=0.0).joints.double().repeat(4, 1, 1)
+        joints[:, joint, 2] += 0.1 * torch.arange(4)
+        contacts = CODEC.encode_joints(joints, uniform=False)[:, -4:]
+        assert [c for c in range(4) if (contacts[:, c] == 0).all()] == [column]
+
+
+def test_velocities_are_steps_in_the_frames_own_heading():
+    features = CODEC.encode(wander(50, 16)).double()
+    joints, velocities = CODEC.joints(features), features[:, columns(CODEC, "velocities")].reshape(-1, 22, 3)
+    heading, _ = CODEC._root(features)
+    steps = rotations.rotate(heading[:-1, None], joints[1:] - joints[:-1])
+    assert (steps - velocities[:-1]).abs().max() < 1e-5
+
+
+@pytest.mark.parametrize(("frames", "sigma"), [(1, 20.0), (3, 20.0), (50, 20.0), (300, 20.0), (40, 1.7)])
+def test_smoothing_equals_scipy(frames, sigma):
+    from scipy.ndimage import gaussian_filter1d
+
+    x = torch.randn(frames, 3, generator=torch.Generator().manual_seed(17), dtype=torch.float64)
+    expected = gaussian_filter1d(x.numpy(), sigma, axis=0, mode="nearest")
+    np.testing.assert_allclose(gaussian_smooth(x, sigma).numpy(), expected, atol=1e-14)
+
+
+def test_joints_take_batches_and_carry_gradient():
+    features = torch.stack([CODEC.encode(wander(20, 18)), CODEC.encode(wander(20, 19))])
+    batch = features.reshape(2, 1, 19, 263).requires_grad_()
+    joints = CODEC.joints(batch)
+    assert joints.shape == (2, 1, 19, 22, 3)
+    torch.testing.assert_close(joints[1, 0], CODEC.joints(features[1]))
+    torch.testing.assert_close(CODEC.joints_from_rotations(batch)[0, 0], CODEC.joints_from_rotations(features[0]))
+    joints.square().sum().backward()
+    used = columns(CODEC, "root_yaw", "root_velocity", "root_height", "positions")
+    assert torch.isfinite(batch.grad).all()
+    assert (batch.grad[..., used].abs().amax(dim=(0, 1, 2)) > 0).all()
+
+
+@pytest.mark.parametrize("name", ["wander", "walk"])
+def test_decoding_gives_a_motion_close_to_the_positions(name):
+    """Joints within 2.5 cm: the dataset's left and right bones differ, the skeleton's do not."""
+    features = CODEC.encode(SYNTHETIC[name]())
+    motion = CODEC.decode(features)
+    assert (len(motion), motion.fps, motion.skeleton.name) == (len(features), 20.0, "hml22")
+    assert (motion.joints - CODEC.joints(features)).norm(dim=-1).max() < 0.025
+
+
+def test_kit_motions_survive_reflection():
+    codec = HmlCodec("kit")
+    motion = wander(30, 20, KIT21, fps=12.5, bend=0.1)
+    back = codec.decode(codec.encode(motion))
+    truth = motion.canonical().joints
+    apart = back.joints - back.root[:, None] - (truth - truth[:, :1])[:-1]
+    assert apart.norm(dim=-1).max() < 0.05  # metres; heading by shoulders and hips against heading by pelvis
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: HmlCodec("smpl"), "choose one of humanml3d, kit"),
+        (lambda: CODEC.encode(wander(5, 0, fps=30.0)), "resample"),
+        (lambda: CODEC.encode(wander(5, 0, KIT21)), "retarget"),
+        (lambda: CODEC.encode(wander(1, 0)), r"T >= 2"),
+        (lambda: CODEC.encode_joints(torch.zeros(5, 21, 3)), r"got \(5, 21, 3\)"),
+        (lambda: CODEC.encode_joints(torch.full((5, 22, 3), torch.nan)), "finite"),
+    ],
+)
+def test_bad_input_is_named(call, message):
+    with pytest.raises(InputError, match=message):
+        call()
+
+
+def real_motions(real_data):
+    takes = [r for r in bandai_namco.list_takes(real_data) if "wave-left" in r.name or "walk-back" in r.name]
+    takes = [bandai_namco.read_take(r) for r in takes[:2]]
+    takes += [cmu.read_take(r) for r in cmu.list_takes(real_data / "cmu") if r.name in ("02_01", "07_03")]
+    assert len(takes) >= 2
+    return [take.motion[:40] for take in takes]
+
+
+def test_real_takes_equal_the_oracle_and_survive_the_round_trip(real_data):
+    for motion in real_motions(real_data):
+        joints = motion.joints.double()
+        features = CODEC.encode(motion)
+        expected, described_ = extract(HUMANML3D, joints.numpy(), HUMANML3D.lengths.numpy())
+        np.testing.assert_allclose(features.numpy(), expected, atol=2e-6)
+        assert np.abs(CODEC.joints(features).numpy() - described_[:-1]).max() < 1e-5
+        assert np.abs(CODEC.joints_from_rotations(features).numpy() - described_[:-1]).max() < 1e-5
