@@ -1,7 +1,7 @@
 """Sentences encoded once, kept in one file, looked up in batches during training.
 
 Shapes: ``K`` cached sentences, ``T`` tokens of all of them, ``B`` looked-up rows, ``L`` tokens of the longest row,
-``C`` encoder width.
+``C`` width of a token, ``P`` of a pooled sentence.
 """
 
 import hashlib
@@ -34,7 +34,7 @@ class EmbeddingCache:
         encoder: name of the encoder, and ``max_tokens`` its limit.
         sentences: K different sentences; ``sentences[0] == ""``.
         tokens: (T, C) float16, the sentences' token states one after the other.
-        pooled: (K, C) float16.
+        pooled: (K, P) float16.
         offsets: (K + 1,) int64; sentence k owns ``tokens[offsets[k]:offsets[k + 1]]``.
     """
 
@@ -145,7 +145,7 @@ class EmbeddingCache:
 
     def _well_formed(self) -> bool:
         shapes = all((getattr(self, n).dtype, getattr(self, n).ndim) == want for n, want in _TENSORS.items())
-        counts = self.offsets.shape == (len(self) + 1,) and self.pooled.shape == (len(self), self.tokens.shape[1])
+        counts = self.offsets.shape == (len(self) + 1,) and len(self.pooled) == len(self)
         texts = all(isinstance(s, str) for s in self.sentences) and len(self._row_of) == len(self)
         if not (shapes and counts and texts and self.sentences[:1] == ("",)):
             return False
@@ -169,17 +169,17 @@ class EmbeddingCache:
 
 
 def _encode_all(encoder: TextEncoder, sentences: Sequence[str], batch: int = 64) -> tuple[list[Tensor], Tensor]:
-    """Token states (one tensor per sentence) and pooled vectors (K, C), in half precision."""
+    """Token states (one tensor per sentence) and pooled vectors (K, P), in half precision."""
     from tqdm import tqdm
 
     # Sentences of like length share a batch, so that little padding is computed.
     order = sorted(range(len(sentences)), key=lambda k: len(sentences[k]))
     states: list[Tensor] = [torch.empty(0)] * len(sentences)
-    pooled = torch.empty(len(sentences), encoder.dim, dtype=torch.float16)
+    pooled: list[Tensor] = [torch.empty(0)] * len(sentences)
     for first in tqdm(range(0, len(order), batch), desc="text", unit="batch", disable=None):
         rows = order[first : first + batch]
         coded = encoder.encode([sentences[k] for k in rows]).to("cpu")
-        pooled[rows] = coded.pooled.half()
-        for k, tokens_LC, mask_L in zip(rows, coded.tokens, coded.mask, strict=True):
-            states[k] = tokens_LC[mask_L].half()
-    return states, pooled
+        for n, k in enumerate(rows):
+            states[k] = coded.tokens[n, coded.mask[n]].half()
+            pooled[k] = coded.pooled[n].half()
+    return states, torch.stack(pooled)

@@ -20,7 +20,7 @@ class TextEmbedding:
     Args:
         tokens: (B, L, C) float32 token states; zero where there is no token.
         mask: (B, L) bool, True where there is a token. Every row has at least one.
-        pooled: (B, C) float32, one unit vector per sentence.
+        pooled: (B, P) float32, one unit vector per sentence; P = C for MiniLM and T5, a projection's width otherwise.
     """
 
     tokens: Tensor
@@ -89,20 +89,21 @@ def stack(embeddings: Sequence[TextEmbedding]) -> TextEmbedding:
 
 
 def get_text_encoder(name: str = "minilm", *, device: torch.device | str = "cpu") -> TextEncoder:
-    """An encoder by name: "minilm" (packaged, offline), or "clip:WHERE" / "t5:WHERE" (see ``moveset.text.hub``).
+    """An encoder by name: "minilm" (packaged, offline), "clip:WHERE", "t5:WHERE" or "sentence-t5:WHERE".
 
-    WHERE is a Hugging Face model id that is already on disk, or a local folder.
+    WHERE is a Hugging Face model id that is already on disk, or a local folder (see ``moveset.text.hub``).
 
     Raises:
         InputError: an unknown name, or a model that is not on this machine.
     """
-    family, _, where = name.partition(":")
     if name == "minilm":
         from moveset.text.minilm import MiniLM
 
         return MiniLM(device=device)
-    if family in ("clip", "t5") and where:
+    family, _, where = name.partition(":")
+    if family in ("clip", "t5", "sentence-t5") and where:
         from moveset.text import hub
 
-        return (hub.ClipText if family == "clip" else hub.T5Text)(where, device=device)
-    raise InputError(f"text encoder {name!r} is unknown; use 'minilm', 'clip:MODEL' or 't5:MODEL'")
+        kinds = {"clip": hub.ClipText, "t5": hub.T5Text, "sentence-t5": hub.SentenceT5}
+        return kinds[family](where, device=device)
+    raise InputError(f"text encoder {name!r} is unknown; use 'minilm', 'clip:MODEL', 't5:MODEL' or 'sentence-t5:MODEL'")
