@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def train(
-    what: tyro.conf.Positional[Literal["vae", "teacher", "lcm", "pcm"]],
+    what: tyro.conf.Positional[Literal["vae", "decoder", "teacher", "lcm", "pcm"]],
     *,
     recipe: Literal["small", "paper", "tiny"] = "small",
     resume: tyro.conf.FlagCreatePairsOff[bool] = False,
@@ -44,7 +44,7 @@ def train(
     `torchrun --nproc-per-node 2 -m moveset.cli train …`, or --devices 2.
 
     Args:
-        what: vae: the autoencoder. teacher: the latent diffusion model. lcm, pcm: students with few steps.
+        what: vae: the autoencoder. decoder: more of its decoder, with its latents kept. teacher: the latent diffusion model. lcm, pcm: students with few steps.
         recipe: small: what ships. paper: the published sizes. tiny: seconds, to try the machinery.
         resume: Continue from the latest checkpoint in the folder, or start if there is none.
         folder: Where checkpoints and logs go; by default runs/RECIPE/WHAT.

@@ -1,9 +1,9 @@
 """The denoiser that ships: the published network's U-shaped transformer, made cheap for a processor.
 
-Same task as ``token_denoiser`` (noise prediction on the 16 latent tokens, MotionPCM §3 and Eq. 11), three changes, each
-bought with measured time or quality: the text's token states enter as extra keys and values instead of extra sequence
-elements (half the cost of a training step, and they can be computed once per prompt); time, guidance, the pooled text and
-the clip's length modulate the blocks (one shared adaLN, arXiv 2310.00426) instead of being tokens; blocks are pre-norm.
+Same task as ``token_denoiser`` (noise prediction on the 16 latent tokens, MotionPCM §3 and Eq. 11), three changes: the
+text's token states enter as extra keys and values instead of extra sequence elements (they are computed once per prompt,
+and a step costs half); time, guidance, the pooled text and the clip's length modulate the blocks (one shared adaLN,
+arXiv 2310.00426) instead of being tokens; blocks are pre-norm.
 
 Shapes: B batch, N latent tokens, d latent width, L text tokens, C text width, W model width, H heads.
 """
@@ -45,7 +45,7 @@ class LatentDenoiserConfig:
 
 @dataclass(frozen=True, eq=False)
 class TextKeys:
-    """A prompt as the blocks read it: one (keys, values) pair (B, H, L, W/H) per block, additive mask, summary (B, W)."""
+    """A prompt as the blocks read it: (keys, values) (B, H, L, W/H) for every block, additive mask, summary (B, W)."""
 
     pairs: tuple[tuple[Tensor, Tensor], ...]
     bias: Tensor
@@ -153,7 +153,7 @@ class LatentDenoiser(nn.Module):
             if taps is not None:
                 taps.append(x)
         scale, shift = self.modulate_out(condition)[:, None].chunk(2, dim=-1)
-        # The prediction is divided by alpha_t on the way to z_0 (14.6 at t = 999), which would magnify bfloat16's steps.
+        # On the way to z_0 this is divided by alpha_t (times 14.6 at t = 999), which would magnify bfloat16's steps.
         with torch.autocast(x.device.type, enabled=False):
             return self.out(self.norm_out(x.float()) * (1 + scale.float()) + shift.float())
 

@@ -1,9 +1,9 @@
 """A motion VAE whose latent tokens own a place in time: 16 tokens of 32 numbers, learned in minutes instead of days.
 
 In the published VAE (``token_vae``) attention must first discover which latent token answers for which moment. Here the
-routing is fixed: latent token n covers the n-th sixteenth of the clip, whatever its length, and convolutions do the rest.
+routing is fixed: latent token n covers the n-th sixteenth of the clip, whatever its length; convolutions do the rest.
 
-Shapes: B batch, F frames, D features, P patches of 4 frames, S = 3N slots over relative time, N latent tokens, C channels.
+Shapes: B batch, F frames, D features, P patches of 4 frames, S = 3N slots over relative time, N latent tokens, C width.
 """
 
 from dataclasses import dataclass
@@ -68,7 +68,7 @@ class TimedVAE(nn.Module):
         self.frame_out = nn.Linear(c.frame_width, c.features)
 
     def encode(self, x_BFD: Tensor, lengths_B: Tensor) -> tuple[Tensor, Tensor]:
-        """Mean and log-variance (B, N, d) of clips of ``lengths_B`` frames; frames beyond a clip's length are ignored."""
+        """Mean and log-variance (B, N, d) of clips of ``lengths_B`` frames; what lies beyond a clip's end is ignored."""
         batch, frames, _ = x_BFD.shape
         padded = -frames % PATCH
         # A length that is no multiple of 4 ends in a patch whose missing frames repeat the last one.

@@ -19,6 +19,16 @@ def vae() -> Recipe:
     )
 
 
+def decoder() -> Recipe:
+    """The decoder again, on slightly wrong latents: it runs while the teacher learns the finished latents."""
+    return Recipe(
+        task=VAETrainingConfig(batch=32, lr=5e-4, latent_noise=0.3),
+        engine=EngineConfig(
+            steps=4000, save_every=500, validate_every=500, grad_clip=8.0, precision="bf16-mixed", threads=1
+        ),
+    )
+
+
 def teacher() -> Recipe:
     """5.9 M parameters, text as token states."""
     return Recipe(
@@ -52,4 +62,4 @@ def _students() -> EngineConfig:
     )
 
 
-TRAINING: dict[str, Callable[[], Recipe]] = {"vae": vae, "teacher": teacher, "lcm": lcm, "pcm": pcm}
+TRAINING: dict[str, Callable[[], Recipe]] = {"vae": vae, "decoder": decoder, "teacher": teacher, "lcm": lcm, "pcm": pcm}

@@ -1,4 +1,4 @@
-"""What the networks read: the features of every clip and of its mirror image in one memory-mapped file, and batches of it.
+"""What the networks read: features of every clip and of its mirror image in one memory-mapped file, and batches of it.
 
 Batches are a pure function of (seed, step): there is no sampler state to save, so a resumed run sees what an
 uninterrupted one would have seen. Shapes: B batch, F frames, D features.
@@ -113,8 +113,8 @@ def clip_weights(corpus: Corpus, records: Sequence[int], power: float, composed_
 class CropSampler:
     """Batches of crops of about equal length, drawn by weight.
 
-    Clips are drawn in pools of 16 batches and sorted by length before they are cut into batches: half of the frames that
-    a network would otherwise compute are padding.
+    Clips are drawn in pools of 16 batches and sorted by length before they are cut into batches: half of the frames
+    that a network would otherwise compute are padding.
 
     Args:
         clips: indices of clips in the store.

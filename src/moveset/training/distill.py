@@ -153,7 +153,7 @@ class LCMTask(_DistillationTask):
 
 
 class PCMTask(_DistillationTask):
-    """MotionPCM (Section 4): consistency inside each of M phases, and a discriminator on the frozen teacher's features."""
+    """MotionPCM (Section 4): consistency inside each of M phases, a discriminator on the frozen teacher's features."""
 
     name = "pcm"
 

@@ -20,6 +20,7 @@ class Frozen:
         module: in evaluation mode, parameters without gradient.
         kind: its name in the registry of models.
         config: the registry's JSON object.
+        task: the configuration of its training.
         digest: sha256 of its weights file.
         path: the checkpoint it is from.
     """
@@ -27,6 +28,7 @@ class Frozen:
     module: Any
     kind: str
     config: dict[str, Any]
+    task: dict[str, Any]
     digest: str
     path: Path
 
@@ -44,4 +46,4 @@ def load(path: Path, name: str, device: torch.device | str = "cpu") -> Frozen:
     module: nn.Module = build_model(kind, config)
     checkpoint.load_module(module, step, name)
     digest = checkpoint.verify(step)["files"][f"{name}.safetensors"]["sha256"]
-    return Frozen(module.eval().requires_grad_(False).to(device), kind, config, digest, step)
+    return Frozen(module.eval().requires_grad_(False).to(device), kind, config, task, digest, step)

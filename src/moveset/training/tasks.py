@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 # A class is called with (task config, Sources, Loop).
 TASKS = {
     "vae": "moveset.training.vae:VAETask",
+    "decoder": "moveset.training.vae:DecoderTask",
     "teacher": "moveset.training.teacher:TeacherTask",
     "lcm": "moveset.training.distill:LCMTask",
     "pcm": "moveset.training.distill:PCMTask",

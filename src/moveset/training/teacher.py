@@ -11,7 +11,7 @@ from moveset.diffusion.steps import add_noise
 from moveset.models.latent_denoiser import LatentDenoiserConfig
 from moveset.models.registry import describe
 from moveset.models.token_denoiser import TokenDenoiserConfig
-from moveset.motion.native import NativeCodec
+from moveset.motion.features import get_codec
 from moveset.text.cache import EmbeddingCache
 from moveset.text.encoder import TextEmbedding, get_text_encoder
 from moveset.training import frozen
@@ -48,8 +48,13 @@ class LatentData:
 
     def __init__(self, sources: Sources, text_encoder: str, loop: Loop) -> None:
         corpus = Corpus.open(sources.corpus)
-        store = FeatureStore.of(corpus, NativeCodec(corpus.skeleton), sources.cache / "features", loop.rank == 0)
         self.vae = frozen.load(sources.vae, "vae_ema")
+        store = FeatureStore.of(
+            corpus,
+            get_codec(self.vae.task["codec"]),
+            sources.cache / f"features-{self.vae.task['codec']}",
+            loop.rank == 0,
+        )
         name = f"latents-{self.vae.digest[:12]}"
         self.train = LatentSet.of(corpus, "train", store, self.vae.module, sources.cache / f"{name}-train.safetensors")
         self.val = LatentSet.of(

@@ -1,7 +1,7 @@
 """Training the motion VAE: reconstruction after forward kinematics, a small KL, an averaged copy that ships."""
 
 from dataclasses import dataclass, field
-from typing import Protocol, cast
+from typing import Literal, Protocol, cast
 
 import torch
 from torch import Tensor, nn
@@ -11,13 +11,21 @@ from moveset.evaluation.physical import jerk, skating
 from moveset.models.registry import describe
 from moveset.models.timed_vae import TimedVAEConfig
 from moveset.models.token_vae import TokenVAEConfig
+from moveset.motion.features import FeatureCodec, get_codec
 from moveset.motion.native import NativeCodec
+from moveset.training import frozen
 from moveset.training.clips import Crop, CropSampler, FeatureStore, clip_weights
 from moveset.training.ema import Ema, ema_warmup
 from moveset.training.engine import Loop, Task
 from moveset.training.optim import cosine_lr
 from moveset.training.tasks import Sources
-from moveset.training.vae_loss import ReconstructionWeights, kl_divergence, position_errors, reconstruction_loss
+from moveset.training.vae_loss import (
+    ReconstructionWeights,
+    kl_divergence,
+    position_errors,
+    published_loss,
+    reconstruction_loss,
+)
 
 
 class MotionVAE(Protocol):
@@ -32,7 +40,12 @@ class MotionVAE(Protocol):
 
 @dataclass(frozen=True, kw_only=True)
 class VAETrainingConfig:
-    """What ``VAETask`` trains and how; the learning rate is a cosine over the run."""
+    """What ``VAETask`` and ``DecoderTask`` train and how; the learning rate is a cosine over the run.
+
+    Args:
+        loss: what a reconstruction is judged by: after forward kinematics ("native" features only), or as published.
+        latent_noise: ``DecoderTask`` only: the most noise added to a latent, in standard deviations of the latents.
+    """
 
     model: TimedVAEConfig | TokenVAEConfig = field(default_factory=TimedVAEConfig)
     weights: ReconstructionWeights = field(default_factory=ReconstructionWeights)
@@ -43,6 +56,9 @@ class VAETrainingConfig:
     weight_decay: float = 0.0
     ema: float = 0.998
     composed_share: float = 0.3
+    latent_noise: float = 0.0
+    codec: str = "native"
+    loss: Literal["kinematic", "published"] = "kinematic"
     kind: str = field(init=False)
 
     def __post_init__(self) -> None:
@@ -57,8 +73,10 @@ class VAETask(Task):
     def __init__(self, config: VAETrainingConfig, sources: Sources, loop: Loop) -> None:
         self.config, self.steps = config, loop.config.steps
         corpus = Corpus.open(sources.corpus)
-        self.codec = NativeCodec(corpus.skeleton)
-        self.store = FeatureStore.of(corpus, self.codec, sources.cache / "features", progress=loop.rank == 0)
+        self.codec = get_codec(config.codec)
+        self.store = FeatureStore.of(
+            corpus, self.codec, sources.cache / f"features-{config.codec}", progress=loop.rank == 0
+        )
         self.vae = config.model.build().to(loop.device)
         self.ema = Ema(self.vae, config.ema)
         self.noise = loop.generator("noise", device=loop.device)
@@ -89,11 +107,9 @@ class VAETask(Task):
         real, lengths = (x.to(loop.device) for x in self.store.batch(self.sampler.crops(step)))
         mean, log_variance = (x.float() for x in self.vae.encode(real, lengths))
         noise = torch.randn(mean.shape, generator=self.noise, device=loop.device)
-        made = self.vae.decode(mean + (0.5 * log_variance).exp() * noise, lengths, real.shape[1])
+        made = self.vae.decode(mean + self._spread(log_variance) * noise, lengths, real.shape[1])
         with torch.autocast(loop.device.type, enabled=False):
-            loss, parts = reconstruction_loss(
-                made.float(), real, lengths, self.codec, self.store.normalizer, self.config.weights
-            )
+            loss, parts = self._loss(made.float(), real, lengths)
             kl = kl_divergence(mean, log_variance)
             norm = loop.minimise(loss + self.config.kl * kl, "vae")
         self.ema.update(self.vae, ema_warmup(step, self.config.ema))
@@ -101,17 +117,57 @@ class VAETask(Task):
             k: v.detach() for k, v in parts.items()
         }
 
+    def _loss(self, made: Tensor, real: Tensor, lengths: Tensor) -> tuple[Tensor, dict[str, Tensor]]:
+        if self.config.loss == "published":
+            return published_loss(made, real, lengths, self.codec, self.store.normalizer)
+        codec = cast(NativeCodec, self.codec)
+        return reconstruction_loss(made, real, lengths, codec, self.store.normalizer, self.config.weights)
+
+    def _spread(self, log_variance: Tensor) -> Tensor:
+        """Standard deviation of the latents that the decoder learns from."""
+        return (0.5 * log_variance).exp()
+
     def validate(self, step: int, loop: Loop) -> dict[str, float]:
         return reconstruction_report(
             cast(MotionVAE, self.ema.module), self.store, self.held_out, self.codec, loop.device
         )
 
 
+class DecoderTask(VAETask):
+    """Goes on with the decoder of a trained VAE while its encoder, and so every latent made with it, stays as it is.
+
+    The decoder meets two kinds of latents: those of the encoder, and those of a denoiser, which are a little off. Noise
+    of a random size up to ``latent_noise`` prepares it for the second kind; undisturbed latents stay in the mix.
+    """
+
+    name = "decoder"
+
+    def __init__(self, config: VAETrainingConfig, sources: Sources, loop: Loop) -> None:
+        super().__init__(config, sources, loop)
+        trained = frozen.load(sources.vae, "vae_ema", loop.device).module
+        self.vae.load_state_dict(trained.state_dict())
+        self.ema = Ema(self.vae, config.ema)
+        parts = (self.vae.patch_in, self.vae.length_in, self.vae.encoder, self.vae.merge, self.vae.encoder_mixer)
+        for part in (*parts, self.vae.norm_latent, self.vae.to_latent):
+            part.requires_grad_(False)
+        learning = [p for p in self.vae.parameters() if p.requires_grad]
+        self.optimizer = torch.optim.AdamW(learning, config.lr, betas=(0.9, 0.99), weight_decay=config.weight_decay)
+        with torch.no_grad():
+            crops = self.sampler.crops(0)
+            mean, _ = self.vae.encode(*(x.to(loop.device) for x in self.store.batch(crops)))
+        self.scale = mean.std(dim=0)
+
+    def _spread(self, log_variance: Tensor) -> Tensor:
+        size = torch.rand((len(log_variance), 1, 1), generator=self.noise, device=self.noise.device)
+        added = self.config.latent_noise * self.scale * (2 * size - 1).clamp_min(0.0).to(log_variance.device)
+        return (log_variance.exp() + added.square()).sqrt()
+
+
 @torch.no_grad()
 def reconstruction_report(
-    vae: MotionVAE, store: FeatureStore, crops: list[Crop], codec: NativeCodec, device: torch.device, batch: int = 64
+    vae: MotionVAE, store: FeatureStore, crops: list[Crop], codec: FeatureCodec, device: torch.device, batch: int = 64
 ) -> dict[str, float]:
-    """Means over clips: position errors in millimetres, jerk (m/s³) and skating of reconstructions and of the originals."""
+    """Means over clips: position errors (mm), jerk (m/s³) and skating of reconstructions and of the originals."""
     rows = []
     for start in range(0, len(crops), batch):
         real, lengths = (x.to(device) for x in store.batch(crops[start : start + batch]))

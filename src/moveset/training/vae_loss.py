@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional as fn
 
-from moveset.motion.features import Normalizer
+from moveset.motion.features import FeatureCodec, Normalizer
 from moveset.motion.native import NativeCodec
 
 
@@ -33,8 +33,8 @@ def reconstruction_loss(
     """Weighted sum and its parts.
 
     Features alone do not see what a viewer sees: an error at the hip moves the whole leg, an error in the root's speed
-    adds up over the clip, and small independent errors from frame to frame are jitter. So joints are judged after forward
-    kinematics: their posture, and their world velocity and acceleration (which is also what keeps planted feet planted).
+    adds up over the clip, and small independent errors from frame to frame are jitter. So joints are judged after
+    forward kinematics: their posture, and their world velocity and acceleration (which also keeps planted feet planted).
 
     Args:
         made: (B, F, D) normalised features.
@@ -66,13 +66,27 @@ def reconstruction_loss(
     return total, parts
 
 
+def published_loss(
+    made: Tensor, real: Tensor, lengths: Tensor, codec: FeatureCodec, normalizer: Normalizer
+) -> tuple[Tensor, dict[str, Tensor]]:
+    """The loss of MLD and MotionLCM-V2: smooth L1 of features and of recovered joints, masked means, weight 1 each."""
+    valid = (torch.arange(real.shape[1], device=real.device) < lengths[:, None]).to(real.dtype)
+    features = _clip_mean(fn.smooth_l1_loss(made, real, reduction="none").mean(-1), valid)
+    joints, true = (codec.joints(normalizer.denormalize(x)) for x in (made, real))
+    parts = {
+        "features": features,
+        "joints": _clip_mean(fn.smooth_l1_loss(joints, true, reduction="none").mean((-1, -2)), valid),
+    }
+    return parts["features"] + parts["joints"], parts
+
+
 def kl_divergence(mean: Tensor, log_variance: Tensor) -> Tensor:
     """KL to the standard normal, averaged over all latent numbers (nats per number)."""
     return 0.5 * (mean.square() + log_variance.exp() - 1.0 - log_variance).mean()
 
 
 def position_errors(
-    made: Tensor, real: Tensor, lengths: Tensor, codec: NativeCodec, normalizer: Normalizer
+    made: Tensor, real: Tensor, lengths: Tensor, codec: FeatureCodec, normalizer: Normalizer
 ) -> tuple[Tensor, Tensor]:
     """Mean per-joint position error of each clip in millimetres, (B,) root-aligned and (B,) unaligned."""
     valid = (torch.arange(real.shape[1], device=real.device) < lengths[:, None]).to(real.dtype)
@@ -91,3 +105,8 @@ def _place(posture: Tensor, heading: Tensor, path: Tensor) -> Tensor:
 
 def _mean(x: Tensor, valid: Tensor) -> Tensor:
     return (x * valid).sum() / valid.sum()
+
+
+def _clip_mean(x: Tensor, valid: Tensor) -> Tensor:
+    """Mean over each clip's frames, then over clips."""
+    return ((x * valid).sum(1) / valid.sum(1)).mean()

@@ -1,0 +1,117 @@
+"""Does a generated clip show what its prompt says? Content accuracy, jerk, skating and diversity beside real takes.
+
+A stand-in until the standard evaluator exists: a classifier trained on real training takes judges clips generated from
+held-out wordings, one for every labelled test take, of that take's length, all models with the same seeds.
+
+    python benchmarks/content.py --models src/moveset/weights/motionpcm-small --out results/content.json
+"""
+
+import argparse
+import json
+import time
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from moveset.data.captions import heldout_captions
+from moveset.data.corpus import Corpus
+from moveset.evaluation.content_classifier import ContentClassifier
+from moveset.evaluation.content_training import clip_features, content_class, labelled_clips, pad
+from moveset.evaluation.frechet import frechet_distance
+from moveset.evaluation.physical import jerk, skating
+from moveset.motion.clip import Motion
+from moveset.pipelines.bundle import Bundle
+from moveset.pipelines.request import Method, Request
+from moveset.pipelines.text_to_motion import TextToMotion
+
+
+def prompts_of(corpus: Corpus, splits: list[str], classes: set[str], copies: int) -> list[tuple[str, str, int]]:
+    """(content class, held-out wording, frames) for every judged take of the splits, ``copies`` wordings each."""
+    out = []
+    for split in splits:
+        for k in corpus.indices(split, composed=False):
+            label, frames = corpus.contents(k)[0], corpus.records[k].frames
+            if content_class(label) not in classes or frames < 24:
+                continue
+            wordings = heldout_captions(label)
+            out += [(content_class(label), wordings[(k + 3 * c) % len(wordings)], frames) for c in range(copies)]
+    return out
+
+
+def report(classifier: ContentClassifier, motions: list[Motion], labels: list[str], real: Tensor | None) -> dict:
+    """Accuracy over clips and over classes, medians of jerk and skating, diversity, distance to real."""
+    said = []
+    joints = [motion.joints for motion in motions]
+    for k in range(0, len(joints), 64):
+        said += classifier.predict(*pad(joints[k : k + 64])).labels
+    right = torch.tensor([a == b for a, b in zip(said, labels, strict=True)]).float()
+    classes = sorted(set(labels))
+    per_class = {c: right[[k for k, label in enumerate(labels) if label == c]] for c in classes}
+    features = clip_features(classifier, joints).double()
+    spread = [
+        torch.pdist(features[[k for k, label in enumerate(labels) if label == c]]).mean()
+        for c in classes
+        if labels.count(c) > 1
+    ]
+    out = {
+        "accuracy": float(right.mean()),
+        "balanced_accuracy": float(torch.stack([r.mean() for r in per_class.values()]).mean()),
+        "jerk": float(torch.stack([jerk(j, 20.0) for j in joints]).mean()),
+        "skating": float(torch.stack([skating(j, 20.0) for j in joints]).mean()),
+        "diversity": float(torch.stack(spread).mean()),
+        "per_class": {c: [round(float(r.mean()), 3), len(r)] for c, r in per_class.items()},
+    }
+    if real is not None:
+        out["frechet"] = frechet_distance(features, real)
+    return out
+
+
+def main() -> None:
+    """See the module."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--model", type=Path, required=True)
+    parser.add_argument("--corpus", type=Path, default=Path("data/corpus.safetensors"))
+    parser.add_argument("--classifier", type=Path, default=Path("runs/classifier"))
+    parser.add_argument("--networks", nargs="*", default=["teacher", "lcm-1", "pcm-1", "pcm-2", "pcm-4"])
+    parser.add_argument("--guidance", type=float, nargs="*", default=[], help="instead of the model's own scales")
+    parser.add_argument("--splits", nargs="*", default=["test"])
+    parser.add_argument("--copies", type=int, default=2)
+    parser.add_argument("--threads", type=int, default=2)
+    parser.add_argument("--out", type=Path)
+    given = parser.parse_args()
+    torch.set_num_threads(given.threads)
+    corpus, classifier = Corpus.open(given.corpus), ContentClassifier.load(given.classifier)
+    clips = [c for split in given.splits for c in labelled_clips(corpus, split) if c.label in classifier.labels]
+    real_features = clip_features(classifier, [c.joints for c in clips]).double()
+    wanted = prompts_of(corpus, given.splits, set(classifier.labels), given.copies)
+    requests = [Request((text,), (frames,), seed) for seed, (_, text, frames) in enumerate(wanted)]
+    labels = [label for label, _, _ in wanted]
+    t2m = TextToMotion(Bundle.find(given.model), "cpu")
+    real_motions = [corpus.motion(k) for s in given.splits for k in corpus.indices(s, composed=False)]
+    known = [content_class(corpus.contents(k)[0]) for s in given.splits for k in corpus.indices(s, composed=False)]
+    keep = [k for k, c in enumerate(known) if c in classifier.labels and len(real_motions[k]) >= 24]
+    rows = {"real": report(classifier, [real_motions[k] for k in keep], [known[k] for k in keep], None)}
+    print("real", {k: v for k, v in rows["real"].items() if k != "per_class"}, len(keep), "takes", flush=True)
+    for network in given.networks:
+        solver, _, steps = network.partition("-")
+        for w in given.guidance or [t2m.bundle.config.guidance[network]]:
+            method = Method(solver, network, int(steps or 50), w)
+            start = time.perf_counter()
+            order = sorted(range(len(requests)), key=lambda k: requests[k].frames[0] or 0)
+            made = t2m.generate([requests[k] for k in order], method, batch=64, foot_lock=True)
+            for kind in ("raw", "motions"):
+                name = f"{network} w={w:g}" + (" foot lock" if kind == "motions" else "")
+                motions = [getattr(g, kind)[0] for g in made]
+                rows[name] = report(classifier, motions, [labels[k] for k in order], real_features)
+                rows[name]["seconds"] = round(time.perf_counter() - start, 1)
+                print(name, {k: v for k, v in rows[name].items() if k != "per_class"}, flush=True)
+    if given.out:
+        given.out.parent.mkdir(parents=True, exist_ok=True)
+        given.out.write_text(
+            json.dumps({"splits": given.splits, "clips": len(requests), "rows": rows}, indent=1) + "\n"
+        )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,149 @@
+"""From run folders to a model folder: averaged weights, statistics, the length predictor and the known captions."""
+
+import argparse
+from pathlib import Path
+
+import torch
+from torch import nn
+
+from moveset.data.captions import heldout_captions
+from moveset.data.corpus import Corpus
+from moveset.pipelines.bundle import BundleConfig, save_bundle
+from moveset.text.cache import EmbeddingCache
+from moveset.text.encoder import get_text_encoder
+from moveset.training import checkpoint, frozen
+from moveset.training.clips import FeatureStore
+from moveset.training.latents import LatentSet
+from moveset.training.length import train_length
+from moveset.training.tasks import Sources
+
+KNOWN_CAPTIONS = 2000
+
+
+def pack(
+    sources: Sources,
+    students: dict[str, Path],
+    guidance: dict[str, float],
+    name: str,
+    out: Path,
+    averaged: bool = True,
+    decoder: Path | None = None,
+    text_encoder: str = "minilm",
+) -> Path:
+    """Write the model folder ``out``.
+
+    Args:
+        sources: corpus, vae and teacher runs, and their cache.
+        students: run folders of students by name ("lcm-1", "pcm-1", …).
+        guidance: default guidance scale by network name.
+        name: what the model is called.
+        out: the folder to write.
+        averaged: ship the students' averaged weights instead of the last ones.
+        decoder: a run that went on with the VAE's decoder; None ships the VAE as it is.
+        text_encoder: what the teacher was trained with.
+    """
+    corpus = Corpus.open(sources.corpus)
+    vae = frozen.load(sources.vae, "vae_ema")
+    store = FeatureStore(sources.cache / f"features-{vae.task['codec']}")
+    latents = LatentSet.of(
+        corpus, "train", store, vae.module, sources.cache / f"latents-{vae.digest[:12]}-train.safetensors"
+    )
+    text = EmbeddingCache.open(sources.cache / f"text-{text_encoder}.safetensors")
+    shipped = frozen.load(decoder, "vae_ema") if decoder else vae
+    modules: dict[str, nn.Module] = {
+        "vae": shipped.module,
+        "teacher": frozen.load(sources.teacher, "teacher_ema").module,
+    }
+    for student, folder in students.items():
+        modules[student] = frozen.load(folder, "student_ema" if averaged else "student").module
+    captions, frames, held_out = caption_lengths(corpus)
+    pooled = text.lookup(captions).pooled
+    length = train_length(pooled, frames, held_out=held_out, epochs=4)
+    print(f"length predictor: median error {length.median_error:.0f} frames, constant {length.constant_error:.0f}")
+    modules["length"] = length.model
+    known = known_captions(corpus)
+    known_pooled = text.lookup(known).pooled
+    config = BundleConfig(
+        name=name,
+        codec=vae.task["codec"],
+        text_encoder=text_encoder,
+        guidance={network: guidance[network] for network in modules if network in guidance},
+        far_prompt=familiarity_limit(known_pooled, text_encoder),
+        provenance={
+            "corpus": f"{len(corpus)} clips, {corpus.seconds / 3600:.2f} h",
+            **{name: f"step {checkpoint.resolve(path).name}" for name, path in students.items()},
+        },
+    )
+    normalizer = {
+        "feature_mean": store.normalizer.mean,
+        "feature_std": store.normalizer.std,
+        "latent_mean": latents.center,
+        "latent_std": latents.scale,
+    }
+    return save_bundle(out, config, modules, normalizer, known, known_pooled)
+
+
+def caption_lengths(corpus: Corpus, per_clip: int = 2) -> tuple[list[str], torch.Tensor, torch.Tensor]:
+    """Captions with the frames of their clips, and which of them are of the validation split."""
+    rows = [
+        (caption, corpus.records[k].frames, split == "val")
+        for split in ("train", "val")
+        for k in corpus.indices(split)
+        for caption in corpus.captions(k)[k % 3 :: max(1, len(corpus.captions(k)) // per_clip)][:per_clip]
+    ]
+    captions, frames, held_out = zip(*rows, strict=True)
+    return list(captions), torch.tensor(frames), torch.tensor(held_out)
+
+
+def known_captions(corpus: Corpus) -> list[str]:
+    """Captions that stand for what the model knows: a few of every content and combination."""
+    by_content: dict[tuple[str, ...], set[str]] = {}
+    for k in corpus.indices("train"):
+        for mirrored in (False, True):
+            by_content.setdefault(corpus.contents(k, mirrored), set()).update(corpus.captions(k, mirrored))
+    each = max(1, KNOWN_CAPTIONS // len(by_content))
+    chosen = {c for captions in by_content.values() for c in sorted(captions)[:: max(1, len(captions) // each)][:each]}
+    return sorted(chosen)
+
+
+def familiarity_limit(known: torch.Tensor, text_encoder: str) -> float:
+    """The similarity that 95 % of held-out wordings of known contents reach."""
+    encoder = get_text_encoder(text_encoder)
+    contents = ("walk", "run", "wave-left-hand", "raise-up-both-hands", "walk-turn-left", "bow", "kick", "dash")
+    sentences = [sentence for content in contents for sentence in heldout_captions(content)]
+    best = (encoder.encode(sentences).pooled @ torch.nn.functional.normalize(known.float(), dim=-1).T).amax(dim=1)
+    return round(float(best.quantile(0.05)), 3)
+
+
+def main() -> None:
+    """Command line: ``python -m moveset.training.pack --runs runs/small --out FOLDER``."""
+    parser = argparse.ArgumentParser(description=main.__doc__)
+    parser.add_argument("--runs", type=Path, default=Path("runs/small"))
+    parser.add_argument("--corpus", type=Path, default=Path("data/corpus.safetensors"))
+    parser.add_argument("--students", nargs="*", default=["lcm-1", "pcm-1", "pcm-2", "pcm-4"])
+    parser.add_argument("--guidance", type=float, nargs="*", default=[3.0], help="teacher's, then each student's")
+    parser.add_argument("--last", action="store_true", help="the students' last weights instead of the averaged ones")
+    parser.add_argument("--no-decoder", action="store_true", help="ship the VAE's own decoder, not that of decoder/")
+    parser.add_argument("--name", default="motionpcm-small")
+    parser.add_argument("--out", type=Path, required=True)
+    given = parser.parse_args()
+    networks = ["teacher", *given.students]
+    scales = given.guidance if len(given.guidance) > 1 else given.guidance * len(networks)
+    sources = Sources(
+        corpus=given.corpus, vae=given.runs / "vae", teacher=given.runs / "teacher", cache=given.runs / "cache"
+    )
+    print(
+        pack(
+            sources,
+            {name: given.runs / name for name in given.students},
+            dict(zip(networks, scales, strict=True)),
+            given.name,
+            given.out,
+            not given.last,
+            None if given.no_decoder else given.runs / "decoder",
+        )
+    )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,102 @@
+"""All of it at the tiny size: corpus, autoencoder, teacher, students, model folder, and a motion from a sentence."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import torch
+
+from moveset.data.synthetic import synthetic_corpus
+from moveset.recipes import tiny
+from moveset.training import checkpoint
+from moveset.training.engine import run
+from moveset.training.pack import pack
+from moveset.training.tasks import Sources, task_maker
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("runs")
+    synthetic_corpus(folder / "corpus.safetensors", clips=24, seed=0)
+    for what in ("vae", "decoder", "teacher", "lcm", "pcm"):
+        recipe = tiny.TRAINING[what]()
+        run(task_maker(what, recipe.task, sources(folder)), recipe.engine, folder / what)
+    return folder
+
+
+def sources(folder: Path) -> Sources:
+    return Sources(
+        corpus=folder / "corpus.safetensors", vae=folder / "vae", teacher=folder / "teacher", cache=folder / "cache"
+    )
+
+
+def test_students_are_not_the_teacher_any_more_and_the_decoder_keeps_its_encoder(trained: Path) -> None:
+    teacher = checkpoint.read_tensors(checkpoint.resolve(trained / "teacher"), "teacher_ema")
+    for student in ("lcm", "pcm"):
+        learned = checkpoint.read_tensors(checkpoint.resolve(trained / student), "student")
+        assert any(not torch.equal(teacher[name], learned[name]) for name in teacher)
+        assert learned["guidance.weight"].abs().sum() > 0
+    before = checkpoint.read_tensors(checkpoint.resolve(trained / "vae"), "vae_ema")
+    after = checkpoint.read_tensors(checkpoint.resolve(trained / "decoder"), "vae_ema")
+    changed = {name for name in before if not torch.equal(before[name], after[name])}
+    assert changed
+    assert not any(name.startswith(("patch_in", "length_in", "encoder", "merge", "to_latent")) for name in changed)
+
+
+def test_a_resumed_distillation_equals_one_that_never_stopped(trained: Path, tmp_path: Path) -> None:
+    recipe = tiny.TRAINING["pcm"]()
+    from dataclasses import replace
+
+    maker = task_maker("pcm", recipe.task, sources(trained))
+    run(maker, replace(recipe.engine, steps=2), tmp_path / "run")
+    # The learning rate is a cosine over the run, so the first half must know of the second.
+    whole = checkpoint.read_tensors(trained / "pcm" / "step_2", "student")
+    half = checkpoint.read_tensors(tmp_path / "run" / "step_2", "student")
+    assert whole.keys() == half.keys()
+    (tmp_path / "copy").mkdir()
+    subprocess.run(["cp", "-r", str(trained / "pcm" / "step_2"), str(tmp_path / "copy")], check=True)
+    run(maker, recipe.engine, tmp_path / "copy", True)
+    for name in ("student", "student_ema", "discriminator", "optimizer_student"):
+        if (trained / "pcm" / "step_4" / f"{name}.safetensors").is_file():
+            one = checkpoint.read_tensors(trained / "pcm" / "step_4", name)
+            two = checkpoint.read_tensors(tmp_path / "copy" / "step_4", name)
+            assert all(torch.equal(one[key], two[key]) for key in one)
+
+
+def test_a_packed_model_generates_by_every_method(trained: Path, tmp_path: Path) -> None:
+    from moveset.pipelines.text_to_motion import TextToMotion
+
+    students = {"lcm-1": trained / "lcm", "pcm-1": trained / "pcm"}
+    out = pack(
+        sources(trained),
+        students,
+        {n: 2.0 for n in ("teacher", *students)},
+        "tiny",
+        tmp_path / "tiny",
+        True,
+        trained / "decoder",
+    )
+    t2m = TextToMotion.from_pretrained(out, device="cpu")
+    for solver, steps in (("pcm", 1), ("lcm", 1), ("teacher", 3)):
+        made = t2m("a person walks forward", seconds=2.0, steps=steps, solver=solver, seed=3)
+        assert len(made.motion) == 40
+    assert t2m("a person walks").motion.seconds > 0.9
+
+
+def test_the_command_line_trains(tmp_path: Path) -> None:
+    synthetic_corpus(tmp_path / "corpus.safetensors", clips=12, seed=0)
+    command = [
+        sys.executable,
+        "-m",
+        "moveset.cli",
+        "train",
+        "vae",
+        "--recipe",
+        "tiny",
+        "--corpus",
+        "corpus.safetensors",
+    ]
+    done = subprocess.run([*command, "--threads", "1"], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "runs" / "tiny" / "vae" / "step_4" / "manifest.json").is_file()
