@@ -1,1 +1,163 @@
+"""Motions in files: ``load`` and ``save`` choose the format by the file's extension.
 
+| extension | written | read |
+|---|---|---|
+| .bvh | rotations, centimetres | any BVH; its unit of length is guessed from the body's size |
+| .glb | skinned body with animation | skinned animations |
+| .npz | rotations and skeleton; ``.amass.npz``: AMASS poses | both |
+| .npy | joint positions (F, J, 3) | HumanML3D joints (F, 22, 3) at 20 fps |
+| .mp4 .gif .png | video, animation, filmstrip | no |
+
+Metadata is kept inside .glb (``asset.extras.moveset``), .npz (``metadata``), .png (text chunk "moveset"), .gif and .mp4
+(comment). BVH, AMASS npz and npy have no place for it: there it goes into a file beside, ``walk.bvh.json``.
+"""
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from moveset.errors import FormatError, InputError
+
+if TYPE_CHECKING:
+    from moveset.motion.clip import Motion
+
+READABLE = (".bvh", ".glb", ".npz", ".npy")
+WRITABLE = (*READABLE, ".mp4", ".gif", ".png")
+
+
+def load(path: str | Path) -> "Motion":
+    """Read a motion.
+
+    Raises:
+        InputError: an unknown extension, or a file that cannot be read.
+        FormatError: a file that is damaged, absurd or not what its extension says.
+    """
+    suffix = _suffix(path, READABLE, "read")
+    if suffix == ".bvh":
+        return _load_bvh(path)
+    if suffix == ".glb":
+        from moveset.io.gltf_reader import read_glb
+
+        return read_glb(path)
+    from moveset.io.arrays import read_npy, read_npz
+
+    return read_npz(path) if suffix == ".npz" else read_npy(path)
+
+
+def save(motion: "Motion", path: str | Path, *, metadata: Mapping[str, str | int | float | None] | None = None) -> Path:
+    """Write a motion, whole or not at all.
+
+    Args:
+        motion: what to write.
+        path: where to; the extension says how.
+        metadata: what to remember with it (prompt, seed, model, …); ``prompt`` is also the caption of pictures.
+
+    Raises:
+        InputError: an unknown extension, or a path that cannot be written to.
+    """
+    suffix, path = _suffix(path, WRITABLE, "write"), Path(path)
+    notes = dict(metadata or {})
+    if suffix == ".bvh":
+        from moveset.io.bvh import write_bvh
+
+        write_bvh(motion, path)
+    elif suffix == ".glb":
+        from moveset.io.gltf import write_glb
+
+        write_glb(motion, path, metadata=notes)
+    elif suffix in (".npz", ".npy"):
+        from moveset.io import arrays
+
+        if suffix == ".npy":
+            arrays.write_npy(motion, path)
+        elif _is_amass(path):
+            arrays.write_amass(motion, path)
+        else:
+            arrays.write_npz(motion, path, metadata=notes)
+    else:
+        _save_picture(motion, path, suffix, notes)
+    if notes and (suffix in (".bvh", ".npy") or _is_amass(path)):
+        from moveset.io.limits import atomic_write
+
+        with atomic_write(_beside(path)) as file:
+            file.write((json.dumps(notes, ensure_ascii=False, indent=1) + "\n").encode())
+    return path
+
+
+def read_metadata(path: str | Path) -> dict[str, Any]:
+    """What ``save`` was told to remember in a .glb, .npz or .png, or beside a .bvh, .npy or AMASS npz; {} if nothing.
+
+    Raises:
+        InputError: an extension without metadata that can be read, or a file that cannot be read.
+        FormatError: a damaged file.
+    """
+    suffix = _suffix(path, (*READABLE, ".png"), "read metadata of")
+    if suffix == ".glb":
+        from moveset.io.gltf_reader import glb_metadata
+
+        return glb_metadata(path)
+    if suffix == ".npz" and not _is_amass(path):
+        from moveset.io.arrays import npz_metadata
+
+        return npz_metadata(path)
+    if suffix == ".png":
+        from moveset.io.filmstrip import filmstrip_metadata
+
+        return filmstrip_metadata(path)
+    from moveset.io.limits import read_limited
+
+    beside = _beside(Path(path))
+    if not beside.exists():
+        return {}
+    try:
+        found = json.loads(read_limited(beside, 2**20))
+    except (ValueError, RecursionError) as error:
+        raise FormatError(f"{beside} is not JSON; delete it or write the motion again") from error
+    return found if isinstance(found, dict) else {}
+
+
+def _suffix(path: str | Path, known: tuple[str, ...], verb: str) -> str:
+    suffix = Path(path).suffix.lower()
+    if suffix not in known:
+        raise InputError(
+            f"cannot {verb} {str(path)!r}: its extension is not one of {' '.join(known)}; use one of these"
+        )
+    return suffix
+
+
+def _is_amass(path: str | Path) -> bool:
+    return Path(path).name.lower().endswith(".amass.npz")
+
+
+def _beside(path: Path) -> Path:
+    return path.with_name(path.name + ".json")
+
+
+def _load_bvh(path: str | Path) -> "Motion":
+    from dataclasses import replace
+
+    from moveset.io.bvh import bvh_motion, likely_scale
+    from moveset.io.bvh_parser import read_bvh
+    from moveset.motion.rigs import as_skeleton
+
+    bvh = read_bvh(path)
+    motion = bvh_motion(bvh, scale=likely_scale(bvh))
+    found = motion.skeleton
+    return replace(motion, skeleton=as_skeleton(Path(path).stem[:64], found.joints, found.parents, found.offsets))
+
+
+def _save_picture(motion: "Motion", path: Path, suffix: str, notes: dict[str, Any]) -> None:
+    caption, text = str(notes.get("prompt") or ""), json.dumps(notes) if notes else ""
+    if suffix == ".png":
+        from moveset.io.filmstrip import write_filmstrip
+
+        write_filmstrip(motion, path, caption=caption, metadata=text)
+    elif suffix == ".gif":
+        from moveset.io.video import write_gif
+
+        write_gif(motion, path, caption=caption, metadata=text)
+    else:
+        from moveset.io.video import write_mp4
+
+        write_mp4(motion, path, caption=caption, metadata=text)

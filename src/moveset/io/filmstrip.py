@@ -1,14 +1,18 @@
 """A motion on one page: poses side by side."""
 
+import json
 import math
+from io import BytesIO
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import torch
 from PIL import Image, ImageDraw
 from PIL.PngImagePlugin import PngInfo
 
-from moveset.io.limits import atomic_write
+from moveset.errors import FormatError
+from moveset.io.limits import atomic_write, read_limited
 from moveset.io.render import BACKGROUND, INK, Painter, fitted, font, three_quarter_view
 from moveset.motion import rotations
 from moveset.motion.clip import Motion
@@ -93,3 +97,18 @@ def write_filmstrip(motion: Motion, path: str | Path, *, caption: str = "", meta
     info.add_itxt("moveset", metadata or "{}")
     with atomic_write(path) as file:
         filmstrip(motion, caption).save(file, format="PNG", pnginfo=info)
+
+
+def filmstrip_metadata(path: str | Path) -> dict[str, Any]:
+    """The metadata of a PNG that ``write_filmstrip`` wrote; empty for others.
+
+    Raises:
+        InputError: the file cannot be read.
+        FormatError: it is no PNG or its metadata is damaged.
+    """
+    try:
+        with Image.open(BytesIO(read_limited(path)), formats=["PNG"]) as picture:
+            found = json.loads(picture.info.get("moveset", "{}"))
+    except (OSError, ValueError, SyntaxError, RecursionError, Image.DecompressionBombError) as error:
+        raise FormatError(f"{path}: it is no PNG with readable metadata ({error}); write it again") from error
+    return found if isinstance(found, dict) else {}

@@ -9,10 +9,12 @@ Positions do not determine rotations: a bone may turn about itself unseen. Here 
 * Everything else by the shortest arc from its parent.
 
 So there is never a twist of the forearm, a turn or nod of the head beyond the neck's own, a roll of the foot, or any
-rotation of hands and toes. The bone lengths are the skeleton's: positions of another body come out on this one.
+rotation of hands and toes. ``positions_to_motion`` puts any body's positions onto the skeleton as it is;
+``solve_rotations`` gives the skeleton the body's bone lengths instead.
 """
 
 import math
+from dataclasses import replace
 
 import torch
 from torch import Tensor
@@ -65,6 +67,24 @@ def positions_to_motion(joints: Tensor, fps: float, skeleton: Skeleton = HML22) 
     turned = _Solver(p, fps, skeleton).solve()
     local = rotations.unroll(rotations.normalize(global_to_local(turned, skeleton)))
     return Motion(local.float(), p[:, 0].float(), fps, skeleton)
+
+
+def solve_rotations(joints: Tensor, fps: float, skeleton: Skeleton = HML22) -> Motion:
+    """As ``positions_to_motion``, on the skeleton with the bone lengths of the positions, averaged over time.
+
+    Lengths that agree with the skeleton's within a millimetre leave it as it is.
+
+    Raises:
+        InputError: as there.
+    """
+    motion = positions_to_motion(joints, fps, skeleton)
+    bones = joints[:, 1:].double() - joints[:, list(skeleton.parents[1:])].double()
+    lengths, own = bones.norm(dim=-1).mean(dim=0).cpu(), skeleton.offsets[1:].double().norm(dim=-1)
+    if (lengths - own).abs().max() < 1e-3:
+        return motion
+    scaled = skeleton.offsets[1:].double() * (lengths / own.clamp_min(1e-9))[:, None]
+    fitted = replace(skeleton, offsets=torch.cat((skeleton.offsets[:1], scaled.float())))
+    return Motion(motion.rotations, motion.root, fps, fitted)
 
 
 class _Solver:
@@ -131,11 +151,12 @@ class _Solver:
         low, high = math.sin(_BENT[0]), math.sin(_BENT[1])
         sure = ((bend.norm(dim=-1, keepdim=True) - low) / (high - low)).clamp(0.0, 1.0)
         sure = sure * sure * (3.0 - 2.0 * sure)
+        unsure = 1.0 - sure
         evidence = sure * seen(bend)
         if end in self.skeleton.feet:
             toe = self.skeleton.children[end][0]
-            evidence = evidence + _TOE_CONFIDENCE * seen(torch.linalg.cross(self._bone(toe), bone))
-        evidence = evidence + evidence.new_tensor((_PRIOR_CONFIDENCE, 0.0))
+            evidence = evidence + unsure * _TOE_CONFIDENCE * seen(torch.linalg.cross(self._bone(toe), bone))
+        evidence = evidence + unsure * evidence.new_tensor((_PRIOR_CONFIDENCE, 0.0))
         around = gaussian_smooth(evidence, max(_NEIGHBOURS * self.fps, 0.5))
-        cos, sin = (evidence + _NEIGHBOUR_CONFIDENCE * around).unbind(-1)
+        cos, sin = (evidence + unsure * _NEIGHBOUR_CONFIDENCE * around).unbind(-1)
         return rotations.mul(rotations.from_axis_angle(bone, torch.atan2(sin, cos)), turn)

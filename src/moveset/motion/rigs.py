@@ -191,7 +191,7 @@ def as_skeleton(name: str, joints: tuple[str, ...], parents: tuple[int, ...], of
         InputError: the parts do not belong together.
     """
     for rig in RIGS.values():
-        if rig.joints == joints and rig.parents == parents and torch.allclose(rig.offsets, offsets, atol=1e-6):
+        if rig.joints == joints and rig.parents == parents and torch.allclose(rig.offsets, offsets, atol=2e-5):
             return rig
     skeleton = Skeleton(name, joints, parents, offsets, pairs_by_name(joints))
     try:
