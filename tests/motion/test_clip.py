@@ -1,0 +1,99 @@
+"""What ``Motion`` does to a clip."""
+
+import pytest
+import torch
+
+from moveset.errors import InputError
+from moveset.motion import rotations
+from moveset.motion.clip import Motion
+from moveset.motion.skeleton import HML22, KIT21
+from tests.motions import gait, wander
+
+
+def close(a: Motion, b: Motion, metres=1e-5, radians=2e-3):
+    assert (a.root - b.root).norm(dim=-1).max() < metres
+    assert rotations.angle(rotations.mul(rotations.inv(a.rotations), b.rotations)).max() < radians
+    assert (a.joints - b.joints).norm(dim=-1).max() < 2 * metres
+
+
+def test_slices_move_nothing():
+    motion = wander(30, 0)
+    part = motion[10:20]
+    assert (len(part), part.seconds) == (10, 0.5)
+    assert torch.equal(part.joints, motion.joints[10:20])
+
+
+def test_transforming_moves_the_joints_rigidly():
+    motion, turn, shift = wander(20, 1), rotations.about("y", 70.0), torch.tensor([1.0, -2.0, 3.0])
+    expected = rotations.rotate(turn, motion.joints) + shift
+    torch.testing.assert_close(motion.transformed(turn, shift).joints, expected, atol=1e-5, rtol=0)
+
+
+def test_canonical_starts_above_the_origin_and_faces_front():
+    motion = wander(20, 2, turn=1.0).transformed(rotations.about("y", -130.0), torch.tensor([4.0, 0.0, 9.0]))
+    canonical = motion.canonical()
+    assert canonical.root[0, [0, 2]].abs().max() < 1e-6
+    assert canonical.root[0, 1] == motion.root[0, 1]
+    assert rotations.heading_angle(canonical.rotations[0, 0]).abs() < 1e-6
+    close(canonical.canonical(), canonical)
+
+
+@pytest.mark.parametrize("skeleton", [HML22, KIT21], ids=lambda s: s.name)
+def test_mirroring_reflects_and_renames_every_joint(skeleton):
+    motion = wander(20, 3, skeleton)
+    expected = motion.joints[:, list(skeleton.mirror_order)] * torch.tensor([-1.0, 1.0, 1.0])
+    torch.testing.assert_close(motion.mirrored().joints, expected, atol=1e-5, rtol=0)
+    close(motion.mirrored().mirrored(), motion)
+
+
+@pytest.mark.parametrize("fps", [20.0, 24.0, 30.0, 60.0, 7.0])
+def test_resampling_keeps_the_duration_and_the_first_frame(fps):
+    motion = wander(41, 4)
+    out = motion.resampled(fps)
+    assert out.fps == fps
+    assert abs((len(out) - 1) / fps - 2.0) <= 0.5 / fps
+    torch.testing.assert_close(out.root[0], motion.root[0])
+    if (2.0 * fps) % 1 == 0:
+        torch.testing.assert_close(out.root[-1], motion.root[-1])
+        torch.testing.assert_close(out.joints[-1], motion.joints[-1], atol=1e-5, rtol=0)
+
+
+def test_resampling_up_keeps_every_frame():
+    motion = gait(30)
+    close(motion.resampled(60.0)[::3], motion)
+    close(motion.resampled(60.0).resampled(20.0), motion)
+
+
+def test_a_single_frame_resamples_to_itself():
+    out = wander(1, 5).resampled(60.0)
+    assert (len(out), out.fps) == (1, 60.0)
+
+
+def test_in_place_keeps_height_and_pose():
+    motion = gait(30)
+    still = motion.in_place()
+    assert torch.equal(still.root[:, 1], motion.root[:, 1])
+    assert (still.root[:, [0, 2]] - motion.root[0, [0, 2]]).abs().max() == 0.0
+    assert torch.equal(still.rotations, motion.rotations)
+
+
+@pytest.mark.parametrize("fps", [0.0, -1.0, 1001.0, float("nan")])
+def test_absurd_frame_rates_are_refused(fps):
+    with pytest.raises(InputError, match="frame rate"):
+        wander(5, 6).resampled(fps)
+
+
+@pytest.mark.parametrize(
+    ("turned", "root", "fps", "message"),
+    [
+        (rotations.identity(3, 21), torch.zeros(3, 3), 20.0, r"\(F, 22, 4\)"),
+        (rotations.identity(3, 22), torch.zeros(4, 3), 20.0, r"\(4, 3\)"),
+        (rotations.identity(0, 22), torch.zeros(0, 3), 20.0, "F >= 1"),
+        (rotations.identity(3, 22), torch.full((3, 3), torch.inf), 20.0, "finite"),
+        (rotations.identity(3, 22) * torch.nan, torch.zeros(3, 3), 20.0, "finite"),
+        (rotations.identity(3, 22), torch.zeros(3, 3), 0.0, "above 0"),
+    ],
+)
+def test_broken_motions_are_refused(turned, root, fps, message):
+    with pytest.raises(InputError, match=message):
+        Motion(turned, root, fps)

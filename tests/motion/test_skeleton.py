@@ -1,0 +1,66 @@
+"""The built-in skeletons are what their documentation says, and broken ones are refused."""
+
+import pytest
+import torch
+
+from moveset.errors import InputError
+from moveset.motion.skeleton import HML22, KIT21, Skeleton
+
+BUILT_IN = [HML22, KIT21]
+
+
+@pytest.mark.parametrize("skeleton", BUILT_IN, ids=lambda s: s.name)
+def test_trees_are_consistent(skeleton):
+    assert len(set(skeleton.joints)) == len(skeleton)
+    assert skeleton.parents[0] == -1
+    for j, children in enumerate(skeleton.children):
+        assert all(skeleton.parents[c] == j for c in children)
+        assert skeleton.index(skeleton.joints[j]) == j
+    assert sorted(j for level in skeleton.levels for j in level) == list(range(len(skeleton)))
+    for above, level in zip(skeleton.levels, skeleton.levels[1:], strict=False):
+        assert all(skeleton.parents[j] in above for j in level)
+
+
+@pytest.mark.parametrize("skeleton", BUILT_IN, ids=lambda s: s.name)
+def test_rest_poses_are_symmetric_upright_and_face_front(skeleton):
+    rest = skeleton.rest_positions
+    mirrored = rest[list(skeleton.mirror_order)] * torch.tensor([-1.0, 1.0, 1.0])
+    torch.testing.assert_close(mirrored, rest, atol=1e-6, rtol=0)
+    for left, right in skeleton.pairs:
+        assert skeleton.joints[left].startswith("left")
+        assert skeleton.joints[right] == skeleton.joints[left].replace("left", "right")
+        assert rest[left, 0] > 0 > rest[right, 0]
+    assert rest[:, 1].argmax() == skeleton.index("head")
+    left_ankle, left_toe, *_ = skeleton.feet
+    assert rest[left_toe, 2] > rest[left_ankle, 2]
+    assert rest[list(skeleton.feet), 1].max() < -0.4
+
+
+def test_hml22_is_the_published_order_and_size():
+    assert len(HML22) == 22
+    assert HML22.parents == (-1, 0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 9, 9, 12, 13, 14, 16, 17, 18, 19)
+    assert [HML22.joints[j] for j in HML22.feet] == ["left_ankle", "left_foot", "right_ankle", "right_foot"]
+    leg = HML22.offsets[[4, 7]].norm(dim=-1).sum().item()
+    assert leg == pytest.approx(0.82094, abs=1e-5)
+    assert 1.5 < (HML22.rest_positions[15, 1] - HML22.rest_positions[10, 1]).item() < 1.7
+
+
+def test_mirror_order_undoes_itself():
+    for skeleton in BUILT_IN:
+        order = skeleton.mirror_order
+        assert [order[order[j]] for j in range(len(skeleton))] == list(range(len(skeleton)))
+
+
+@pytest.mark.parametrize(
+    ("joints", "parents", "offsets", "message"),
+    [
+        (("a", "b"), (-1,), torch.zeros(2, 3), "2 joints, 1 parents"),
+        (("a", "b"), (-1, 0), torch.zeros(2, 4), r"\(2, 4\)"),
+        (("a", "b"), (-1, 1), torch.zeros(2, 3), "before their children"),
+        (("a", "b"), (1, -1), torch.zeros(2, 3), "before their children"),
+        (("a", "b"), (-1, -1), torch.zeros(2, 3), "joint 0 be the root"),
+    ],
+)
+def test_broken_trees_are_refused(joints, parents, offsets, message):
+    with pytest.raises(InputError, match=message):
+        Skeleton("broken", joints, parents, offsets)
