@@ -14,7 +14,7 @@ def vae() -> Recipe:
     return Recipe(
         task=VAETrainingConfig(batch=32),
         engine=EngineConfig(
-            steps=6000, save_every=500, validate_every=500, grad_clip=8.0, precision="bf16-mixed", threads=1
+            steps=4800, save_every=500, validate_every=500, grad_clip=8.0, precision="bf16-mixed", threads=1
         ),
     )
 

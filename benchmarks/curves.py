@@ -1,0 +1,61 @@
+"""The training curves of a folder of runs as one picture and one small JSON, from their ``metrics.jsonl``.
+
+    python benchmarks/curves.py --runs runs/small --out docs/training
+"""
+
+import argparse
+import json
+from pathlib import Path
+
+import matplotlib
+
+matplotlib.use("Agg")
+from matplotlib import pyplot as plt
+
+PANELS = {
+    "vae": ("train", "loss", "VAE: training loss"),
+    "vae ": ("val", "mpjpe_mm", "VAE: val MPJPE (mm, root-aligned)"),
+    "decoder": ("val", "mpjpe_mm", "decoder refinement: val MPJPE (mm)"),
+    "teacher": ("train", "loss", "teacher: noise prediction MSE"),
+    "teacher ": ("val", "loss", "teacher: val MSE (average)"),
+    "lcm-1": ("train", "loss", "LCM-1: pseudo-Huber"),
+    "pcm-1": ("train", "consistency", "PCM-1: pseudo-Huber"),
+    "pcm-1 ": ("train", "discriminator", "PCM-1: discriminator hinge"),
+    "pcm-2": ("train", "consistency", "PCM-2: pseudo-Huber"),
+    "pcm-4": ("train", "consistency", "PCM-4: pseudo-Huber"),
+}
+
+
+def points(path: Path, split: str, name: str) -> list[tuple[int, float]]:
+    """(step, value) of one metric."""
+    rows = [json.loads(line) for line in path.read_text().splitlines()]
+    return [(row["step"], row[name]) for row in rows if row["split"] == split and name in row]
+
+
+def main() -> None:
+    """See the module."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--runs", type=Path, default=Path("runs/small"))
+    parser.add_argument("--out", type=Path, default=Path("docs/training"))
+    given = parser.parse_args()
+    found = {k: v for k, v in PANELS.items() if (given.runs / k.strip() / "metrics.jsonl").is_file()}
+    figure, axes = plt.subplots(2, -(-len(found) // 2), figsize=(3.2 * -(-len(found) // 2), 5), squeeze=False)
+    kept = {}
+    for axis, (run, (split, name, title)) in zip(axes.flat, found.items(), strict=False):
+        curve = points(given.runs / run.strip() / "metrics.jsonl", split, name)
+        axis.plot(*zip(*curve, strict=True), lw=1)
+        axis.set_title(title, fontsize=8)
+        axis.tick_params(labelsize=7)
+        axis.grid(alpha=0.3)
+        every = max(1, len(curve) // 50)
+        kept[f"{run.strip()}/{split}/{name}"] = [[step, round(value, 5)] for step, value in curve[::every]]
+    for axis in axes.flat[len(found) :]:
+        axis.set_visible(False)
+    figure.tight_layout()
+    given.out.mkdir(parents=True, exist_ok=True)
+    figure.savefig(given.out / "curves.png", dpi=110)
+    (given.out / "curves.json").write_text(json.dumps(kept) + "\n")
+
+
+if __name__ == "__main__":
+    main()
