@@ -1,5 +1,9 @@
-"""What ``make demo`` runs: a few sentences in one, two and four steps, as BVH, GLB, filmstrip and GIF, with timings."""
+"""What ``make demo`` runs: a few sentences in one, two and four steps, as BVH, GLB, filmstrip and GIF, with timings.
 
+A model folder may be given as argument.
+"""
+
+import sys
 import time
 from pathlib import Path
 
@@ -21,7 +25,7 @@ SEED = 7
 def main() -> None:
     """Make every prompt in every number of steps and print what was made and how long it took."""
     OUT.mkdir(exist_ok=True)
-    t2m = TextToMotion.from_pretrained()
+    t2m = TextToMotion.from_pretrained(*sys.argv[1:2])
     # The first call reads weights and warms torch up; it would only blur the table.
     for steps in t2m.bundle.config.steps("pcm"):
         t2m("a person stands", seconds=4.0, steps=steps)

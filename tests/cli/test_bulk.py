@@ -36,7 +36,7 @@ def bulk(model, tmp_path, monkeypatch, capsys):
 
 
 def made(folder):
-    return {path.stem: path.read_bytes() for path in folder.iterdir()}
+    return {path.stem: path.read_bytes() for path in folder.glob("*.bvh")}
 
 
 def test_every_line_becomes_a_file(bulk, tmp_path):

@@ -59,6 +59,9 @@ def usage() -> str:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; the result is the exit code."""
     arguments = list(sys.argv[1:] if argv is None else argv)
+    # Must precede the import of torch. OpenMP threads that spin while they wait make small networks up to 100 times
+    # slower as soon as another process is busy on one of the cores.
+    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     if isinstance(sys.stdout, io.TextIOWrapper):
         # A terminal that is not UTF-8 gets escapes, not a UnicodeEncodeError.
         sys.stdout.reconfigure(errors="backslashreplace")

@@ -28,6 +28,7 @@ from torch import Tensor, nn
 
 from moveset.errors import FormatError, InputError
 from moveset.io.limits import atomic_write, read_limited
+from moveset.text.familiarity import KnownPrompts
 
 FORMAT = 1
 MAX_FILE = 512 * 2**20
@@ -188,15 +189,15 @@ class Bundle:
         return tensors
 
     @cached_property
-    def captions(self) -> tuple[list[str], Tensor]:
-        """Captions the model was trained on, and their pooled embeddings (P, C) as unit vectors."""
+    def captions(self) -> KnownPrompts:
+        """Captions the model was trained on, with their pooled embeddings."""
         captions = _json_object(self._verified("prompts.json"), self.path / "prompts.json").get("captions")
         pooled = self.tensors("prompts.safetensors").get("pooled")
         if not isinstance(captions, list) or pooled is None or len(captions) != len(pooled):
             raise FormatError(
                 f"prompts.json and prompts.safetensors in {self.path} do not belong together; copy the model"
             )
-        return captions, torch.nn.functional.normalize(pooled.float(), dim=-1)
+        return KnownPrompts(tuple(captions), pooled)
 
     def verify(self) -> int:
         """Check every file against the manifest; the number of bytes checked.

@@ -23,8 +23,8 @@ from moveset.pcm.sampler import item_noise
 from moveset.pipelines.bundle import DEFAULT_MODEL, Bundle
 from moveset.pipelines.denoise import Denoise
 from moveset.pipelines.device import Stopwatch, pick_device
-from moveset.pipelines.familiarity import too_long, unfamiliar
 from moveset.pipelines.request import Method, Request, check_method, check_request
+from moveset.pipelines.warnings import too_long, unfamiliar
 from moveset.text.encoder import TextEmbedding, TextEncoder, get_text_encoder, stack
 
 

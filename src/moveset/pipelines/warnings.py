@@ -1,12 +1,12 @@
-"""Warns about prompts that are unlike anything the model was trained on, and names the nearest thing it knows."""
+"""What a user should know about a prompt: that it is unlike the training captions, or longer than can be read."""
 
-import torch
+from torch import Tensor
 
 from moveset.pipelines.bundle import Bundle
 from moveset.text.encoder import TextEncoder
 
 
-def unfamiliar(bundle: Bundle, prompts: tuple[str, ...], pooled: torch.Tensor) -> list[str]:
+def unfamiliar(bundle: Bundle, prompts: tuple[str, ...], pooled: Tensor) -> list[str]:
     """One warning for every prompt whose best cosine to the training captions is below ``config.far_prompt``.
 
     Args:
@@ -14,12 +14,10 @@ def unfamiliar(bundle: Bundle, prompts: tuple[str, ...], pooled: torch.Tensor) -
         prompts: S sentences.
         pooled: (S, C) their pooled embeddings.
     """
-    captions, known = bundle.captions
-    unit = torch.nn.functional.normalize(pooled.float().cpu(), dim=-1)
-    best, where = (unit @ known.T).max(dim=-1)
+    best, where = bundle.captions.similarity(pooled.cpu())
     return [
         f"{prompt!r} is unlike anything this model was trained on (similarity {float(cosine):.2f}); "
-        f"the nearest it knows is {captions[k]!r}"
+        f"the nearest it knows is {bundle.captions.sentences[k]!r}"
         for prompt, cosine, k in zip(prompts, best, where.tolist(), strict=True)
         if cosine < bundle.config.far_prompt
     ]
