@@ -99,3 +99,16 @@ def test_a_head_that_is_turned_round():
     local[30:40, HML22.index("neck")] = rotations.about("y", torch.tensor(80.0).double())
     turned = glitches.turned_head(fk(local, root, HML22)[0])
     assert turned.nonzero()[:, 0].tolist() == list(range(10, 20))
+
+
+def test_limbs_that_no_one_can_hold_so():
+    local, _ = swing()
+    ankle, elbow = HML22.index("left_ankle"), HML22.index("right_elbow")
+    local[10:15, ankle] = rotations.about("z", torch.tensor(170.0).double())
+    local[20:25, ankle] = rotations.about("x", torch.tensor(80.0).double())
+    local[30:35, elbow] = rotations.about("x", torch.tensor(-150.0).double())
+    # Flexion is no twist, and 100 degrees of pronation can be done.
+    local[40:45, elbow] = rotations.about("y", torch.tensor(140.0).double())
+    local[50:55, elbow] = -rotations.about("x", torch.tensor(100.0).double())
+    bad = glitches.impossible_posture(local).nonzero()[:, 0].tolist()
+    assert bad == [*range(10, 15), *range(30, 35)]

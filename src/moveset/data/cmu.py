@@ -121,7 +121,8 @@ def clean_run(ref: TakeRef, local: Tensor, root: Tensor) -> tuple[int, int]:
         RejectedTake: there is none of 40 frames, an elbow bends backwards, or the head is turned round.
     """
     turned, joints = fk(local, root, HML22)
-    bad = glitches.glitch_mask(local, root, joints, FPS) | glitches.turned_head(turned)
+    bad = glitches.glitch_mask(local, root, joints, FPS)
+    bad |= glitches.turned_head(turned) | glitches.impossible_posture(local)
     start, stop = glitches.longest_clean_run(bad)
     if stop - start < min(glitches.MIN_FRAMES, len(root)):
         raise RejectedTake(f"{ref.name}: its longest run without glitches has {stop - start} of {len(root)} frames")

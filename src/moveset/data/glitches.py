@@ -22,6 +22,7 @@ MARGIN = 3
 MIN_FRAMES = 40
 
 _WRISTS = [HML22.index("left_wrist"), HML22.index("right_wrist")]
+_ANKLES = [HML22.index("left_ankle"), HML22.index("right_ankle")]
 _LEAVES = [*_WRISTS, HML22.index("left_foot"), HML22.index("right_foot")]
 _STEADY = [j for j in range(len(HML22)) if j not in _LEAVES]
 _ELBOWS = {"left": HML22.index("left_elbow"), "right": HML22.index("right_elbow")}
@@ -94,6 +95,18 @@ def turned_head(turned: Tensor) -> Tensor:
     chest, head = turned[:, HML22.index("spine3")], turned[:, HML22.index("head")]
     twist = rotations.heading(rotations.mul(rotations.inv(chest), head))
     return rotations.angle(twist) > math.radians(110.0)
+
+
+def impossible_posture(local: Tensor) -> Tensor:
+    """(F,) bool: a foot more than 110 degrees off its rest on the shin, or a forearm twisted by more than 130 degrees.
+
+    A flip before the first frame leaves no jump to find, only a limb that no one can hold so; real takes reach 90 and
+    121 degrees.
+    """
+    feet = rotations.angle(local[:, _ANKLES]).amax(dim=1)
+    forearms = local[:, list(_ELBOWS.values())]
+    twist = 2.0 * torch.atan2(forearms[..., 0].abs(), forearms[..., 3].abs()).amax(dim=1)
+    return (feet > math.radians(110.0)) | (twist > math.radians(130.0))
 
 
 def calm_wrists(local: Tensor) -> Tensor:
