@@ -15,7 +15,7 @@ MAX_JOINTS = 512
 MAX_DEPTH = 128
 MAX_FRAMES = 100_000
 # Frames times joints: what may be unfolded from a file whose joints need not have a channel each.
-MAX_POSES = 8_000_000
+MAX_POSES = 4_000_000
 MAX_NUMBER = 1e7
 
 
