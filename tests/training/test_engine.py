@@ -112,14 +112,19 @@ def test_resuming_nothing_starts_and_resuming_the_end_does_nothing(tmp_path):
     assert (tmp_path / "step_5" / "manifest.json").stat().st_mtime_ns == before
 
 
-def test_a_damaged_checkpoint_is_passed_over_and_replaced(straight, tmp_path):
+@pytest.mark.parametrize("keep_last", [1, 2])
+def test_a_damaged_checkpoint_is_passed_over_and_set_aside(straight, tmp_path, keep_last):
     train(tmp_path, steps=15, task=TinyConfig(total=20))
     file = tmp_path / "step_15" / "generator.safetensors"
     file.write_bytes(file.read_bytes()[:-1] + b"\x7f")
     with pytest.warns(UserWarning, match="damaged checkpoint: .*generator.safetensors"):
-        train(tmp_path, resume=True)
-    assert contents(tmp_path / "step_20") == contents(straight / "step_20")
-    checkpoint.verify(tmp_path / "step_15")
+        result = train(tmp_path, steps=12, resume=True, task=TinyConfig(total=20), keep_last=keep_last)
+    # Going by numbers alone would have kept the damaged step_15 and deleted what was just written.
+    assert result.checkpoint == checkpoint.latest(tmp_path) == tmp_path / "step_12"
+    train(tmp_path, resume=True)
+    for name in ("generator.safetensors", "rng.safetensors"):
+        assert (tmp_path / "step_20" / name).read_bytes() == (straight / "step_20" / name).read_bytes()
+    assert (tmp_path / "damaged_step_15").is_dir()
 
 
 def test_two_trainings_cannot_share_a_folder(tmp_path):

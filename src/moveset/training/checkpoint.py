@@ -61,9 +61,6 @@ def write(
             files[f"{name}.json"] = _write_file(temporary, f"{name}.json", _json_bytes(document))
         _write_file(temporary, MANIFEST, _json_bytes({"format": 1, "step": step, "files": files}))
         _sync_folder(temporary)
-        if target.exists():
-            # Only a damaged checkpoint can be in the way: resuming from a good one never reaches its own step again.
-            os.rename(target, folder / f"{_TEMPORARY}replaced-step_{step}-{os.getpid()}")
         os.rename(temporary, target)
         _sync_folder(folder)
     except OSError as error:
@@ -181,13 +178,26 @@ def load_module(module: nn.Module, path: Path, name: str) -> None:
 
 
 def prune(folder: Path, keep_last: int, keep_every: int = 0) -> None:
-    """Deletes all checkpoints but the last ``keep_last`` and those at multiples of ``keep_every`` (0: none)."""
+    """Deletes all checkpoints but the last ``keep_last`` and those at multiples of ``keep_every`` (0: none).
+
+    It goes by number, so the last one must be good: it has just been written, or ``set_aside`` was called.
+    """
     for step in steps(folder)[:-keep_last]:
         if not (keep_every and step % keep_every == 0):
             # Renamed first, so that a kill halfway leaves rubbish that clean() knows, not a broken checkpoint.
             doomed = folder / f"{_TEMPORARY}pruned-step_{step}-{os.getpid()}"
             os.rename(folder / f"step_{step}", doomed)
             shutil.rmtree(doomed)
+
+
+def set_aside(folder: Path, after: int) -> None:
+    """Renames the damaged checkpoints after a step to ``damaged_step_N``, out of the way of good ones to come."""
+    for step in steps(folder):
+        if step > after:
+            aside = folder / f"damaged_step_{step}"
+            if aside.exists():
+                shutil.rmtree(aside)
+            os.rename(folder / f"step_{step}", aside)
 
 
 def clean(folder: Path) -> None:

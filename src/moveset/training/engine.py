@@ -286,8 +286,14 @@ def _start(task: Task, loop: Loop, folder: Path, resume_from_latest: bool) -> in
                 "another folder"
             )
         return 0
-    found = checkpoint.latest(folder)
-    return resume.load(task, loop, found) if found else 0
+    # One process looks, so that all agree on what they find.
+    found = checkpoint.latest(folder) if loop.rank == 0 else None
+    found = loop.fabric.broadcast(found)
+    start = resume.load(task, loop, found) if found else 0
+    if loop.rank == 0:
+        checkpoint.set_aside(folder, after=start)
+        checkpoint.prune(folder, loop.config.keep_last, loop.config.keep_every)
+    return start
 
 
 def _validate(task: Task, loop: Loop, step: int) -> dict[str, float]:

@@ -1,0 +1,65 @@
+import dataclasses
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from moveset.training import checkpoint
+from moveset.training.engine import run
+from tests.crash.command import ENGINE
+from tests.crash.metrics import logged_step
+from tests.training.tiny_task import TinyConfig, TinyTask
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+pytestmark = pytest.mark.skipif(os.name == "nt", reason="stops by POSIX signals")
+
+
+def start(folder: Path, *arguments: str) -> subprocess.Popen:
+    environment = {**os.environ, "PYTHONPATH": str(REPOSITORY), "OMP_NUM_THREADS": "1"}
+    command = [sys.executable, "-m", "tests.crash.command", "train", "vae", "--recipe", "tiny", "--folder", str(folder)]
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    return subprocess.Popen([*command, *arguments], cwd=REPOSITORY, env=environment, text=True, **pipes)
+
+
+def ended(process: subprocess.Popen) -> tuple[int, str, str]:
+    said, complained = process.communicate(timeout=120)
+    return process.returncode, said, complained
+
+
+def stopped(folder: Path, number: int, *arguments: str) -> tuple[int, str]:
+    """Exit code and stderr of a training that got a signal after its first own step."""
+    before, deadline = logged_step(folder), time.monotonic() + 100
+    process = start(folder, *arguments)
+    while process.poll() is None and logged_step(folder) <= before and time.monotonic() < deadline:
+        time.sleep(0.02)
+    process.send_signal(number)
+    code, _, complained = ended(process)
+    return code, complained
+
+
+def test_a_signal_saves_and_resuming_ends_as_if_there_had_been_none(tmp_path):
+    slow = ("--set", "seconds_per_step=0.01", "--steps", "200", "--log-every", "1")
+    code, complained = stopped(tmp_path / "run", signal.SIGTERM, *slow)
+    assert (code, "stopped by SIGTERM at step" in complained) == (0, True), complained
+    (step,) = checkpoint.steps(tmp_path / "run")
+    assert 0 < step < 200
+    checkpoint.verify(tmp_path / "run" / f"step_{step}")
+
+    code, complained = stopped(tmp_path / "run", signal.SIGINT, *slow, "--resume")
+    assert code == 130, complained
+    assert checkpoint.steps(tmp_path / "run")[-1] > step
+
+    code, said, complained = ended(start(tmp_path / "run", *slow, "--resume"))
+    assert (code, said) == (0, ""), complained
+    assert "done" in complained
+    assert "Traceback" not in complained
+
+    settings = dataclasses.replace(ENGINE, steps=200, log_every=1)
+    config = TinyConfig(seconds_per_step=0.01)
+    run(lambda loop: TinyTask(config, loop), settings, tmp_path / "straight")
+    for file in (tmp_path / "straight" / "step_200").iterdir():
+        assert (tmp_path / "run" / "step_200" / file.name).read_bytes() == file.read_bytes()
