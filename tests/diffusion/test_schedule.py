@@ -47,8 +47,9 @@ def test_variance_is_preserved_and_shapes_follow_time(dtype):
     assert (schedule.half_log_snr(torch.arange(1000), dtype).diff() < 0).all()
 
 
-def test_tables_first_used_while_sampling_still_serve_training():
-    schedule, t = scaled_linear(), torch.tensor([500])
+@pytest.mark.parametrize("t", [torch.tensor([500]), torch.tensor(500)], ids=["vector", "scalar"])
+def test_tables_first_used_while_sampling_still_serve_training(t):
+    schedule = scaled_linear()
     with torch.inference_mode():
         schedule.alpha(t)
     weight = torch.ones(1, requires_grad=True)
