@@ -32,9 +32,9 @@ def decoder() -> Recipe:
 def teacher() -> Recipe:
     """5.9 M parameters, text as token states."""
     return Recipe(
-        task=TeacherConfig(),
+        task=TeacherConfig(batch=64, lr=7e-4),
         engine=EngineConfig(
-            steps=5000, save_every=500, validate_every=500, grad_clip=1.0, precision="bf16-mixed", threads=1
+            steps=6000, save_every=500, validate_every=500, grad_clip=1.0, precision="bf16-mixed", threads=1
         ),
     )
 
