@@ -36,7 +36,7 @@ def child(order: dict) -> int:
         die_at(order["die_at"])
     if order.get("file_limit"):
         resource.setrlimit(resource.RLIMIT_FSIZE, (order["file_limit"], resource.RLIM_INFINITY))
-    config = TinyConfig(total=order["steps"], width=order.get("width", 16))
+    config = TinyConfig(width=order.get("width", 16))
     every = {
         "save_every": order["save_every"],
         "keep_last": order.get("keep_last", 2),

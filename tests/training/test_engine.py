@@ -34,7 +34,9 @@ def straight(tmp_path_factory):
 
 @pytest.mark.parametrize("half", [1, 10, 13])
 def test_resuming_gives_the_bytes_of_an_uninterrupted_run(straight, tmp_path, half):
-    train(tmp_path, steps=half, task=TinyConfig(total=20))
+    stopped = train(tmp_path, stop_at=half)
+    assert (stopped.step, stopped.stopped_by) == (half, "SIGTERM")
+    assert stopped.checkpoint == tmp_path / f"step_{half}"
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         result = train(tmp_path, resume=True)
@@ -59,8 +61,8 @@ def test_every_part_of_the_state_matters(straight, tmp_path):
     train(other, seed=1)
     for name in names:
         assert (other / "step_20" / name).read_bytes() != (straight / "step_20" / name).read_bytes()
-    # Ten steps without any restored state but the modules differ from the straight run.
-    train(tmp_path / "half", steps=10, task=TinyConfig(total=20))
+    # Restoring the modules alone is not enough.
+    train(tmp_path / "half", stop_at=10)
     made = {}
 
     def amnesiac(loop):
@@ -69,7 +71,7 @@ def test_every_part_of_the_state_matters(straight, tmp_path):
             checkpoint.load_module(module, tmp_path / "half" / "step_10", name)
         return made["task"]
 
-    run(amnesiac, EngineConfig(steps=10, tensorboard=False, device="cpu"), tmp_path / "fresh")
+    run(amnesiac, EngineConfig(steps=20, tensorboard=False, device="cpu"), tmp_path / "fresh")
     want = checkpoint.read_tensors(straight / "step_20", "generator")
     assert any((made["task"].generator.state_dict()[key] != value).any() for key, value in want.items())
 
@@ -114,11 +116,11 @@ def test_resuming_nothing_starts_and_resuming_the_end_does_nothing(tmp_path):
 
 @pytest.mark.parametrize("keep_last", [1, 2])
 def test_a_damaged_checkpoint_is_passed_over_and_set_aside(straight, tmp_path, keep_last):
-    train(tmp_path, steps=15, task=TinyConfig(total=20))
+    train(tmp_path, stop_at=15)
     file = tmp_path / "step_15" / "generator.safetensors"
     file.write_bytes(file.read_bytes()[:-1] + b"\x7f")
     with pytest.warns(UserWarning, match="damaged checkpoint: .*generator.safetensors"):
-        result = train(tmp_path, steps=12, resume=True, task=TinyConfig(total=20), keep_last=keep_last)
+        result = train(tmp_path, stop_at=12, resume=True, keep_last=keep_last)
     # Going by numbers alone would have kept the damaged step_15 and deleted what was just written.
     assert result.checkpoint == checkpoint.latest(tmp_path) == tmp_path / "step_12"
     train(tmp_path, resume=True)
@@ -135,7 +137,7 @@ def test_two_trainings_cannot_share_a_folder(tmp_path):
 
 def test_changed_settings_are_named_when_resuming(tmp_path):
     train(tmp_path, steps=5)
-    with pytest.warns(UserWarning, match=r"batch 4 -> 8; grad_clip 1.0 -> 2.0"):
+    with pytest.warns(UserWarning, match=r"batch 4 -> 8; grad_clip 1.0 -> 2.0; steps 5 -> 6"):
         train(tmp_path, steps=6, resume=True, task=TinyConfig(batch=8), grad_clip=2.0)
 
 
@@ -147,7 +149,7 @@ def test_a_checkpoint_of_other_sizes_or_another_task_is_refused(tmp_path):
     class Other(TinyTask):
         name = "other"
 
-    with pytest.raises(InputError, match="checkpoint of 'tiny', not of 'other'"):
+    with pytest.raises(InputError, match=r"checkpoint of 'tiny', not of 'other'"):
         run(
             lambda loop: Other(TinyConfig(), loop),
             EngineConfig(steps=6, device="cpu", tensorboard=False),
@@ -273,6 +275,34 @@ def test_mixed_precision_computes_in_bfloat16_and_keeps_float32(tmp_path):
     run_plain(tmp_path / "full", loss, precision="auto")
     assert seen == [torch.bfloat16, torch.float32]
     assert task.modules()["a"].weight.dtype == torch.float32
+
+
+def test_mixed_precision_sees_updated_weights_within_one_step(tmp_path):
+    """Autocast keeps its bfloat16 copies of weights until it ends; an optimiser's step in between must drop them."""
+    seen = {}
+
+    def loss(task, step, loop):
+        module, x = task.modules()["a"], torch.ones(2, 3)
+        loop.minimise(module(x).float().square().sum(), "a")
+        with torch.autocast("cpu", enabled=False):
+            seen["want"] = nn.functional.linear(x.bfloat16(), module.weight.bfloat16(), module.bias.bfloat16())
+        seen["got"] = module(x)
+        return {}
+
+    run_plain(tmp_path, loss, precision="bf16-mixed", grad_clip=0.0)
+    assert torch.equal(seen["got"], seen["want"])
+
+
+def test_mixed_precision_finds_the_gradient_after_a_look_without_one(tmp_path):
+    def loss(task, step, loop):
+        module, x = task.modules()["a"], torch.ones(2, 3)
+        with torch.no_grad():
+            module(x)
+        assert loop.minimise(module(x).float().square().sum(), "a") > 0
+        return {}
+
+    run_plain(tmp_path, loss, precision="bf16-mixed")
+    assert torch.is_autocast_cache_enabled()
 
 
 def test_a_metric_logged_on_some_steps_is_averaged_over_those(tmp_path):

@@ -1,3 +1,5 @@
+import subprocess
+import sys
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -47,6 +49,11 @@ def test_settings_replace_fields_by_their_types():
 def test_a_wrong_setting_is_one_sentence(setting, message):
     with pytest.raises(InputError, match=message):
         with_settings(Config(), [setting])
+
+
+def test_the_command_does_not_import_torch_before_it_has_set_the_wait_policy():
+    code = "import sys, moveset.cli.__main__, moveset.cli.train; sys.exit('torch' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code]).returncode == 0
 
 
 def test_unknown_names_are_refused():

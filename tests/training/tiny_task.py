@@ -1,6 +1,6 @@
 """A task with all that makes resuming hard: dropout, two optimisers, an average, noise, a shuffled data order."""
 
-import sys
+import signal
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,7 +18,6 @@ class TinyConfig:
     width: int = 16
     batch: int = 4
     lr: float = 1e-2
-    total: int = 20
     seconds_per_step: float = 0.0
 
 
@@ -26,9 +25,10 @@ class TinyTask(Task):
     """A two-step GAN whose generator also regresses: 5 -> 3 numbers."""
 
     name = "tiny"
+    stop_at = 0  # the step in which this process gets a SIGTERM
 
     def __init__(self, config: TinyConfig, loop: Loop) -> None:
-        self.config = config
+        self.config, self.steps = config, loop.config.steps
         self.generator = nn.Sequential(
             nn.Linear(5, config.width), nn.ReLU(), nn.Dropout(0.3), nn.Linear(config.width, 3)
         )
@@ -56,7 +56,7 @@ class TinyTask(Task):
         return self._optimizers
 
     def learning_rates(self, step):
-        return {"generator": cosine_lr(step, self.config.lr, 3, self.config.total)}
+        return {"generator": cosine_lr(step, self.config.lr, 3, self.steps)}
 
     def batch(self, device):
         if self.position + self.config.batch > len(self.queue):
@@ -68,6 +68,8 @@ class TinyTask(Task):
 
     def training_step(self, step, loop):
         time.sleep(self.config.seconds_per_step)
+        if step == self.stop_at:
+            signal.raise_signal(signal.SIGTERM)
         inputs, real = self.batch(loop.device)
         fake = self.generator(inputs)
         d_loss = (1 - self.discriminator(real)).relu().mean() + (1 + self.discriminator(fake.detach())).relu().mean()
@@ -91,16 +93,12 @@ class TinyTask(Task):
         self.queue, self.position = state["queue"], int(state["position"])
 
 
-def train(folder, *, steps=20, resume=False, task=None, **engine):
+def train(folder, *, steps=20, resume=False, task=None, stop_at=0, **engine):
     settings = {"save_every": 5, "log_every": 2, "validate_every": 4, "tensorboard": False, "device": "cpu", **engine}
-    config = task or TinyConfig()
-    return run(lambda loop: TinyTask(config, loop), EngineConfig(steps=steps, **settings), Path(folder), resume)
 
+    def make(loop):
+        made = TinyTask(task or TinyConfig(), loop)
+        made.stop_at = stop_at
+        return made
 
-if __name__ == "__main__":  # FOLDER STEPS SECONDS_PER_STEP SAVE_EVERY: what the crash tests start and kill
-    folder, steps, pause, save_every = sys.argv[1:5]
-    result = train(
-        folder, steps=int(steps), resume=True, save_every=int(save_every), validate_every=0,
-        task=TinyConfig(total=int(steps), seconds_per_step=float(pause)),
-    )  # fmt: skip
-    print(result.step, result.stopped_by)
+    return run(make, EngineConfig(steps=steps, **settings), Path(folder), resume)

@@ -42,14 +42,17 @@ class Regression(Task):
         return {"norm": loop.minimise(loss, "net"), "loss": loss}
 
 
-def tiny(folder: Path, steps: int, resume: bool = False) -> TinyTask:
+def tiny(folder: Path, stop_at: int = 0, resume: bool = False) -> TinyTask:
     made = []
 
     def make(loop):
         made.append(TinyTask(TinyConfig(), loop))
+        if loop.rank == 1:  # the other process must hear of it and stop after the same step
+            made[0].stop_at = stop_at
         return made[0]
 
-    run(make, config(steps), folder, resume)
+    result = run(make, config(12), folder, resume)
+    assert (result.step, result.stopped_by) == ((stop_at, "SIGTERM") if stop_at else (12, None))
     return made[0]
 
 
@@ -69,11 +72,11 @@ def main(folder: Path) -> None:
     run(make, config(20), folder / "regression")
     said["regression"] = [p.detach().flatten().tolist() for p in regressions[0].net.parameters()]
 
-    straight = tiny(folder / "straight", 12)
-    tiny(folder / "halves", 7)
+    straight = tiny(folder / "straight")
+    tiny(folder / "halves", stop_at=7)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        resumed = tiny(folder / "halves", 12, resume=True)
+        resumed = tiny(folder / "halves", resume=True)
     said["generator"] = [digest(task.generator) for task in (straight, resumed)]
     said["average"] = [digest(task.ema.module) for task in (straight, resumed)]
     said["noise"] = [torch.rand(1, generator=task.noise).item() for task in (straight, resumed)]

@@ -253,7 +253,7 @@ def _train(task: Task, loop: Loop, folder: Path, start: int, signals: list[int],
         rates = task.learning_rates(step)
         for name, rate in rates.items():
             set_lr(optimizers[name], rate)
-        with loop.fabric.autocast():
+        with _autocast(loop):
             metrics = task.training_step(step, loop)
 
         stopped, last = _agree(loop, signals), step == config.steps
@@ -302,7 +302,7 @@ def _validate(task: Task, loop: Loop, step: int) -> dict[str, float]:
     cuda = [loop.device] if loop.device.type == "cuda" else []
     for module in task.modules().values():
         module.eval()
-    with torch.random.fork_rng(devices=cuda), torch.no_grad(), loop.fabric.autocast():
+    with torch.random.fork_rng(devices=cuda), torch.no_grad(), _autocast(loop):
         metrics = dict(task.validate(step, loop))
     for name, generator in loop.generators.items():
         if name in before:
@@ -328,6 +328,19 @@ def _agree(loop: Loop, signals: list[int]) -> int:
     agreed = torch.tensor(mine, device=loop.device)
     torch.distributed.all_reduce(agreed, op=torch.distributed.ReduceOp.MAX)
     return int(agreed)
+
+
+@contextmanager
+def _autocast(loop: Loop) -> Iterator[None]:
+    """The configured precision. Autocast's cache of converted weights is off: it would outlive an optimiser's step
+    within ours, and hand weights converted under ``no_grad`` to a forward pass that needs their gradient."""
+    cached = torch.is_autocast_cache_enabled()
+    with loop.fabric.autocast():
+        torch.set_autocast_cache_enabled(False)
+        try:
+            yield
+        finally:
+            torch.set_autocast_cache_enabled(cached)
 
 
 @contextmanager

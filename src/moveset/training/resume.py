@@ -25,8 +25,8 @@ from moveset.training.optim import flatten_optimizer, unflatten_optimizer
 if TYPE_CHECKING:
     from moveset.training.engine import Loop, Task
 
-# Changing these does not change what is learned, so a resumed run need not be warned of it.
-_HARMLESS = {"save_every", "validate_every", "log_every", "keep_last", "keep_every", "tensorboard", "threads", "steps"}
+# Changing these does not change what is learned. The number of steps does: learning rates end with it.
+_HARMLESS = {"save_every", "validate_every", "log_every", "keep_last", "keep_every", "tensorboard", "threads"}
 
 
 def save(task: "Task", loop: "Loop", folder: Path, step: int) -> Path:
