@@ -35,11 +35,11 @@ def wander(
     return Motion(rotations.normalize(local).float(), root.float(), fps, skeleton)
 
 
-def gait(frames: int, fps: float = 20.0, speed: float = 1.0, cycle: float = 1.1) -> Motion:
+def gait(frames: int, fps: float = 20.0, speed: float = 1.0, cycle: float = 1.0) -> Motion:
     """A walk along +Z on flat feet, planted without any sliding for six tenths of each ``cycle`` (s), on hml22."""
     t = torch.arange(frames, dtype=torch.float64) / fps
     ankle_height = -float(HML22.offsets[10, 1])
-    root = torch.stack((torch.zeros_like(t), 0.87 + 0.01 * torch.cos(4 * math.pi * t / cycle), speed * t), dim=-1)
+    root = torch.stack((torch.zeros_like(t), 0.84 + 0.01 * torch.cos(4 * math.pi * t / cycle), speed * t), dim=-1)
     local = rotations.identity(frames, 22).double()
     swing = 0.3 * torch.sin(2 * math.pi * t / cycle)
     for shoulder, side, sign in ((16, -90.0, 1.0), (17, 90.0, -1.0)):

@@ -17,14 +17,18 @@ from moveset.motion import rotations
 from moveset.motion.clip import Motion
 from moveset.motion.inertia import decay
 
-_SEAM = 0.5  # frames
+_SEAM = 0.5  # frames outside the clips
+_TREND = 0.5  # share of the acceleration at its edge with which a clip is taken to go on
+_LONGEST = 2.0  # times the blend asked for
 
 
 def join(motions: Sequence[Motion], blend_seconds: float = 0.3) -> Motion:
     """One motion of all clips: each goes on from where, and in the direction in which, the one before it ended.
 
     The first frame of a clip follows one frame after the last of the clip before; no frame is added or lost. The blend
-    reaches ``blend_seconds`` into both clips (at most half of a clip), so feet may slide there: ``lock_feet`` after.
+    reaches ``blend_seconds`` into both clips, or up to twice that where their poses differ so much that it would jerk
+    more than the clips themselves do, and at most half of a clip; clips that fit as they are stay so. Feet may slide in
+    a blend: ``lock_feet`` after.
 
     Raises:
         InputError: no clips, a clip of one frame, different skeletons or frame rates, or a negative duration.
@@ -47,8 +51,9 @@ def join(motions: Sequence[Motion], blend_seconds: float = 0.3) -> Motion:
         end, clip = _Edge.of(done[-1], last=True, beyond=_SEAM), _doubled(motion)
         clip = clip.transformed(*_placement(end, _Edge.of(clip, last=False, beyond=_SEAM)))
         gap = _Gap.between(end, _Edge.of(clip, last=False, beyond=_SEAM), beyond=_SEAM)
-        done[-1] = gap.closed(done[-1], blend_seconds * first.fps, last=True)
-        done.append(gap.closed(clip, blend_seconds * first.fps, last=False))
+        reach = 0.0 if _fit(done[-1], clip) else _gentle(done[-1], clip, blend_seconds * first.fps)
+        done[-1] = gap.closed(done[-1], reach, last=True)
+        done.append(gap.closed(clip, reach, last=False))
     turned = rotations.unroll(torch.cat([m.rotations for m in done]))
     return Motion(turned.float(), torch.cat([m.root for m in done]).float(), first.fps, first.skeleton)
 
@@ -58,7 +63,7 @@ def make_loop(motion: Motion, blend_seconds: float = 0.5) -> Motion:
 
     Equal are all local rotations, the pelvis' tilt and its height; place and heading go on from cycle to cycle, as a
     walk does (play it again from ``canonical`` placement, or take ``in_place`` first to stay). The difference between
-    end and start is shared by both and dies away within ``blend_seconds`` (at most half of the clip).
+    end and start is shared by both and dies away within ``blend_seconds``, or up to twice that as in ``join``.
 
     Raises:
         InputError: fewer than 4 frames, or a negative duration.
@@ -72,7 +77,7 @@ def make_loop(motion: Motion, blend_seconds: float = 0.5) -> Motion:
     turn, shift = _placement(end, start)
     again = clip.transformed(turn, shift)
     gap = _Gap.between(end, _Edge.of(again, last=False, beyond=0.0), beyond=0.0)
-    reach, half = blend_seconds * motion.fps, len(clip) // 2
+    reach, half = _gentle(clip, again, blend_seconds * motion.fps), len(clip) // 2
     ended = gap.closed(clip, reach, last=True)
     back = rotations.inv(turn)
     started = gap.closed(again, reach, last=False).transformed(back, -rotations.rotate(back, shift))
@@ -93,12 +98,15 @@ class _Edge:
     @classmethod
     def of(cls, motion: Motion, last: bool, beyond: float) -> "_Edge":
         """At the end or the start of a motion, ``beyond`` frames outside, where it goes on as it does at its edge."""
-        near, inner, earlier = (-1, -2, -2) if last else (0, 1, 0)
-        later = near if last else inner
-        spin = _log(rotations.mul(motion.rotations[later], rotations.inv(motion.rotations[earlier])))
-        step = motion.root[later] - motion.root[earlier]
-        out = beyond if last else -beyond
-        return cls(rotations.mul(_exp(out * spin), motion.rotations[near]), motion.root[near] + out * step, spin, step)
+        edge = motion[-3:] if last else motion[:3]
+        spins = _log(rotations.mul(edge.rotations[1:], rotations.inv(edge.rotations[:-1])))
+        steps = torch.diff(edge.root, dim=0)
+        # Differences of frames are speeds half a frame inside the edge.
+        ahead = (0.5 + beyond) * _TREND
+        spin = spins[-1] + ahead * (spins[-1] - spins[0]) if last else spins[0] + ahead * (spins[0] - spins[-1])
+        step = steps[-1] + ahead * (steps[-1] - steps[0]) if last else steps[0] + ahead * (steps[0] - steps[-1])
+        near, out = (-1, beyond) if last else (0, -beyond)
+        return cls(rotations.mul(_exp(out * spin), edge.rotations[near]), edge.root[near] + out * step, spin, step)
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,6 +150,33 @@ def _placement(end: _Edge, start: _Edge) -> tuple[Tensor, Tensor]:
     turn = rotations.mul(rotations.heading(end.turned[0]), rotations.inv(rotations.heading(start.turned[0])))
     shift = end.root - rotations.rotate(turn, start.root)
     return turn, shift * shift.new_tensor((1.0, 0.0, 1.0))
+
+
+def _fit(before: Motion, after: Motion) -> bool:
+    """Whether one clip goes on in the other without jerking more than the clips themselves do."""
+    if min(len(before), len(after)) < 4:
+        return False
+    own = torch.maximum(_jerk(before.joints).max(), _jerk(after.joints).max())
+    return bool(_jerk(torch.cat((before.joints[-3:], after.joints[:3]))).max() <= own)
+
+
+def _gentle(before: Motion, after: Motion, reach: float) -> float:
+    """Frames to blend over, from ``reach`` to ``_LONGEST`` times that, so as to jerk about as much as the clips do."""
+    if min(len(before), len(after)) < 4 or reach == 0:
+        return reach
+    end, start = before.joints[-2:], after.joints[:2]
+    gap = (start[0] - end[1]).norm(dim=-1).mean()
+    speed = (start[1] - start[0] - end[1] + end[0]).norm(dim=-1).mean()
+    usual = torch.cat((_jerk(before.joints), _jerk(after.joints))).mean().clamp_min(1e-9)
+    # Third derivatives of ``decay`` at its start, for half of the gap and half of the speed.
+    needed = torch.maximum((30.0 * gap / usual) ** (1 / 3), (18.0 * speed / usual) ** 0.5)
+    return reach * float((needed / reach).clamp(1.0, _LONGEST))
+
+
+def _jerk(joints: Tensor) -> Tensor:
+    """(F - 3,) third differences, mean over joints."""
+    size: Tensor = torch.diff(joints, n=3, dim=0).norm(dim=-1).mean(dim=-1)
+    return size
 
 
 def _doubled(motion: Motion) -> Motion:

@@ -1,0 +1,182 @@
+"""Foot locking: feet hold still, nothing else moves, nothing pops."""
+
+import pytest
+import torch
+
+from moveset.data import bandai_namco, cmu
+from moveset.errors import InputError
+from moveset.evaluation import physical
+from moveset.motion import rotations
+from moveset.motion.cleanup import lock_feet, smooth
+from moveset.motion.clip import Motion
+from moveset.motion.contacts import stances
+from moveset.motion.inertia import decay, settle
+from moveset.motion.skeleton import HML22, Skeleton
+from tests.motions import gait, shaken, smooth_noise, wander
+
+LEGS = [1, 2, 4, 5]
+BELOW_HIPS = [4, 5, 7, 8, 10, 11]
+
+
+def sliding(motion: Motion, planted: torch.Tensor) -> float:
+    """Mean planar speed of toes that are planted in both frames, m/s."""
+    toes = motion.joints.double()[:, [10, 11]]
+    speed = torch.diff(toes, dim=0)[..., [0, 2]].norm(dim=-1) * motion.fps
+    down = planted[:, [1, 3]]
+    return speed[down[1:] & down[:-1]].mean().item()
+
+
+def leg_jerk(motion: Motion) -> torch.Tensor:
+    return torch.diff(motion.joints.double()[:, BELOW_HIPS], n=3, dim=0).norm(dim=-1) * motion.fps**3
+
+
+def slid(motion: Motion, factor: float) -> Motion:
+    """The walk gets further than its feet carry it."""
+    return Motion(motion.rotations, motion.root * torch.tensor([1.0, 1.0, factor]), motion.fps, motion.skeleton)
+
+
+def test_a_clean_walk_stays_as_it_is():
+    motion = gait(80)
+    locked = lock_feet(motion)
+    assert (locked.joints - motion.joints).norm(dim=-1).max() < 0.005
+    assert sliding(locked, stances(motion.joints, 20.0, HML22)) < 0.01
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_shaking_walk_gets_still_feet(seed):
+    motion = shaken(gait(120), seed, degrees=1.0, metres=0.006)
+    planted = stances(motion.joints.double(), 20.0, HML22)
+    locked = lock_feet(motion)
+    assert sliding(motion, planted) > 0.2
+    assert sliding(locked, planted) < 0.02
+    assert physical.skating(locked.joints, 20.0) <= physical.skating(motion.joints, 20.0)
+    assert leg_jerk(locked).mean() < leg_jerk(motion).mean()
+
+
+@pytest.mark.parametrize("factor", [1.15, 0.85])
+def test_a_sliding_walk_stops_sliding_without_a_pop(factor):
+    motion = slid(gait(120), factor)
+    planted = stances(motion.joints.double(), 20.0, HML22)
+    locked = lock_feet(motion)
+    assert sliding(motion, planted) > 0.12
+    assert sliding(locked, planted) < 0.03
+    assert leg_jerk(locked).max() < 1.5 * leg_jerk(motion).max()
+    assert leg_jerk(locked).mean() < 1.25 * leg_jerk(motion).mean()
+
+
+def test_only_legs_move_and_feet_keep_height_and_orientation():
+    motion = shaken(gait(80), 5)
+    motion = Motion(motion.rotations, motion.root + torch.tensor([0.0, 0.05, 0.0]))  # off the floor: nothing to lift
+    contacts = stances(gait(80).joints, 20.0, HML22)
+    locked = lock_feet(motion, contacts=contacts)
+    assert torch.equal(locked.root, motion.root)
+    above = [j for j in range(22) if j not in BELOW_HIPS]
+    assert (locked.joints - motion.joints)[:, above].norm(dim=-1).max() < 1e-5
+    turned = rotations.angle(rotations.mul(rotations.inv(motion.global_rotations), locked.global_rotations))
+    assert turned[:, [j for j in range(22) if j not in LEGS]].max() < 2e-3
+    stretched = (locked.joints - motion.joints)[:, [7, 10, 8, 11], 1].abs()
+    assert stretched.median() < 1e-5
+
+
+def test_knees_keep_bending_forward():
+    motion = shaken(gait(120), 6, degrees=2.0, metres=0.01)
+    local = lock_feet(motion).rotations[:, [4, 5]].double()
+    straight = torch.tensor([0.0, -1.0, 0.0], dtype=torch.float64)
+    shin = rotations.rotate(local, straight.expand(*local.shape[:-1], 3))
+    assert shin[..., 2].max() < 0.1  # never ahead of the thigh by more than the noise
+
+
+def test_feet_below_the_floor_are_lifted():
+    motion = gait(60)
+    sunk = Motion(motion.rotations, motion.root - torch.tensor([0.0, 0.03, 0.0]))
+    assert physical.penetration(sunk.joints) > 0.025
+    assert physical.penetration(lock_feet(sunk).joints) < 1e-4
+
+
+def test_strength_is_a_dial():
+    motion = slid(gait(80), 1.15)
+    planted = stances(motion.joints.double(), 20.0, HML22)
+    speeds = [sliding(lock_feet(motion, strength), planted) for strength in (0.0, 0.5, 1.0)]
+    assert speeds[0] > 1.8 * speeds[1] > 3.0 * speeds[2]
+    assert lock_feet(motion, 0.0) is motion
+
+
+def test_given_contacts_decide():
+    motion = slid(gait(80), 1.15)
+    never = torch.zeros(80, 4, dtype=torch.bool)
+    assert (lock_feet(motion, contacts=never).joints - motion.joints).norm(dim=-1).max() < 1e-5
+
+
+@pytest.mark.parametrize(
+    "motion", [wander(3, 0), wander(1, 0), wander(4, 0, bend=1.0), wander(60, 1, bend=1.0)], ids=len
+)
+def test_any_motion_survives(motion):
+    locked = lock_feet(motion)
+    assert len(locked) == len(motion)
+    assert torch.isfinite(locked.joints).all()
+    assert (locked.rotations.norm(dim=-1) - 1.0).abs().max() < 1e-5
+
+
+def test_bad_requests_are_named():
+    with pytest.raises(InputError, match=r"1\.5 is not in \[0, 1\]"):
+        lock_feet(wander(5, 0), 1.5)
+    with pytest.raises(InputError, match=r"\(5, 4\), got \(4, 4\)"):
+        lock_feet(wander(5, 0), contacts=torch.zeros(4, 4))
+    other = Skeleton("other", HML22.joints, HML22.parents, HML22.offsets, HML22.pairs, HML22.feet)
+    with pytest.raises(InputError, match="not on 'other'"):
+        lock_feet(wander(5, 0, other))
+    with pytest.raises(InputError, match="-1 seconds"):
+        smooth(wander(5, 0), -1)
+
+
+def test_smoothing_takes_jitter_and_leaves_the_motion():
+    clean = gait(80)
+    jittery = shaken(clean, 7)
+    smoothed = smooth(jittery, 0.06)
+    assert physical.jerk(smoothed.joints, 20.0) < 0.5 * physical.jerk(jittery.joints, 20.0)
+    off = (smoothed.joints - clean.joints).norm(dim=-1).mean()
+    assert off < 0.03
+    assert smooth(jittery, 0.0) is jittery
+
+
+def test_decay_starts_as_told_and_ends_at_rest():
+    at = torch.linspace(0.0, 3.0, 3001, dtype=torch.float64)
+    x, v = torch.tensor([2.0, -1.0], dtype=torch.float64), torch.tensor([5.0, 0.0], dtype=torch.float64)
+    path = decay(x, v, 2.0, at)
+    rate = torch.diff(path, dim=0) / 0.001
+    torch.testing.assert_close(path[0], x)
+    torch.testing.assert_close(rate[0], v, atol=1e-2, rtol=0)
+    assert path[2000:].abs().max() < 1e-12
+    assert rate[1998:].abs().max() < 1e-4
+    assert (torch.diff(rate, dim=0) / 0.001)[[0, 1997]].abs().max() < 0.1
+
+
+def test_settling_keeps_the_fixed_and_joins_them_smoothly():
+    x = smooth_noise(60, 3, 8)
+    fixed = torch.zeros(60, dtype=torch.bool)
+    fixed[10:20] = fixed[24:30] = fixed[50:] = True
+    out = settle(x, fixed, blend=6)
+    assert torch.equal(out[fixed], x[fixed])
+    assert out[:4].abs().max() == 0.0
+    assert out[37:44].abs().max() < 1e-12
+    assert torch.diff(out, dim=0).norm(dim=-1).max() < 2.0 * torch.diff(x, dim=0).norm(dim=-1).max() + 0.5
+    assert settle(x, torch.zeros(60, dtype=torch.bool), 6).abs().max() == 0.0
+
+
+def test_real_takes(real_data):
+    """Real feet slide little: locking holds them and adds no jerk; with noise it takes the sliding away again."""
+    takes = [bandai_namco.read_take(r) for r in bandai_namco.list_takes(real_data)[:6]]
+    takes += [cmu.read_take(r) for r in cmu.list_takes(real_data / "cmu") if r.name in ("02_01", "07_03")]
+    for take in takes:
+        planted = stances(take.motion.joints.double(), 20.0, HML22)
+        if not planted[:, [1, 3]].any():
+            continue
+        locked = lock_feet(take.motion)
+        assert sliding(locked, planted) < 0.02, take.name
+        assert leg_jerk(locked).mean() < 1.15 * leg_jerk(take.motion).mean(), take.name
+        assert leg_jerk(locked).max() < 1.5 * leg_jerk(take.motion).max(), take.name
+        noisy = shaken(take.motion, 9, degrees=1.0, metres=0.006)
+        planted = stances(noisy.joints.double(), 20.0, HML22)
+        locked = lock_feet(noisy)
+        assert sliding(locked, planted) < 0.2 * sliding(noisy, planted), take.name
+        assert leg_jerk(locked).mean() < leg_jerk(noisy).mean(), take.name

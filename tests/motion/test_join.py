@@ -1,0 +1,162 @@
+"""Seams and loops: nothing lost, nothing jumps, poses and speeds continue."""
+
+from itertools import pairwise
+
+import pytest
+import torch
+
+from moveset.data import bandai_namco
+from moveset.errors import InputError
+from moveset.motion import rotations
+from moveset.motion.clip import Motion
+from moveset.motion.join import join, make_loop
+from moveset.motion.skeleton import KIT21
+from tests.motions import gait, wander
+
+
+def jerk(motion: Motion) -> torch.Tensor:
+    """(F - 3,) mean over joints, m/s³."""
+    return torch.diff(motion.joints.double(), n=3, dim=0).norm(dim=-1).mean(dim=-1) * motion.fps**3
+
+
+def heading(motion: Motion, frame: int) -> torch.Tensor:
+    return rotations.heading_angle(motion.rotations[frame, 0])
+
+
+def yaw_gap(a: torch.Tensor, b: torch.Tensor) -> float:
+    return torch.remainder(a - b + torch.pi, 2 * torch.pi).sub(torch.pi).abs().item()
+
+
+def test_no_frame_is_added_or_lost():
+    clips = [wander(30, 1), wander(41, 2), wander(25, 3)]
+    assert len(join(clips)) == 96
+    assert join(clips[:1]) is clips[0]
+
+
+def test_nothing_changes_beyond_the_blend():
+    a, b = wander(40, 4), wander(50, 5, turn=0.5)
+    joined = join([a, b], 0.3)
+    torch.testing.assert_close(joined.joints[:28], a.joints[:28], atol=1e-5, rtol=0)
+    tail, expected = joined[52:], b[12:]
+    torch.testing.assert_close(tail.canonical().joints, expected.canonical().joints, atol=1e-4, rtol=0)
+
+
+def test_the_next_clip_goes_on_from_place_and_heading():
+    a = gait(60).transformed(rotations.about("y", 75.0), torch.tensor([5.0, 0.0, -2.0]))
+    b = gait(60).transformed(rotations.about("y", -160.0), torch.tensor([0.0, 0.0, 40.0]))
+    joined = join([a, b])
+    direction = rotations.rotate(rotations.about("y", 75.0), torch.tensor([0.0, 0.0, 1.0]))
+    path = joined.root * torch.tensor([1.0, 0.0, 1.0])
+    steps = torch.diff(path, dim=0)
+    torch.testing.assert_close(steps, (0.05 * direction).expand(119, 3), atol=1e-3, rtol=0)
+    for frame in (59, 60, 61, 119):
+        assert yaw_gap(heading(joined, frame), torch.tensor(1.309)) < 0.02
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_seam_of_unlike_poses_is_gentle(seed):
+    a, b = wander(50, 10 + seed, bend=0.2), wander(60, 20 + seed, bend=0.2)
+    around = jerk(join([a, b]))[50 - 15 : 50 + 13]
+    hard = jerk(join([a, b], 0.0))[47:50]
+    assert around.max() < 0.06 * hard.max()
+
+
+@pytest.mark.parametrize("skip", [3, 7, 10, 15])
+def test_a_seam_within_a_walk_jerks_no_more_than_the_walk(skip):
+    a, b = gait(60), gait(60 + skip)[skip:]
+    joined = jerk(join([a, b]))
+    assert joined.max() < 1.5 * jerk(a).max()
+    assert joined.mean() < 1.1 * jerk(a).mean()
+
+
+def test_clips_that_fit_already_stay_as_they_are():
+    whole = gait(100)
+    joined = join([whole[:55], whole[55:]])
+    assert (joined.joints - whole.joints).norm(dim=-1).max() < 1e-3
+
+
+def test_a_longer_blend_is_gentler():
+    a, b = wander(80, 30), wander(80, 31)
+    peaks = [jerk(join([a, b], seconds))[60:100].max().item() for seconds in (0.0, 0.1, 0.2, 0.4)]
+    assert peaks == sorted(peaks, reverse=True)
+
+
+def test_short_clips_give_way_by_half_of_themselves():
+    clips = [wander(n, 40 + n, bend=0.2) for n in (2, 3, 4, 9, 2)]
+    joined = join(clips, 1.0)
+    assert len(joined) == 20
+    assert torch.isfinite(joined.joints).all()
+    assert (torch.diff(joined.root, dim=0).norm(dim=-1)).max() < 0.2
+
+
+def test_joining_is_independent_of_where_the_first_clip_stands():
+    clips = [wander(30, 50), wander(30, 51)]
+    turn, shift = rotations.about("y", 40.0), torch.tensor([1.0, 0.0, 2.0])
+    moved = join([clips[0].transformed(turn, shift), clips[1]])
+    torch.testing.assert_close(moved.joints, join(clips).transformed(turn, shift).joints, atol=1e-4, rtol=0)
+
+
+def twice(loop: Motion) -> Motion:
+    """A loop played two times: the first frame of the second round is the last of the first."""
+    turn = rotations.mul(
+        rotations.heading(loop.rotations[-1, 0]), rotations.inv(rotations.heading(loop.rotations[0, 0]))
+    )
+    shift = (loop.root[-1] - rotations.rotate(turn, loop.root[0])) * torch.tensor([1.0, 0.0, 1.0])
+    again = loop.transformed(turn, shift)[1:]
+    return Motion(torch.cat((loop.rotations, again.rotations)), torch.cat((loop.root, again.root)), loop.fps)
+
+
+@pytest.mark.parametrize("motion", [wander(60, 60), wander(60, 61, turn=0.8), gait(55), wander(5, 62)], ids=str)
+def test_a_loop_ends_in_the_pose_it_starts_with(motion):
+    loop = make_loop(motion)
+    assert len(loop) == len(motion)
+    gap = rotations.angle(rotations.mul(rotations.inv(loop.rotations[0, 1:]), loop.rotations[-1, 1:]))
+    assert gap.max() < 2e-3
+
+    def tilt(q):
+        return rotations.mul(rotations.inv(rotations.heading(q)), q)
+
+    first, last = tilt(loop.rotations[0, 0]), tilt(loop.rotations[-1, 0])
+    assert rotations.angle(rotations.mul(rotations.inv(first), last)) < 2e-3
+    assert (loop.root[0, 1] - loop.root[-1, 1]).abs() < 1e-5
+
+
+def test_a_loop_runs_on_without_a_pop():
+    for seed in range(4):
+        motion = wander(60, 70 + seed, bend=0.2, turn=0.3)
+        rounds = jerk(twice(make_loop(motion)))
+        hard = jerk(twice(make_loop(motion, 0.0)))
+        assert rounds[59 - 22 : 59 + 20].max() < 0.06 * hard.max()
+        walk = gait(64)
+        assert jerk(twice(make_loop(walk))).max() < 1.5 * jerk(walk).max()
+
+
+def test_a_loop_changes_nothing_in_its_middle():
+    motion = wander(60, 80)
+    torch.testing.assert_close(make_loop(motion, 0.5).joints[21:39], motion.joints[21:39], atol=1e-5, rtol=0)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: join([]), "0 clips"),
+        (lambda: join([wander(5, 0)], -1.0), "-1.0 s"),
+        (lambda: join([wander(5, 0), wander(5, 0, fps=30.0)]), "one frame rate"),
+        (lambda: join([wander(5, 0), wander(5, 0, KIT21)]), "one skeleton"),
+        (lambda: join([wander(5, 0), wander(1, 0)]), "at least 2 frames"),
+        (lambda: make_loop(wander(3, 0)), "got 3"),
+        (lambda: make_loop(wander(9, 0), -0.5), "-0.5 s"),
+    ],
+)
+def test_bad_requests_are_named(call, message):
+    with pytest.raises(InputError, match=message):
+        call()
+
+
+def test_real_takes_join_without_a_pop(real_data):
+    takes = [bandai_namco.read_take(r).motion for r in bandai_namco.list_takes(real_data)[:6]]
+    takes = [motion for motion in takes if len(motion) >= 30]
+    for a, b in pairwise(takes):
+        around = jerk(join([a, b]))[len(a) - 15 : len(a) + 13]
+        hard = jerk(join([a, b], 0.0))[len(a) - 3 : len(a)]
+        assert around.max() < max(0.25 * hard.max(), 1.2 * jerk(a).max(), 1.2 * jerk(b).max())
