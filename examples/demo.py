@@ -7,10 +7,10 @@ import sys
 import time
 from pathlib import Path
 
-from moveset import TextToMotion, save
+from moveset import Generation, TextToMotion, save
 
 OUT = Path("out")
-FORMATS = ("bvh", "glb", "png", "gif")
+FILES, PICTURES = ("bvh", "glb"), ("png", "gif")
 PROMPTS = {
     "walk": "a person walks forward",
     "wave": "a person waves with the right hand",
@@ -30,26 +30,31 @@ def main() -> None:
     for steps in t2m.bundle.config.steps("pcm"):
         t2m("a person stands", seconds=4.0, steps=steps)
     print(f"{t2m.bundle.config.name}, seed {SEED}; times in ms\n")
-    print(
-        f"{'file':<12}{'seconds':>8}{'steps':>6}{'text':>8}{'sample':>8}{'decode':>8}{'feet':>8}{'export':>8}  prompt"
-    )
-    files = 0
+    columns = ("text", "sample", "decode", "feet", "files", "pictures")
+    print(f"{'file':<10}{'seconds':>8}{'steps':>6}" + "".join(f"{column:>10}" for column in columns) + "  prompt")
+    made_files = 0
     for name, prompt in PROMPTS.items():
         for steps in t2m.bundle.config.steps("pcm"):
             made = t2m(prompt, steps=steps, seed=SEED)
-            start = time.perf_counter()
-            for suffix in FORMATS:
-                save(made.motion, OUT / f"{name}-{steps}.{suffix}", metadata=made.metadata)
-            files += len(FORMATS)
-            spent = [*made.timings_ms.values(), (time.perf_counter() - start) * 1e3]
-            times = "".join(f"{ms:>8.1f}" for ms in spent)
-            print(f"{name + '-' + str(steps):<12}{made.seconds:>8.2f}{steps:>6}{times}  {prompt}")
+            spent = [*made.timings_ms.values()]
+            spent += [write(made, OUT / f"{name}-{steps}", formats) for formats in (FILES, PICTURES)]
+            made_files += len(FILES + PICTURES)
+            times = "".join(f"{ms:>10.1f}" for ms in spent)
+            print(f"{f'{name}-{steps}':<10}{made.seconds:>8.2f}{steps:>6}{times}  {prompt}", flush=True)
             for warning in made.warnings:
                 print(f"    note: {warning}")
-    print(f"\n{files} files in {OUT}/: {', '.join('.' + suffix for suffix in FORMATS)}. Open a .png or a .gif to look,")
     print(
-        "a .bvh or a .glb in Blender (File > Import). Try your own: .venv/bin/moveset generate 'a person …' -o my.glb"
+        f"\n{made_files} files in {OUT}/. Open a .png or a .gif to look, a .bvh or a .glb in Blender (File > Import)."
     )
+    print("Try your own: .venv/bin/moveset generate 'a person …' -o my.glb")
+
+
+def write(made: Generation, stem: Path, formats: tuple[str, ...]) -> float:
+    """Write a motion in several formats; the milliseconds it took."""
+    start = time.perf_counter()
+    for suffix in formats:
+        save(made.motion, stem.with_suffix(f".{suffix}"), metadata=made.metadata)
+    return (time.perf_counter() - start) * 1e3
 
 
 if __name__ == "__main__":

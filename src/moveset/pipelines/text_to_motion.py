@@ -148,6 +148,9 @@ class TextToMotion:
             raise InputError(f"batch {batch} is not at least 1; give 1 unless there is a GPU")
         denoise = Denoise(self.bundle, self.encoder, method, self.device)
         vae = self.bundle.module("vae", self.device)
+        if any(frames is None for request in requests for frames in request.frames):
+            self.bundle.module("length", self.device)
+        self.bundle.captions  # noqa: B018  (read here, so that no file is read on the clock)
         clock = Stopwatch(self.device)
 
         prompts = [prompt for request in requests for prompt in request.prompts]
