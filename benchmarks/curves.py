@@ -1,6 +1,6 @@
 """The training curves of a folder of runs as one picture and one small JSON, from their ``metrics.jsonl``.
 
-    python benchmarks/curves.py --runs runs/small --out docs/training
+python benchmarks/curves.py --runs runs/small --out docs/training
 """
 
 import argparse

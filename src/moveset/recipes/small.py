@@ -7,6 +7,7 @@ from moveset.training.engine import EngineConfig
 from moveset.training.tasks import Recipe
 from moveset.training.teacher import TeacherConfig
 from moveset.training.vae import VAETrainingConfig
+from moveset.training.vae_loss import ReconstructionWeights
 
 
 def vae() -> Recipe:
@@ -22,7 +23,14 @@ def vae() -> Recipe:
 def decoder() -> Recipe:
     """The decoder again, on slightly wrong latents: it runs while the teacher learns the finished latents."""
     return Recipe(
-        task=VAETrainingConfig(batch=32, lr=5e-4, latent_noise=0.3),
+        task=VAETrainingConfig(
+            batch=32,
+            lr=5e-4,
+            latent_noise=0.3,
+            balance=0.5,
+            composed_share=0.2,
+            weights=ReconstructionWeights(feet=30.0),
+        ),
         engine=EngineConfig(
             steps=4000, save_every=500, validate_every=500, grad_clip=8.0, precision="bf16-mixed", threads=1
         ),

@@ -43,6 +43,7 @@ class VAETrainingConfig:
     """What ``VAETask`` and ``DecoderTask`` train and how; the learning rate is a cosine over the run.
 
     Args:
+        balance: contents are drawn by their count to the power of one minus this.
         loss: what a reconstruction is judged by: after forward kinematics ("native" features only), or as published.
         latent_noise: ``DecoderTask`` only: the most noise added to a latent, in standard deviations of the latents.
     """
@@ -56,6 +57,7 @@ class VAETrainingConfig:
     weight_decay: float = 0.0
     ema: float = 0.998
     composed_share: float = 0.3
+    balance: float = 0.25
     latent_noise: float = 0.0
     codec: str = "native"
     loss: Literal["kinematic", "published"] = "kinematic"
@@ -84,7 +86,7 @@ class VAETask(Task):
             self.vae.parameters(), config.lr, betas=(0.9, 0.99), weight_decay=config.weight_decay
         )
         records = corpus.indices("train")
-        weights = clip_weights(corpus, records, power=0.25, composed_share=config.composed_share)
+        weights = clip_weights(corpus, records, power=config.balance, composed_share=config.composed_share)
         clips = [2 * record + mirrored for record in records for mirrored in (0, 1)]
         seed = loop.config.seed * 64 + loop.rank
         self.sampler = CropSampler(self.store, clips, weights.repeat_interleave(2), config.batch, seed)
