@@ -6,12 +6,13 @@ import re
 import shutil
 import sys
 import tarfile
+import threading
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict, dataclass, field
 from itertools import pairwise
-from multiprocessing import get_context
+from multiprocessing import get_context, parent_process
 from pathlib import Path
 
 import torch
@@ -179,6 +180,18 @@ def _from_cache(ref: TakeRef, cache: Path) -> _Imported | None:
         return None
 
 
+def _end_with_parent() -> None:
+    """Make a worker end when its parent is killed; otherwise it would wait for work for ever."""
+
+    def watch() -> None:
+        parent = parent_process()
+        if parent is not None:
+            parent.join()
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
 def _import_all(refs: list[TakeRef], work: Path, workers: int) -> None:
     from tqdm import tqdm
 
@@ -187,7 +200,9 @@ def _import_all(refs: list[TakeRef], work: Path, workers: int) -> None:
     if not todo:
         return
     # Spawned, not forked: a fork would copy torch's thread pools in whatever state they are.
-    with ProcessPoolExecutor(min(workers, len(todo)), mp_context=get_context("spawn")) as pool:
+    with ProcessPoolExecutor(
+        min(workers, len(todo)), mp_context=get_context("spawn"), initializer=_end_with_parent
+    ) as pool:
         jobs = {pool.submit(_import_to, ref, cache): ref for ref, cache in todo}
         for job in tqdm(as_completed(jobs), total=len(jobs), desc="takes", unit="", disable=not sys.stderr.isatty()):
             try:
@@ -278,11 +293,12 @@ def build_corpus(
     refs = find_takes(raw)
     work = output.parent / f"{output.name}.work"
     work.mkdir(exist_ok=True)
-    _import_all(refs, work, workers)
+    rejected = {ref.name: f"its file {ref.path.name} is missing" for ref in refs if not ref.path.is_file()}
+    present = [ref for ref in refs if ref.path.is_file()]
+    _import_all(present, work, workers)
     writer = CorpusWriter()
-    rejected: dict[str, str] = {}
     trimmed: dict[str, tuple[int, int]] = {}
-    for ref in refs:
+    for ref in present:
         take = _from_cache(ref, work / f"{ref.name}.safetensors")
         if take is None:
             raise MovesetError(f"the imported take {ref.name!r} vanished from {work}; run the build again")
@@ -300,7 +316,7 @@ def build_corpus(
                 trimmed[ref.name] = take.span
     clips = len(writer.records)
     seconds = sum(len(m) / m.fps for m in writer.motions)
-    composed = add_compositions(writer, train=compositions)
+    composed = add_compositions(writer, train=compositions, progress=sys.stderr.isatty())
     writer.write(output)
     report = BuildReport(str(output), len(refs), clips, composed, round(seconds, 1), rejected, trimmed)
     with atomic_write(output.parent / f"{output.name}.report.json") as file:

@@ -144,7 +144,8 @@ def _plain(content: str, count: int) -> tuple[str, ...]:
         yield from phrases.SHORT.get(content, ())
         mixed = [(p, t, f) for p in written for t, f in _FORMS]
         for turn in range(4):
-            for p, t, f in sorted(mixed, key=lambda x, turn=turn: _rank(content, str(turn), *x)):
+            order = {way: _rank(content, str(turn), *way) for way in mixed}
+            for p, t, f in sorted(mixed, key=order.__getitem__):
                 yield _punctuated(_sentence(p, t, f, _pick(_SUBJECTS, content, p, t, f, str(turn))), content)
 
     return _distinct(all_sentences(), count)

@@ -94,25 +94,29 @@ class _Pool:
         return self._poses[key]
 
 
-def add_compositions(writer: CorpusWriter, train: int = 3000, seed: int = 0) -> int:
+def add_compositions(writer: CorpusWriter, train: int = 3000, seed: int = 0, *, progress: bool = False) -> int:
     """Add about ``train`` training compositions, and in proportion ones for validation and test; returns how many."""
-    takes = {s: sum(r.split == s for r in writer.records) for s in ("train", "val", "test")}
-    added = 0
+    from tqdm import tqdm
+
     splits: tuple[Split, ...] = ("train", "val", "test")
-    for split in splits:
-        pool = _Pool(writer, split)
-        wanted = round(train * takes[split] / max(takes["train"], 1))
-        chance = random.Random(f"compositions of {split}, seed {seed}")
-        seen: set[Recipe] = set()
-        for attempt in range(6 * wanted):
-            if len(seen) == wanted:
-                break
-            made = _in_time(pool, chance) if attempt % 5 < 3 else _body(pool, chance)
-            if made is None or made[1] in seen:
-                continue
-            seen.add(made[1])
-            _add(writer, split, len(seen), *made)
-            added += 1
+    takes = {split: sum(r.split == split for r in writer.records) for split in splits}
+    wanted = {split: round(train * takes[split] / max(takes["train"], 1)) for split in splits}
+    pools = {split: _Pool(writer, split) for split in splits}
+    added = 0
+    with tqdm(total=sum(wanted.values()), desc="compositions", unit="", disable=not progress) as bar:
+        for split in splits:
+            chance = random.Random(f"compositions of {split}, seed {seed}")
+            seen: set[Recipe] = set()
+            for attempt in range(6 * wanted[split]):
+                if len(seen) == wanted[split]:
+                    break
+                made = _in_time(pools[split], chance) if attempt % 5 < 3 else _body(pools[split], chance)
+                if made is None or made[1] in seen:
+                    continue
+                seen.add(made[1])
+                _add(writer, split, len(seen), *made)
+                bar.update()
+            added += len(seen)
     return added
 
 

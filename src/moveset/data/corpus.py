@@ -208,7 +208,7 @@ def _digest(tensors: dict[str, Tensor], index: dict[str, Any]) -> str:
     sha = hashlib.sha256(json.dumps(index, sort_keys=True).encode())
     for name in sorted(tensors):
         sha.update(f"{name}{tuple(tensors[name].shape)}{tensors[name].dtype}".encode())
-        sha.update(memoryview(tensors[name].contiguous().numpy()).cast("B") if tensors[name].numel() else b"")
+        sha.update(tensors[name].contiguous().numpy().reshape(-1).data)
     return sha.hexdigest()
 
 

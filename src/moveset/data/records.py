@@ -103,7 +103,7 @@ def record_from_json(data: Any, caption_sets: list[tuple[int, ...]]) -> ClipReco
             raise ValueError("captions")
         recipe = None
         if "recipe" in data:
-            first, second = (Part(*_integers(p[:3]), mirrored=bool(p[3])) for p in data["recipe"]["parts"])
+            first, second = (_part(p) for p in data["recipe"]["parts"])
             recipe = Recipe(
                 (first, second),
                 int(data["recipe"]["blend"]),
@@ -131,6 +131,11 @@ def record_from_json(data: Any, caption_sets: list[tuple[int, ...]]) -> ClipReco
     if (record.kind == "take") != (recipe is None) or (recipe is not None and record.frames > MAX_FRAMES):
         raise FormatError(f"clip {record.name!r} of the corpus has no valid recipe; build the corpus again")
     return record
+
+
+def _part(value: Any) -> Part:
+    clip, start, stop = _integers(value[:3])
+    return Part(clip, start, stop, mirrored=bool(value[3]))
 
 
 def _text(value: Any) -> str:

@@ -7,7 +7,9 @@ import torch
 from torch import Tensor
 
 from moveset.data import captions
+from moveset.data.compose import add_compositions
 from moveset.data.corpus import CorpusWriter, TakeEntry
+from moveset.data.splits import Split
 from moveset.errors import InputError
 from moveset.motion import rotations
 from moveset.motion.clip import Motion
@@ -100,7 +102,7 @@ def synthetic_motion(
 
 
 def synthetic_corpus(path: str | Path, clips: int = 24, seed: int = 0) -> Path:
-    """A small corpus of synthetic takes and a few compositions; every split has some of both.
+    """A small corpus of synthetic takes in every split, and a few training compositions.
 
     Raises:
         InputError: fewer than 12 clips, or the path cannot be written.
@@ -111,7 +113,8 @@ def synthetic_corpus(path: str | Path, clips: int = 24, seed: int = 0) -> Path:
     generator = torch.Generator().manual_seed(seed)
     for k in range(clips):
         kind = KINDS[k % len(KINDS)]
-        split = ("val", "test")[k % 2] if k >= clips - max(4, clips // 5) else "train"
+        held_out = k >= clips - max(4, clips // 5)
+        split: Split = "train" if not held_out else "val" if k % 2 else "test"
         frames = int(torch.randint(40, 120, (1,), generator=generator))
         writer.add_take(
             TakeEntry(
@@ -126,7 +129,5 @@ def synthetic_corpus(path: str | Path, clips: int = 24, seed: int = 0) -> Path:
                 motion=synthetic_motion(kind, frames, seed=seed * 1000 + k),
             )
         )
-    from moveset.data.compose import add_compositions
-
     add_compositions(writer, train=max(4, clips // 3), seed=seed)
     return writer.write(path)

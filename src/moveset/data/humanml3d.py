@@ -1,0 +1,257 @@
+"""HumanML3D and KIT-ML folders as researchers have them (Guo et al. 2022; Plappert et al. 2016).
+
+A folder holds ``new_joint_vecs/NAME.npy`` (F, D) features, optionally ``new_joints/NAME.npy`` (F, J, 3) positions,
+``texts/NAME.txt``, ``Mean.npy``, ``Std.npy`` and the split files ``train.txt``, ``val.txt`` and ``test.txt``.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from moveset.data.numpy_files import npy_shape, read_npy
+from moveset.errors import FormatError, InputError
+
+_MAX_TEXT = 2**20
+
+
+@dataclass(frozen=True)
+class Layout:
+    """What distinguishes the two data sets.
+
+    Args:
+        name: "humanml3d" or "kit".
+        joints: J.
+        features: D.
+        fps: frames per second.
+        shortest: clips with fewer frames are left out.
+    """
+
+    name: str
+    joints: int
+    features: int
+    fps: float
+    shortest: int
+
+    #: Clips with this many frames or more are left out, in both.
+    too_long = 200
+    #: Times in the text files are cut at this rate in both sets; KIT-ML's are all zero, which makes it harmless.
+    text_fps = 20
+
+
+HUMANML3D = Layout("humanml3d", joints=22, features=263, fps=20.0, shortest=40)
+KIT = Layout("kit", joints=21, features=251, fps=12.5, shortest=24)
+
+
+@dataclass(frozen=True)
+class Caption:
+    """One line of a text file.
+
+    Args:
+        text: the sentence.
+        tokens: "lemma/PART_OF_SPEECH" tokens.
+        start: seconds; start and end both 0 mean the whole clip.
+        end: seconds.
+    """
+
+    text: str
+    tokens: tuple[str, ...]
+    start: float = 0.0
+    end: float = 0.0
+
+
+@dataclass(frozen=True)
+class Item:
+    """What a training set draws from: frames [start, stop) of a motion with the captions that describe just them."""
+
+    name: str
+    start: int
+    stop: int
+    captions: tuple[Caption, ...]
+
+
+def parse_caption(line: str) -> Caption:
+    """A line "caption#tokens#start#end"; times that are not numbers count as 0, as in the sets' own loaders.
+
+    Raises:
+        FormatError: the line has another form.
+
+    >>> parse_caption("a man walks.#a/DET man/NOUN walk/VERB#0.0#nan").tokens
+    ('a/DET', 'man/NOUN', 'walk/VERB')
+    """
+    fields = line.strip().split("#")
+    if len(fields) != 4 or not fields[0].strip():
+        raise FormatError(f"the text line {line.strip()[:80]!r} is not of the form caption#tokens#start#end")
+    try:
+        start, end = (float(t) for t in fields[2:])
+    except ValueError:
+        raise FormatError(f"the text line {line.strip()[:80]!r} has times that are not numbers") from None
+    start, end = (0.0 if math.isnan(t) else t for t in (start, end))
+    return Caption(fields[0].strip(), tuple(fields[1].split()), start, end)
+
+
+class HumanML3D:
+    """A HumanML3D or KIT-ML folder. Open one with ``HumanML3D.open``; nothing but names is read until it is needed."""
+
+    def __init__(self, folder: Path, layout: Layout, splits: Mapping[str, tuple[str, ...]]) -> None:
+        self.folder = folder
+        self.layout = layout
+        self.splits = splits
+
+    @classmethod
+    def open(cls, folder: str | Path, layout: Layout | None = None) -> "HumanML3D":
+        """Find out what a folder holds.
+
+        Args:
+            folder: the data set.
+            layout: ``HUMANML3D`` or ``KIT``; None tells them apart by the number of features.
+
+        Raises:
+            InputError: parts of the data set are missing.
+            FormatError: the features are of neither data set.
+        """
+        folder = Path(folder)
+        for part in ("new_joint_vecs", "texts"):
+            if not (folder / part).is_dir():
+                raise InputError(f"{folder} has no folder {part!r}; give an unpacked HumanML3D or KIT-ML folder")
+        present = {p.stem for p in (folder / "new_joint_vecs").glob("*.npy")}
+        if not present:
+            raise InputError(f"{folder}/new_joint_vecs holds no .npy files; unpack the data set completely")
+        if layout is None:
+            layout = _layout_of(folder, min(present))
+        splits = {}
+        for split in ("train", "val", "test"):
+            listed = _lines(folder / f"{split}.txt")
+            splits[split] = tuple(dict.fromkeys(n for n in listed if n in present))
+            if listed and not splits[split]:
+                raise InputError(f"none of the {len(listed)} motions of {folder}/{split}.txt is in new_joint_vecs")
+        return cls(folder, layout, splits)
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Motions of all splits."""
+        return tuple(dict.fromkeys(n for names in self.splits.values() for n in names))
+
+    def features(self, name: str) -> Tensor:
+        """(F, D) features of a motion, not normalised.
+
+        Raises:
+            InputError: there is no such motion.
+            FormatError: the file is damaged, of another shape, or holds numbers that are not finite.
+        """
+        return self._checked(self.folder / "new_joint_vecs" / f"{name}.npy", (self.layout.features,))
+
+    def joints(self, name: str) -> Tensor:
+        """(F, J, 3) joint positions of a motion: metres in HumanML3D, millimetres in KIT-ML.
+
+        Raises:
+            InputError: there is no such motion.
+            FormatError: the file is damaged, of another shape, or holds numbers that are not finite.
+        """
+        return self._checked(self.folder / "new_joints" / f"{name}.npy", (self.layout.joints, 3))
+
+    def captions(self, name: str) -> tuple[Caption, ...]:
+        """Sentences of a motion.
+
+        Raises:
+            InputError: there is no such motion.
+            FormatError: a line has the wrong form.
+        """
+        path = self.folder / "texts" / f"{name}.txt"
+        if not path.is_file():
+            raise InputError(f"{path} is missing; unpack the data set completely")
+        try:
+            return tuple(parse_caption(line) for line in _lines(path))
+        except FormatError as error:
+            raise FormatError(f"{path}: {error}") from None
+
+    def items(self, split: str) -> tuple[Item, ...]:
+        """What may be drawn from a split: whole motions and the parts that have sentences of their own.
+
+        Only those with 40 (KIT-ML: 24) to 199 frames; a motion that is left out takes its parts with it, as in the
+        sets' own loaders.
+
+        Raises:
+            InputError: an unknown split, or files are missing.
+            FormatError: a file is damaged.
+        """
+        if split not in self.splits:
+            raise InputError(f"there is no split {split!r}; use 'train', 'val' or 'test'")
+        items = []
+        for name in self.splits[split]:
+            frames = (npy_shape(self.folder / "new_joint_vecs" / f"{name}.npy") or (0,))[0]
+            if not self._fits(frames):
+                continue
+            captions = self.captions(name)
+            whole = tuple(c for c in captions if c.start == 0 and c.end == 0)
+            if whole:
+                items.append(Item(name, 0, frames, whole))
+            for caption in captions:
+                start, stop = (int(t * self.layout.text_fps) for t in (caption.start, caption.end))
+                stop = min(stop, frames)
+                if (caption.start or caption.end) and self._fits(stop - start):
+                    items.append(Item(name, start, stop, (caption,)))
+        return tuple(items)
+
+    @cached_property
+    def mean(self) -> Tensor:
+        """(D,) mean of the features, from ``Mean.npy``."""
+        return self._statistic("Mean.npy")
+
+    @cached_property
+    def std(self) -> Tensor:
+        """(D,) standard deviation by group of features, from ``Std.npy``."""
+        std = self._statistic("Std.npy")
+        if not (std > 0).all():
+            raise FormatError(f"{self.folder}/Std.npy has values that are not above 0; restore the original file")
+        return std
+
+    def _fits(self, frames: int) -> bool:
+        return self.layout.shortest <= frames < self.layout.too_long
+
+    def _statistic(self, name: str) -> Tensor:
+        values = read_npy(self.folder / name)
+        if tuple(values.shape) != (self.layout.features,) or not torch.isfinite(values).all():
+            raise FormatError(
+                f"{self.folder / name} holds {tuple(values.shape)} numbers, not {self.layout.features} finite ones"
+            )
+        return values
+
+    def _checked(self, path: Path, shape: tuple[int, ...]) -> Tensor:
+        values = read_npy(path)
+        if values.ndim != len(shape) + 1 or tuple(values.shape[1:]) != shape or len(values) < 1:
+            raise FormatError(f"{path} has the shape {tuple(values.shape)}, not {('F', *shape)}; restore the original")
+        if not torch.isfinite(values).all():
+            raise FormatError(f"{path} holds numbers that are not finite; leave this motion out of the split files")
+        return values
+
+
+def _layout_of(folder: Path, name: str) -> Layout:
+    source = folder / "Mean.npy"
+    width = npy_shape(source if source.is_file() else folder / "new_joint_vecs" / f"{name}.npy")[-1:]
+    for layout in (HUMANML3D, KIT):
+        if width == (layout.features,):
+            return layout
+    raise FormatError(
+        f"{folder} has {width} features a frame; HumanML3D has {HUMANML3D.features} and KIT-ML {KIT.features}"
+    )
+
+
+def _lines(path: Path) -> list[str]:
+    """Lines of a text file that are not empty; none where there is no file."""
+    if not path.is_file():
+        return []
+    if path.stat().st_size > _MAX_TEXT:
+        raise FormatError(f"{path} is larger than the limit of {_MAX_TEXT} bytes; it is no text of the data set")
+    try:
+        text = path.read_text(encoding="utf-8")
+    except UnicodeDecodeError:
+        raise FormatError(f"{path} is not UTF-8 text; restore the original") from None
+    return [line.strip() for line in text.splitlines() if line.strip()]
