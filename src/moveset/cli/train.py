@@ -5,7 +5,7 @@ import sys
 import warnings
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
@@ -72,7 +72,7 @@ def train(
 
     runs = Path("runs") / recipe
     folder = folder or runs / what
-    given = {
+    given: dict[str, Any] = {
         "steps": steps, "seed": seed, "device": device, "devices": devices, "precision": precision, "threads": threads,
         "save_every": save_every, "validate_every": validate_every, "log_every": log_every, "keep_last": keep_last,
         "keep_every": keep_every, "tensorboard": tensorboard,

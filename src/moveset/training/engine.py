@@ -18,7 +18,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, cast
 
 import torch
 from torch import Tensor, nn
@@ -190,7 +190,7 @@ class Loop:
     def _average(self, parameters: list[nn.Parameter]) -> None:
         """A parameter unused in this process counts as zero: other processes may have used it."""
         gradients = [torch.zeros_like(p) if p.grad is None else p.grad for p in parameters]
-        flat = self.fabric.all_reduce(nn.utils.parameters_to_vector(gradients), reduce_op="mean")
+        flat = cast(Tensor, self.fabric.all_reduce(nn.utils.parameters_to_vector(gradients), reduce_op="mean"))
         offset = 0
         for parameter, gradient in zip(parameters, gradients, strict=True):
             parameter.grad = flat[offset : offset + gradient.numel()].view_as(gradient)
@@ -354,7 +354,7 @@ def _signals() -> Iterator[list[int]]:
 
     def note(number: int, frame: object) -> None:
         received.append(number)
-        signal.signal(number, previous[number])
+        signal.signal(number, previous[signal.Signals(number)])
 
     for number in previous:
         signal.signal(number, note)
@@ -368,7 +368,6 @@ def _signals() -> Iterator[list[int]]:
 def _fabric(config: EngineConfig) -> "Fabric":
     try:
         from lightning_fabric import Fabric
-        from lightning_fabric.plugins.environments import TorchElasticEnvironment
     except ImportError as error:
         raise InputError("training needs lightning-fabric; install it with pip install 'moveset[train]'") from error
     device = config.device
@@ -382,7 +381,7 @@ def _fabric(config: EngineConfig) -> "Fabric":
     if precision == "auto":
         precision = "bf16-mixed" if device == "cuda" and torch.cuda.is_bf16_supported() else "32-true"
     devices, nodes = config.devices, 1
-    if TorchElasticEnvironment.detect():
+    if torch.distributed.is_torchelastic_launched():
         devices = int(os.environ["LOCAL_WORLD_SIZE"])
         nodes = int(os.environ["WORLD_SIZE"]) // devices
     strategy = "ddp" if devices * nodes > 1 else "auto"

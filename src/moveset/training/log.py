@@ -5,6 +5,7 @@ import math
 import os
 import sys
 import time
+from collections.abc import Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -58,7 +59,7 @@ class TrainingLog:
         self._window: dict[str, list[float | Tensor]] = {}
         self._steps, self._since = 0, time.monotonic()
 
-    def add(self, metrics: dict[str, float | Tensor]) -> None:
+    def add(self, metrics: Mapping[str, float | Tensor]) -> None:
         """Takes the metrics of one step; tensors must be scalars and are not waited for."""
         for key, value in metrics.items():
             self._window.setdefault(key, []).append(value.detach() if isinstance(value, Tensor) else value)
