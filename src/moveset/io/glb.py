@@ -74,7 +74,7 @@ class Glb:
         at = self.index(index, len(found), key)
         if not isinstance(found[at], dict):
             self.fail(f"{key}[{at}] is not an object; it is damaged")
-        return found[at]  # type: ignore[no-any-return]
+        return found[at]
 
     def index(self, value: object, size: int, what: str) -> int:
         """An integer in [0, size)."""

@@ -1,8 +1,8 @@
 """The denoiser that ships: the published network's U-shaped transformer, made cheap for a processor.
 
 Same task as ``token_denoiser`` (noise prediction on the 16 latent tokens, MotionPCM §3 and Eq. 11), three changes: the
-text's token states enter as extra keys and values instead of extra sequence elements (they are computed once per prompt,
-and a step costs half); time, guidance, the pooled text and the clip's length modulate the blocks (one shared adaLN,
+text's token states enter as extra keys and values instead of extra sequence elements (they are computed once per
+prompt, and a step costs half); time, guidance, the pooled text and the clip's length modulate the blocks (one shared adaLN,
 arXiv 2310.00426) instead of being tokens; blocks are pre-norm.
 
 Shapes: B batch, N latent tokens, d latent width, L text tokens, C text width, W model width, H heads.
@@ -206,7 +206,7 @@ class Block(nn.Module):
 
 
 def _attend(query: Tensor, keys: Tensor, values: Tensor, bias: Tensor | None) -> Tensor:
-    """Scaled dot-product attention; in training spelled out, because the fused backward pass is five times slower here."""
+    """Scaled dot-product attention; spelled out in training, where the fused backward pass is five times slower."""
     if not torch.is_grad_enabled():
         return fn.scaled_dot_product_attention(query, keys, values, attn_mask=bias)
     weight = (query * query.shape[-1] ** -0.5) @ keys.transpose(-1, -2)

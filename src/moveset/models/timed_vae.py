@@ -68,7 +68,7 @@ class TimedVAE(nn.Module):
         self.frame_out = nn.Linear(c.frame_width, c.features)
 
     def encode(self, x_BFD: Tensor, lengths_B: Tensor) -> tuple[Tensor, Tensor]:
-        """Mean and log-variance (B, N, d) of clips of ``lengths_B`` frames; what lies beyond a clip's end is ignored."""
+        """Mean and log-variance (B, N, d) of clips of ``lengths_B`` frames; what lies beyond them is ignored."""
         batch, frames, _ = x_BFD.shape
         padded = -frames % PATCH
         # A length that is no multiple of 4 ends in a patch whose missing frames repeat the last one.

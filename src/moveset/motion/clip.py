@@ -99,7 +99,7 @@ class Motion:
             return self
         if len(self) == 1:
             return replace(self, fps=fps)
-        count = int(round((len(self) - 1) / self.fps * fps)) + 1
+        count = round((len(self) - 1) / self.fps * fps) + 1
         where = torch.arange(count, dtype=torch.float64) / fps * self.fps
         low = where.floor().clamp(max=len(self) - 2).long()
         t = (where - low).clamp(0.0, 1.0).to(self.root.dtype)

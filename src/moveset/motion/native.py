@@ -1,4 +1,4 @@
-"""The ``native`` features: what a motion is, seen from its own heading, with true rotations (269 numbers a frame on hml22).
+"""The ``native`` features: a motion seen from its own heading, with true rotations (269 numbers a frame on hml22).
 
 Layout for J joints (F frames, D = 4 + 6J + 3(J-1) + 3J + 4):
 
@@ -12,8 +12,8 @@ velocities            3J      step of every joint to the next frame, in this fra
 contacts              4       left ankle, left toe, right ankle, right toe: 1 = planted
 ====================  ======  =====================================================================================
 
-Everything is invariant to the heading and the planar position of the clip, so a crop of features is the features of the
-crop. Decoding uses the root and the rotations alone; the rest is there to be learned from. The last frame's steps repeat
+Everything is invariant to the heading and the planar position of the clip, so a crop of features is the features of
+the crop. Decoding uses the root and the rotations alone; the rest is there to be learned from. The last frame's steps repeat
 those of the frame before.
 """
 
@@ -63,8 +63,8 @@ class NativeCodec:
         """
         if motion.skeleton.name != self.skeleton.name or motion.fps != self.fps or len(motion) < 2:
             raise InputError(
-                f"native features need at least 2 frames on {self.skeleton.name!r} at {self.fps:g} fps; got {len(motion)} "
-                f"on {motion.skeleton.name!r} at {motion.fps:g} (retarget and resample it first)"
+                f"native features need at least 2 frames on {self.skeleton.name!r} at {self.fps:g} fps; got "
+                f"{len(motion)} on {motion.skeleton.name!r} at {motion.fps:g} (retarget and resample it first)"
             )
         heading = rotations.heading(motion.rotations[:, 0])
         back = rotations.inv(heading)
@@ -104,7 +104,7 @@ class NativeCodec:
         return still + ground[..., None, :]
 
     def posture(self, features: Tensor) -> Tensor:
-        """Joint positions (..., F, J, 3) above the ground point of the root, in the heading frame, from the rotations."""
+        """Joint positions (..., F, J, 3) above the root's ground point, in the heading frame, from the rotations."""
         height = features[..., self.groups["root_height"]]
         root = torch.cat((torch.zeros_like(height), height, torch.zeros_like(height)), dim=-1)
         return fk_matrices(rotations.matrix_from_6d(self._six(features)), root, self.skeleton)

@@ -35,7 +35,7 @@ def reconstruction_loss(
 
     Features alone do not see what a viewer sees: an error at the hip moves the whole leg, an error in the root's speed
     adds up over the clip, and small independent errors from frame to frame are jitter. So joints are judged after
-    forward kinematics: their posture, and their world velocity and acceleration (which also keeps planted feet planted).
+    forward kinematics: their posture, and their world velocity and acceleration (which also keeps planted feet still).
 
     Args:
         made: (B, F, D) normalised features.
