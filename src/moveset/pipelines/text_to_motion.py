@@ -165,13 +165,15 @@ class TextToMotion:
         latents = [denoise(noise[part], stack([known[p] for p in prompts[part]]), frames[part]) for part in rows]
         clock.lap("sample")
 
-        clips = iter(
-            [clip for z, part in zip(latents, rows, strict=True) for clip in self._decode(vae, z, frames[part])]
-        )
+        decoded = [self._decode(vae, z, frames[part]) for z, part in zip(latents, rows, strict=True)]
+        clips = iter([clip for batch_of_clips in decoded for clip in batch_of_clips])
         clock.lap("decode")
 
-        raw = [join([next(clips) for _ in request.prompts]) for request in requests]
-        motions = [lock_feet(motion) for motion in raw] if foot_lock else raw
+        takes = [[next(clips) for _ in request.prompts] for request in requests]
+        raw = [join([motion for motion, _ in take]) for take in takes]
+        planted = [torch.cat([contacts for _, contacts in take]) for take in takes]
+        # The model's own contacts: a foot that slides is not found planted by its speed, which is what is to be mended.
+        motions = [lock_feet(m, contacts=c) for m, c in zip(raw, planted, strict=True)] if foot_lock else raw
         clock.lap("finish")
         return tuple(
             Generation(
@@ -211,11 +213,13 @@ class TextToMotion:
         pooled = torch.cat([known[prompt].pooled for prompt in prompts])
         return (*too_long(self.encoder, prompts), *unfamiliar(self.bundle, prompts, pooled))
 
-    def _decode(self, vae: nn.Module, z_BND: Tensor, frames: Sequence[int]) -> list[Motion]:
-        """Motions of ``frames[k]`` frames of normalised latents (B, N, d)."""
+    def _decode(self, vae: nn.Module, z_BND: Tensor, frames: Sequence[int]) -> list[tuple[Motion, Tensor]]:
+        """Motions of ``frames[k]`` frames of normalised latents (B, N, d), and their planted feet (F, 4)."""
         n = {name: value.to(self.device) for name, value in self.bundle.normalizer.items()}
         lengths = torch.tensor(frames, device=self.device)
         x_BFD = vae.decode(z_BND * n["latent_std"] + n["latent_mean"], lengths, max(frames))
         x_BFD = (x_BFD * n["feature_std"] + n["feature_mean"]).cpu()
         codec = get_codec(self.bundle.config.codec)
-        return [codec.decode(x[:length]) for x, length in zip(x_BFD, frames, strict=True)]
+        planted_BF4 = x_BFD[..., codec.groups["contacts"]] > 0.5
+        rows = zip(x_BFD, planted_BF4, frames, strict=True)
+        return [(codec.decode(x[:length]), planted[:length]) for x, planted, length in rows]
