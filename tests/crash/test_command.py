@@ -26,13 +26,13 @@ def start(folder: Path, *arguments: str) -> subprocess.Popen:
 
 
 def ended(process: subprocess.Popen) -> tuple[int, str, str]:
-    said, complained = process.communicate(timeout=120)
+    said, complained = process.communicate(timeout=240)
     return process.returncode, said, complained
 
 
 def stopped(folder: Path, number: int, *arguments: str) -> tuple[int, str]:
     """Exit code and stderr of a training that got a signal after its first own step."""
-    before, deadline = logged_step(folder), time.monotonic() + 100
+    before, deadline = logged_step(folder), time.monotonic() + 200
     process = start(folder, *arguments)
     while process.poll() is None and logged_step(folder) <= before and time.monotonic() < deadline:
         time.sleep(0.02)

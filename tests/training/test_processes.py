@@ -23,7 +23,7 @@ def both(tmp_path_factory):
     environment = {**os.environ, "PYTHONPATH": str(REPOSITORY), "OMP_NUM_THREADS": "1"}
     done = subprocess.run(
         [*command, "-m", "tests.training.two_processes", str(folder)],
-        env=environment, cwd=REPOSITORY, capture_output=True, text=True, timeout=120,
+        env=environment, cwd=REPOSITORY, capture_output=True, text=True, timeout=280,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr[-3000:]
     return folder, [json.loads((folder / f"rank_{rank}.json").read_text()) for rank in (0, 1)]
@@ -66,6 +66,8 @@ def test_resuming_in_two_processes_is_exact(both):
 
 def test_another_number_of_processes_resumes_with_a_warning(both):
     folder, _ = both
-    with pytest.warns(UserWarning, match="written by 2 processes and is resumed by 1"):
+    with pytest.warns(UserWarning) as said:
         result = train(folder / "straight", steps=14, resume=True, validate_every=4, log_every=20)
     assert result.step == 14
+    assert [str(warning.message).partition(" with ")[2] for warning in said][:1] == ["other settings: steps 12 -> 14"]
+    assert "written by 2 processes and is resumed by 1" in str(said[1].message)

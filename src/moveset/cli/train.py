@@ -44,7 +44,8 @@ def train(
     `torchrun --nproc-per-node 2 -m moveset.cli train …`, or --devices 2.
 
     Args:
-        what: vae: the autoencoder. decoder: more of its decoder, with its latents kept. teacher: the latent diffusion model. lcm, pcm: students with few steps.
+        what: vae: the autoencoder. decoder: more of its decoder, with its latents kept. teacher: the latent diffusion
+            model. lcm, pcm: students with few steps.
         recipe: small: what ships. paper: the published sizes. tiny: seconds, to try the machinery.
         resume: Continue from the latest checkpoint in the folder, or start if there is none.
         folder: Where checkpoints and logs go; by default runs/RECIPE/WHAT.
@@ -90,7 +91,7 @@ def train(
     return 130 if result.stopped_by == "SIGINT" else 0
 
 
-def _say(message: Warning | str, category: type[Warning], *place: object) -> None:
+def _say(message: Warning | str, category: type[Warning], *place: Any) -> None:
     print(f"moveset: warning: {message}", file=sys.stderr)
 
 
