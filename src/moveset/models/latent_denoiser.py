@@ -1,9 +1,9 @@
 """The denoiser that ships: the published network's U-shaped transformer, made cheap for a processor.
 
-Same task as ``token_denoiser`` (noise prediction on the 16 latent tokens, MotionPCM §3 and Eq. 11), three changes: the
-text's token states enter as extra keys and values instead of extra sequence elements (they are computed once per
-prompt, and a step costs half); time, guidance, the pooled text and the clip's length modulate the blocks (one shared adaLN,
-arXiv 2310.00426) instead of being tokens; blocks are pre-norm.
+Same task as ``token_denoiser`` (noise prediction on the 16 latent tokens, MotionPCM §3 and Eq. 11), three changes:
+the text's token states enter as extra keys and values instead of extra sequence elements (they are computed once per
+prompt, and a step costs half); time, guidance, the pooled text and the clip's length modulate the blocks (one shared
+adaLN, arXiv 2310.00426) instead of being tokens; blocks are pre-norm.
 
 Shapes: B batch, N latent tokens, d latent width, L text tokens, C text width, W model width, H heads.
 """

@@ -13,8 +13,8 @@ contacts              4       left ankle, left toe, right ankle, right toe: 1 = 
 ====================  ======  =====================================================================================
 
 Everything is invariant to the heading and the planar position of the clip, so a crop of features is the features of
-the crop. Decoding uses the root and the rotations alone; the rest is there to be learned from. The last frame's steps repeat
-those of the frame before.
+the crop. Decoding uses the root and the rotations alone; the rest is there to be learned from. The last frame's steps
+repeat those of the frame before.
 """
 
 from dataclasses import replace
