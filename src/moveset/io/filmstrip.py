@@ -78,12 +78,9 @@ def telling_frames(motion: Motion, poses: int) -> list[int]:
     upright = rotations.inv(rotations.heading(motion.rotations[:, 0]))
     pose = rotations.rotate(upright[:, None], motion.joints - motion.joints[:, :1])
     chosen = [0]
-    bounds = torch.linspace(0, len(motion) - 1, poses - 1).round().long().tolist()
-    for low, high in pairwise(bounds):
-        quarter = (high - low) // 4
-        stretch = range(low + max(quarter, 1), max(high - quarter, low + 2))
-        apart = (pose[stretch.start : stretch.stop] - pose[chosen[-1]]).norm(dim=-1).mean(dim=-1)
-        chosen.append(stretch[int(apart.argmax())])
+    for low, high in pairwise(torch.linspace(1, len(motion) - 1, poses - 1).round().long().tolist()):
+        apart = (pose[low:high] - pose[chosen[-1]]).norm(dim=-1).mean(dim=-1)
+        chosen.append(low + int(apart.argmax()))
     return [*chosen, len(motion) - 1]
 
 

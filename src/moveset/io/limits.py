@@ -31,7 +31,8 @@ def read_limited(path: str | Path, max_bytes: int = MAX_BYTES) -> bytes:
         raise InputError(f"{path} is not a regular file; give the path of a file")
     try:
         with path.open("rb") as file:
-            data = file.read(max_bytes + 1)
+            # What is asked for is set aside at once, so ask for no more than there is.
+            data = file.read(min(os.fstat(file.fileno()).st_size, max_bytes) + 1)
     except OSError as error:
         raise InputError(
             f"cannot read {path}: {error.strerror or error}; check the path and its permissions"

@@ -103,7 +103,7 @@ def three_quarter_view(
     bottom, top = float(low[:, 1].min()), float(high[:, 1].max())
     reach = max(float(-low[:, 0].min()), float(high[:, 0].max()))
     room = height - below
-    scale = min(0.46 * width / reach, 0.92 * room / (top - bottom), 0.6 * room)
+    scale = min(0.46 * width / reach, 0.92 * room / (top - bottom), 1.2 * room)
     targets[:, 1] = (0.5 * (bottom + top) - 0.5 * below / scale) / axes[1, 1]
     return replace(view, scale=scale)
 

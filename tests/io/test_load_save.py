@@ -1,0 +1,142 @@
+"""``load`` and ``save``: choice by extension, metadata, whole files or none."""
+
+import json
+import os
+import subprocess
+import sys
+
+import pytest
+
+from moveset.errors import FormatError, InputError, MovesetError
+from moveset.io import READABLE, WRITABLE, load, read_metadata, save
+from moveset.motion.retarget import retarget
+from moveset.motion.rigs import RIGS
+from tests.motions import gait, wander
+
+NOTES = {"prompt": "a person walks", "seed": 7, "guidance": 3.5, "model": "tiny"}
+
+
+@pytest.fixture(scope="module")
+def motion():
+    return wander(12, seed=3, turn=1.0)
+
+
+@pytest.mark.parametrize("name", ["a.bvh", "a.glb", "a.npz", "a.amass.npz", "a.npy", "A.GLB"])
+def test_what_is_written_is_read_back(motion, name, tmp_path):
+    assert save(motion, tmp_path / name) == tmp_path / name
+    found = load(tmp_path / name)
+    assert (found.joints - motion.joints).abs().max() < 1e-4
+    assert found.fps == pytest.approx(20.0)
+    assert motion.save(str(tmp_path / name)) == tmp_path / name
+
+
+@pytest.mark.parametrize("name", ["a.bvh", "a.glb", "a.npz"])
+@pytest.mark.parametrize("rig", RIGS)
+def test_every_rig_in_every_format_with_rotations(motion, name, rig, tmp_path):
+    written = retarget(motion, rig)
+    save(written, tmp_path / name)
+    found = load(tmp_path / name)
+    order = [found.skeleton.joints.index(joint) for joint in written.skeleton.joints]
+    assert (found.joints[:, order] - written.joints).abs().max() < 1e-4
+    assert len(found.skeleton.pairs) == len(written.skeleton.pairs)
+    assert len(found.skeleton.feet) == 4
+    assert (retarget(found, "hml22").joints - retarget(written, "hml22").joints).abs().max() < 2e-4
+
+
+@pytest.mark.parametrize("suffix", WRITABLE)
+def test_every_format_is_written_whole_and_twice_alike(motion, suffix, tmp_path):
+    for folder in ("one", "two"):
+        (tmp_path / folder).mkdir()
+        save(motion[:4], tmp_path / folder / f"a{suffix}", metadata=NOTES)
+    for path in (tmp_path / "one").iterdir():
+        assert path.read_bytes() == (tmp_path / "two" / path.name).read_bytes()
+        assert path.stat().st_size > 40
+    beside = {"a.bvh": ["a.bvh.json"], "a.npy": ["a.npy.json"]}.get(f"a{suffix}", [])
+    assert sorted(p.name for p in (tmp_path / "one").iterdir()) == [f"a{suffix}", *beside]
+
+
+@pytest.mark.parametrize("name", ["a.bvh", "a.glb", "a.npz", "a.amass.npz", "a.npy", "a.png"])
+def test_metadata_is_kept_with_the_file_or_beside_it(motion, name, tmp_path):
+    save(motion, tmp_path / name, metadata=NOTES)
+    assert read_metadata(tmp_path / name).items() >= NOTES.items()
+    save(motion, tmp_path / f"b{name}")
+    assert not read_metadata(tmp_path / f"b{name}").keys() & NOTES.keys()
+    assert not (tmp_path / f"b{name}.json").exists(), "nothing to remember, no file beside"
+
+
+def test_a_file_beside_that_is_damaged_is_refused(motion, tmp_path):
+    save(motion, tmp_path / "a.bvh", metadata=NOTES)
+    assert json.loads((tmp_path / "a.bvh.json").read_text()) == NOTES
+    (tmp_path / "a.bvh.json").write_text("{")
+    with pytest.raises(FormatError, match=r"a\.bvh\.json"):
+        read_metadata(tmp_path / "a.bvh")
+
+
+@pytest.mark.parametrize("name", ["a.fbx", "a", "a.bvh.txt", ".bvh", "npz"])
+def test_unknown_extensions_are_said_with_the_known_ones(motion, name, tmp_path):
+    with pytest.raises(InputError, match=r"\.bvh \.glb \.npz \.npy \.mp4 \.gif \.png"):
+        save(motion, tmp_path / name)
+    with pytest.raises(InputError, match=r"\.bvh \.glb \.npz \.npy;"):
+        load(tmp_path / name)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_pictures_cannot_be_loaded(motion, tmp_path):
+    save(motion[:2], tmp_path / "a.png")
+    with pytest.raises(InputError, match=r"cannot read .*a\.png"):
+        load(tmp_path / "a.png")
+
+
+@pytest.mark.parametrize("suffix", READABLE)
+def test_wrong_contents_are_format_errors(suffix, tmp_path):
+    path = tmp_path / f"a{suffix}"
+    for contents in (b"", b"\0" * 100, b"HIERARCHY", b"glTF\2\0\0\0", b"PK\3\4", b"\x93NUMPY\1\0"):
+        path.write_bytes(contents)
+        with pytest.raises(FormatError) as caught:
+            load(path)
+        assert "\n" not in str(caught.value)
+        assert len(str(caught.value)) < 400 + len(str(path))
+    with pytest.raises(InputError, match="cannot read"):
+        load(tmp_path / f"none{suffix}")
+
+
+@pytest.mark.parametrize("suffix", WRITABLE)
+def test_nothing_half_written_is_left(motion, suffix, tmp_path, monkeypatch):
+    """The disk fails when the last bytes are flushed: an old file stays as it was, no temporary one remains."""
+    path = tmp_path / f"a{suffix}"
+    path.write_bytes(b"old")
+
+    def full(_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(MovesetError, match="No space left"):
+        save(motion[:3], path)
+    assert [p.name for p in tmp_path.iterdir()] == [path.name]
+    assert path.read_bytes() == b"old"
+
+
+@pytest.mark.parametrize("suffix", WRITABLE)
+def test_unwritable_places_are_said(motion, suffix, tmp_path):
+    with pytest.raises(InputError, match="cannot write"):
+        save(motion[:2], tmp_path / "missing" / f"a{suffix}")
+    (tmp_path / f"folder{suffix}").mkdir()
+    with pytest.raises(InputError, match="folder"):
+        save(motion[:2], tmp_path / f"folder{suffix}")
+    assert not (tmp_path / "missing").exists()
+
+
+def test_feet_stand_on_the_floor_in_every_format(tmp_path):
+    walk = gait(20)
+    for name in ("a.bvh", "a.glb", "a.npz", "a.amass.npz", "a.npy"):
+        save(walk, tmp_path / name)
+        found = load(tmp_path / name)
+        lowest = found.joints[:, list(found.skeleton.feet), 1].min()
+        assert float(lowest) == pytest.approx(0.0, abs=1e-3), name
+
+
+def test_importing_io_imports_no_slow_library():
+    slow = ("PIL", "pygltflib", "imageio_ffmpeg", "torch")
+    code = f"import sys, moveset.io; print([name for name in {slow} if name in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"

@@ -1,0 +1,99 @@
+"""GIF and MP4: the right number of frames at the right times, a body in every one."""
+
+import numpy as np
+import pytest
+import torch
+from imageio_ffmpeg import count_frames_and_secs, read_frames
+from PIL import Image
+
+from moveset.errors import InputError, MovesetError
+from moveset.io import video
+from moveset.io.video import write_gif, write_mp4
+from moveset.motion import rotations
+from moveset.motion.clip import Motion
+from tests.motions import gait
+
+
+def oranges(pixels):
+    return (pixels[..., 0].astype(int) - pixels[..., 2] > 60).sum()
+
+
+@pytest.mark.parametrize(("fps", "kept"), [(20.0, 20.0), (24.0, 24.0), (30.0, 30.0), (60.0, 30.0), (12.5, 30.0)])
+def test_mp4_lasts_as_long_as_the_motion(fps, kept, tmp_path):
+    motion = gait(20, fps=fps)
+    write_mp4(motion, tmp_path / "a.mp4", caption="a person walks")
+    frames, seconds = count_frames_and_secs(tmp_path / "a.mp4")
+    assert frames == len(motion.resampled(kept))
+    assert seconds == pytest.approx(frames / kept, abs=0.02)
+
+
+def test_mp4_is_h264_that_plays_everywhere_and_shows_the_body(tmp_path):
+    write_mp4(gait(12), tmp_path / "a.mp4", caption="a person walks", metadata='{"seed": 7}')
+    frames = read_frames(tmp_path / "a.mp4")
+    facts = next(frames)
+    assert (facts["codec"], facts["pix_fmt"].split("(")[0], facts["size"]) == ("h264", "yuv420p", (480, 480))
+    pictures = [np.frombuffer(frame, np.uint8).reshape(480, 480, 3) for frame in frames]
+    assert len(pictures) == 12
+    assert all(oranges(picture) > 500 for picture in pictures)
+    assert np.abs(pictures[0].astype(int) - pictures[6]).mean() > 0.5
+    data = (tmp_path / "a.mp4").read_bytes()
+    assert b'{"seed": 7}' in data
+    assert data.index(b"moov") < data.index(b"mdat"), "players on the web can begin at once"
+
+
+@pytest.mark.parametrize(("fps", "kept"), [(20.0, 20.0), (25.0, 25.0), (30.0, 20.0)])
+def test_gif_lasts_as_long_as_the_motion(fps, kept, tmp_path):
+    motion = gait(20, fps=fps)
+    write_gif(motion, tmp_path / "a.gif", caption="a person walks", metadata='{"seed": 7}')
+    with Image.open(tmp_path / "a.gif") as gif:
+        assert gif.n_frames == len(motion.resampled(kept))
+        assert gif.info["loop"] == 0
+        assert gif.info["comment"] == b'{"seed": 7}'
+        for frame in range(gif.n_frames):
+            gif.seek(frame)
+            assert gif.info["duration"] == 1000 / kept
+            assert oranges(np.asarray(gif.convert("RGB"))) > 200
+
+
+def test_a_still_motion_keeps_its_time(tmp_path):
+    """Equal frames may be merged, but their time must not be lost."""
+    still = Motion(rotations.identity(10, 22), torch.tensor([0.0, 0.97, 0.0]).expand(10, 3).clone())
+    write_gif(still, tmp_path / "a.gif")
+    with Image.open(tmp_path / "a.gif") as gif:
+        total = 0
+        for frame in range(gif.n_frames):
+            gif.seek(frame)
+            total += gif.info["duration"]
+    assert total == 500
+
+
+def test_one_frame_makes_a_film(tmp_path):
+    for write, name in ((write_mp4, "a.mp4"), (write_gif, "a.gif")):
+        write(gait(1), tmp_path / name)
+        assert (tmp_path / name).stat().st_size > 1000
+
+
+def test_same_motion_same_bytes(tmp_path):
+    for name in ("a", "b"):
+        write_mp4(gait(6), tmp_path / f"{name}.mp4")
+        write_gif(gait(6), tmp_path / f"{name}.gif")
+    for suffix in ("mp4", "gif"):
+        assert (tmp_path / f"a.{suffix}").read_bytes() == (tmp_path / f"b.{suffix}").read_bytes()
+
+
+def test_very_long_motions_are_refused(tmp_path):
+    long = Motion(rotations.identity(7000, 22), torch.zeros(7000, 3))
+    for write, name in ((write_mp4, "a.mp4"), (write_gif, "a.gif")):
+        with pytest.raises(InputError, match=r"350 s exceeds the 300 s"):
+            write(long, tmp_path / name)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_failing_encoder_leaves_nothing(tmp_path, monkeypatch):
+    def broken(*_):
+        raise OSError("no space left")
+
+    monkeypatch.setattr(video, "_pictures", broken)
+    with pytest.raises(MovesetError, match="no space left"):
+        write_mp4(gait(3), tmp_path / "a.mp4")
+    assert list(tmp_path.iterdir()) == []
