@@ -140,7 +140,7 @@ def test_euler_angles_come_back_in_every_order(order, a, b, c):
 coordinates = st.floats(-10.0, 10.0)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=60, deadline=None)
 @given(st.tuples(*[coordinates] * 3), st.tuples(*[coordinates] * 3), st.sampled_from(DTYPES))
 def test_the_shortest_arc_arrives(u, v, dtype):
     u, v = torch.tensor(u, dtype=dtype), torch.tensor(v, dtype=dtype)

@@ -51,11 +51,18 @@ def test_resampling_keeps_the_duration_and_the_first_frame(fps):
     motion = wander(41, 4)
     out = motion.resampled(fps)
     assert out.fps == fps
-    assert abs((len(out) - 1) / fps - 2.0) <= 0.5 / fps
+    assert 2.0 - 1.0 / fps < (len(out) - 1) / fps <= 2.0
     torch.testing.assert_close(out.root[0], motion.root[0])
     if (2.0 * fps) % 1 == 0:
         torch.testing.assert_close(out.root[-1], motion.root[-1])
         torch.testing.assert_close(out.joints[-1], motion.joints[-1], atol=1e-5, rtol=0)
+
+
+@pytest.mark.parametrize("fps", [7.0, 24.0, 30.0, 33.0, 59.94])
+def test_resampling_keeps_a_steady_speed_to_the_very_end(fps):
+    steady = Motion(rotations.identity(30, 22), torch.arange(30.0)[:, None] * torch.tensor([0.0, 0.0, 0.05]))
+    steps = torch.diff(steady.resampled(fps).root[:, 2])
+    torch.testing.assert_close(steps, torch.full_like(steps, 1.0 / fps), atol=1e-5, rtol=0)
 
 
 def test_resampling_up_keeps_every_frame():

@@ -1,5 +1,6 @@
 """``Motion``: local rotations and a root path on a skeleton. Metres, seconds, Y up, facing +Z, right-handed."""
 
+import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -88,7 +89,9 @@ class Motion:
         )
 
     def resampled(self, fps: float) -> "Motion":
-        """At another frame rate: slerp between frames, linear for the root; the first and last instant stay.
+        """At another frame rate: slerp between frames, linear for the root.
+
+        The first frame stays; the last is the last instant of the new rate that lies within the clip.
 
         Raises:
             InputError: fps not in (0, 1000].
@@ -99,7 +102,7 @@ class Motion:
             return self
         if len(self) == 1:
             return replace(self, fps=fps)
-        count = round((len(self) - 1) / self.fps * fps) + 1
+        count = math.floor((len(self) - 1) / self.fps * fps + 1e-6) + 1
         where = torch.arange(count, dtype=torch.float64) / fps * self.fps
         low = where.floor().clamp(max=len(self) - 2).long()
         t = (where - low).clamp(0.0, 1.0).to(self.root.dtype)

@@ -102,24 +102,20 @@ def between(u: Tensor, v: Tensor) -> Tensor:
     """Shortest arc that takes directions u (..., 3) to v (..., 3).
 
     Where they are opposite every axis is as short: the one nearest to Y is taken (X for vertical u). Where one of them
-    is zero the result is the identity.
+    is zero (below 1e-12) the result is the identity.
     """
-    u, v = torch.broadcast_tensors(u, v)
-    size = u.norm(dim=-1) * v.norm(dim=-1)
-    q = torch.cat((torch.linalg.cross(u, v), (size + (u * v).sum(-1))[..., None]), dim=-1)
-    opposite = (q.norm(dim=-1) <= 1e-6 * size) & (size > 0)
+    lengths = torch.minimum(u.norm(dim=-1), v.norm(dim=-1))
+    u, v = torch.broadcast_tensors(torch.nn.functional.normalize(u, dim=-1), torch.nn.functional.normalize(v, dim=-1))
+    q = torch.cat((torch.linalg.cross(u, v), 1.0 + (u * v).sum(-1, keepdim=True)), dim=-1)
     x, y, z = u.unbind(-1)
-    zero = torch.zeros_like(x)
-    upright = (y.abs() > 0.99 * u.norm(dim=-1))[..., None]
-    side = torch.where(
-        upright,
-        torch.stack((y * y + z * z, -x * y, -x * z), dim=-1),
-        torch.stack((-x * y, x * x + z * z, -y * z), dim=-1),
-    )
-    half_turn = torch.cat((side, zero[..., None]), dim=-1)
-    unit = torch.stack((zero, zero, zero, torch.ones_like(x)), dim=-1)
-    q = torch.where(opposite[..., None], half_turn, torch.where((size > 0)[..., None], q, unit))
-    return normalize(q)
+    zero, one = torch.zeros_like(x), torch.ones_like(x)
+    # Y, or X, less its part along u.
+    level = torch.stack((-x * y, x * x + z * z, -y * z, zero), dim=-1)
+    upright = torch.stack((y * y + z * z, -x * y, -x * z, zero), dim=-1)
+    half_turn = torch.where((y.abs() > 0.99)[..., None], upright, level)
+    q = torch.where(q.norm(dim=-1, keepdim=True) <= 1e-6, half_turn, q)
+    unit = torch.stack((zero, zero, zero, one), dim=-1)
+    return normalize(torch.where((lengths > 1e-12)[..., None], q, unit))
 
 
 def angle(q: Tensor) -> Tensor:
