@@ -15,7 +15,7 @@ from tests.crash.metrics import logged_step
 from tests.training.tiny_task import TinyConfig, TinyTask
 
 REPOSITORY = Path(__file__).resolve().parents[2]
-pytestmark = pytest.mark.skipif(os.name == "nt", reason="stops by POSIX signals")
+pytestmark = [pytest.mark.skipif(os.name == "nt", reason="stops by POSIX signals"), pytest.mark.timeout(600)]
 
 
 def start(folder: Path, *arguments: str) -> subprocess.Popen:
