@@ -28,6 +28,7 @@ from torch import Tensor, nn
 
 from moveset.errors import FormatError, InputError
 from moveset.io.limits import atomic_write, read_limited
+from moveset.models.packed import PACKABLE, can_pack, pack
 from moveset.text.familiarity import KnownPrompts
 
 FORMAT = 1
@@ -148,7 +149,7 @@ class Bundle:
             raise FormatError(f"{where} is not a manifest; copy the model folder again") from error
 
     def module(self, name: str, device: torch.device | str = "cpu") -> nn.Module:
-        """The network of that name in float32 and evaluation mode, without gradients; kept once read.
+        """The network of that name in float32, for inference only (``models.packed`` on a processor); kept once read.
 
         Raises:
             FormatError: the model has no such network, or its file is damaged.
@@ -167,7 +168,8 @@ class Bundle:
                 raise FormatError(
                     f"{self.path / name}.safetensors does not fit the architecture in config.json; copy the model again"
                 ) from error
-            self._modules[name] = module.eval().requires_grad_(False).to(device)
+            module = module.eval().requires_grad_(False).to(device)
+            self._modules[name] = pack(module) if spec.kind in PACKABLE and can_pack(device) else module
         return self._modules[name]
 
     def tensors(self, file: str) -> dict[str, Tensor]:
