@@ -110,4 +110,4 @@ def _header(file: BinaryIO, size: int, where: str) -> tuple[tuple[int, ...], boo
 def _array(file: BinaryIO, size: int, where: str) -> Tensor:
     shape, fortran, dtype = _header(file, size, where)
     values = np.frombuffer(file.read(), dtype=dtype).reshape(shape, order="F" if fortran else "C")
-    return torch.from_numpy(np.ascontiguousarray(values, dtype=np.float32))
+    return torch.from_numpy(np.array(values, dtype=np.float32, order="C"))

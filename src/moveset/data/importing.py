@@ -1,0 +1,138 @@
+"""Import takes in parallel into a folder of small files, so that an interrupted build goes on where it stopped."""
+
+import json
+import os
+import sys
+import threading
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from contextlib import contextmanager
+from dataclasses import dataclass
+from multiprocessing import get_context, parent_process
+from pathlib import Path
+
+import torch
+
+from moveset.data import bandai_namco, cmu
+from moveset.data.takes import RejectedTake, TakeRef
+from moveset.errors import FormatError, MovesetError
+from moveset.io.limits import atomic_write
+from moveset.motion.clip import Motion
+
+#: Part of every imported take's stamp: raise it when an importer changes.
+_IMPORT_VERSION = 1
+
+
+@dataclass(frozen=True, eq=False)
+class Imported:
+    """What came of importing a take.
+
+    Args:
+        motion: the motion; None where the take was rejected.
+        span: first and one-past-last frame kept, at 20 fps.
+        reason: why it was rejected; empty where it was not.
+    """
+
+    motion: Motion | None
+    span: tuple[int, int]
+    reason: str
+
+
+def _stamp(ref: TakeRef) -> str:
+    stat = ref.path.stat()
+    return f"{_IMPORT_VERSION} {stat.st_size} {stat.st_mtime_ns}"
+
+
+def _import_to(ref: TakeRef, cache: Path) -> None:
+    """Import one take into its cache file."""
+    from safetensors.torch import save
+
+    reader = cmu if ref.source.startswith("cmu") else bandai_namco
+    tensors, reason, span = {"empty": torch.zeros(0)}, "", (0, 0)
+    try:
+        take = reader.read_take(ref)
+        tensors = {"rotations": take.motion.rotations.contiguous(), "root": take.motion.root.contiguous()}
+        span = take.span
+    except (RejectedTake, FormatError) as error:
+        reason = str(error)
+    about = {"stamp": _stamp(ref), "reason": reason, "span": list(span)}
+    with atomic_write(cache) as file:
+        file.write(save(tensors, metadata={"take": json.dumps(about)}))
+
+
+def cache_of(ref: TakeRef, work: Path) -> Path:
+    """Where the imported take is kept."""
+    return work / f"{ref.name}.safetensors"
+
+
+def read_cached(ref: TakeRef, work: Path) -> Imported | None:
+    """The cached import of a take, if it is there, whole and of this very file."""
+    from safetensors import SafetensorError, safe_open
+
+    cache = cache_of(ref, work)
+    if not cache.is_file():
+        return None
+    try:
+        with safe_open(cache, framework="pt") as file:
+            about = json.loads((file.metadata() or {}).get("take", "{}"))
+            if about.get("stamp") != _stamp(ref):
+                return None
+            if about["reason"]:
+                return Imported(None, (0, 0), about["reason"])
+            return Imported(Motion(file.get_tensor("rotations"), file.get_tensor("root")), tuple(about["span"]), "")
+    except (SafetensorError, ValueError, KeyError):
+        return None
+
+
+def _prepare_worker() -> None:
+    """One thread a worker, and an end when its parent is killed; otherwise it would wait for work for ever."""
+    torch.set_num_threads(1)
+
+    def watch() -> None:
+        parent = parent_process()
+        if parent is not None:
+            parent.join()
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
+def import_all(refs: list[TakeRef], work: Path, workers: int) -> None:
+    """Import the takes that are not in the folder ``work`` yet, each into a file of its own.
+
+    Raises:
+        InputError: a file cannot be read.
+        MovesetError: an importer failed.
+    """
+    from tqdm import tqdm
+
+    todo = {ref: cache_of(ref, work) for ref in refs if read_cached(ref, work) is None}
+    bar = tqdm(total=len(todo), desc="takes", unit="", disable=not (todo and sys.stderr.isatty()))
+    with bar:
+        if workers == 1:
+            for ref, cache in todo.items():
+                with _naming(ref):
+                    _import_to(ref, cache)
+                bar.update()
+            return
+        # Spawned, not forked: a fork would copy torch's thread pools in whatever state they are.
+        pool = ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_prepare_worker)
+        try:
+            jobs = {pool.submit(_import_to, ref, cache): ref for ref, cache in todo.items()}
+            for job in as_completed(jobs):
+                with _naming(jobs[job]):
+                    job.result()
+                bar.update()
+        finally:
+            pool.shutdown(cancel_futures=True)
+
+
+@contextmanager
+def _naming(ref: TakeRef) -> Iterator[None]:
+    """Say which take failed."""
+    try:
+        yield
+    except MovesetError:
+        raise
+    except Exception as error:
+        raise MovesetError(f"importing the take {ref.name!r} failed: {error!r}") from error

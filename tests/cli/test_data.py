@@ -1,0 +1,60 @@
+"""``moveset data``: what it prints, what it refuses."""
+
+import json
+
+import pytest
+
+from moveset.cli.__main__ import main
+from moveset.data.synthetic import synthetic_corpus
+
+
+@pytest.fixture(scope="module")
+def corpus(tmp_path_factory):
+    return synthetic_corpus(tmp_path_factory.mktemp("data") / "corpus.safetensors", clips=12)
+
+
+def test_info_shows_counts_labels_and_sentences(corpus, capsys):
+    assert main(["data", "info", str(corpus)]) == 0
+    out = capsys.readouterr().out
+    assert "12 clips" in out
+    assert "wave-left-hand" in out
+    assert "a person walks forward" in out
+
+
+def test_info_as_json_is_one_object(corpus, capsys):
+    assert main(["data", "info", str(corpus), "--json"]) == 0
+    summary = json.loads(capsys.readouterr().out)
+    assert summary["clips"] == 12
+    assert sum(summary["contents"].values()) == sum(summary["lengths"].values()) == 12
+    assert sum(row["clips"] for row in summary["splits"].values()) == 12
+
+
+def test_info_draws(corpus, tmp_path, capsys):
+    assert main(["data", "info", str(corpus), "--plot", str(tmp_path / "p.png")]) == 0
+    assert (tmp_path / "p.png").read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["info", "nothing.safetensors"], "moveset data build"),
+        (["info", "README.md"], "corpus"),
+        (["info", "{corpus}", "--plot", "a.pdf"], ".png"),
+        (["info", "{folder}"], "new_joint_vecs"),
+        (["build", "--raw", "{folder}"], "raw data"),
+        (["build", "--workers", "0"], "0 workers"),
+        (["build", "--compositions", "-1"], "-1 compositions"),
+        (["build", "-o", "corpus.npz"], "corpus.npz"),
+    ],
+)
+def test_bad_input_is_one_line_and_exit_code_2(corpus, tmp_path, capsys, arguments, words):
+    (tmp_path / "empty").mkdir()
+    filled = [a.format(corpus=corpus, folder=tmp_path / "empty") for a in arguments]
+    if filled[0] == "build" and "-o" not in filled:
+        filled += ["-o", str(tmp_path / "out" / "corpus.safetensors")]
+    assert main(["data", *filled]) == 2
+    heard = capsys.readouterr()
+    assert words in heard.err
+    assert heard.err.count("\n") == 1
+    assert heard.out == ""
+    assert not (tmp_path / "out" / "corpus.safetensors").exists()

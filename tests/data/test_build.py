@@ -1,0 +1,183 @@
+"""Building: archives that cannot hurt, cuts that lose nothing, and a build that survives being killed."""
+
+import io
+import json
+import os
+import signal
+import subprocess
+import sys
+import tarfile
+import time
+from contextlib import suppress
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from moveset.data.build import build_corpus, clean_sentences, cut
+from moveset.data.compose import add_compositions
+from moveset.data.corpus import Corpus, CorpusWriter
+from moveset.data.raw import find_takes, unpacked
+from moveset.errors import FormatError, InputError
+
+
+@given(st.integers(1, 5000))
+def test_cuts_cover_everything_in_even_pieces(frames):
+    pieces = cut(frames)
+    assert pieces[0][0] == 0
+    assert pieces[-1][1] == frames
+    assert all(a[1] == b[0] for a, b in pairwise(pieces))
+    lengths = [stop - start for start, stop in pieces]
+    assert max(lengths) <= 196
+    assert max(lengths) - min(lengths) <= 1
+    assert min(lengths) >= min(frames, 40)
+
+
+def test_advertisements_are_no_sentences():
+    assert clean_sentences(
+        ["A person walks.", "so visit <a href=http://x.com/>the bus</a>", " A  person walks. ", "", "see www.x.com"]
+    ) == ("A person walks.",)
+
+
+def archive(path: Path, members: dict[str, bytes], links: dict[str, str] | None = None) -> None:
+    with tarfile.open(path, "w:xz") as tar:
+        for name, data in members.items():
+            info = tarfile.TarInfo(name)
+            info.size = len(data)
+            tar.addfile(info, io.BytesIO(data))
+        for name, target in (links or {}).items():
+            info = tarfile.TarInfo(name)
+            info.type, info.linkname = tarfile.SYMTYPE, target
+            tar.addfile(info)
+
+
+def test_archives_are_unpacked_once(tmp_path):
+    raw, scratch = tmp_path / "raw", tmp_path / "scratch"
+    raw.mkdir()
+    archive(raw / "cmu.tar.xz", {"cmu/trials.jsonl": b"", "cmu/subjects/01/01.asf": b"x"})
+    assert unpacked(raw, scratch) == scratch
+    assert (scratch / "cmu" / "subjects" / "01" / "01.asf").read_bytes() == b"x"
+    before = (scratch / "cmu" / "trials.jsonl").stat().st_mtime_ns
+    unpacked(raw, scratch)
+    assert (scratch / "cmu" / "trials.jsonl").stat().st_mtime_ns == before
+    assert unpacked(scratch, tmp_path / "elsewhere") == scratch
+    assert not (tmp_path / "elsewhere").exists()
+
+
+def test_archives_cannot_write_elsewhere(tmp_path):
+    raw, scratch = tmp_path / "raw", tmp_path / "inner" / "scratch"
+    raw.mkdir()
+    for members, links in (
+        ({"../../escaped": b"x", "cmu/a": b""}, {}),
+        ({str(tmp_path / "absolute"): b"x"}, {}),
+        ({}, {"cmu": "../../.."}),
+    ):
+        archive(raw / "cmu.tar.xz", members, links)
+        with suppress(FormatError):
+            unpacked(raw, scratch)
+        assert not (tmp_path / "escaped").exists()
+        assert not (tmp_path / "absolute").exists()
+        assert not any(p.is_symlink() for p in tmp_path.rglob("*"))
+
+
+def test_a_damaged_archive_leaves_nothing(tmp_path):
+    raw, scratch = tmp_path / "raw", tmp_path / "scratch"
+    raw.mkdir()
+    archive(raw / "cmu.tar.xz", {f"cmu/{k}": os.urandom(5000) for k in range(20)})
+    data = (raw / "cmu.tar.xz").read_bytes()
+    (raw / "cmu.tar.xz").write_bytes(data[: len(data) // 2])
+    with pytest.raises(FormatError, match="cannot be unpacked"):
+        unpacked(raw, scratch)
+    assert list(scratch.iterdir()) == []
+
+
+def test_no_data_names_the_remedy(tmp_path):
+    with pytest.raises(InputError, match="raw data"):
+        build_corpus(tmp_path, tmp_path / "c.safetensors", workers=1)
+    with pytest.raises(InputError, match="no takes"):
+        find_takes(tmp_path)
+
+
+def test_compositions_of_nothing_are_none():
+    assert add_compositions(CorpusWriter(), train=10) == 0
+
+
+@pytest.fixture(scope="module")
+def few_takes(real_data, tmp_path_factory) -> Path:
+    """A dozen real takes, so that a build is a matter of seconds."""
+    raw = tmp_path_factory.mktemp("raw")
+    for ref in find_takes(real_data):
+        if not ref.path.is_file() or (len(ref.name) > 10 and not ref.name.endswith(("_001", "_002"))):
+            continue
+        if ref.name in NAMES:
+            for path in (ref.path, *([ref.skeleton] if ref.skeleton else [])):
+                target = raw / path.relative_to(real_data)
+                target.parent.mkdir(parents=True, exist_ok=True)
+                if not target.exists():
+                    target.symlink_to(path)
+    (raw / "cmu" / "trials.jsonl").symlink_to(real_data / "cmu" / "trials.jsonl")
+    return raw
+
+
+NAMES = {
+    "dataset-2_walk_active_002", "dataset-2_walk-turn-left_normal_001",
+    "dataset-2_wave-left-hand_normal_001", "dataset-1_bow_active_001", "dataset-1_walk-back_normal_001", "07_03",
+    "02_07", "13_18",
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def built(few_takes, tmp_path_factory) -> Path:
+    output = tmp_path_factory.mktemp("built") / "corpus.safetensors"
+    report = build_corpus(few_takes, output, workers=2, compositions=12)
+    assert 0 < report.compositions <= 12
+    assert sorted(p.name for p in output.parent.iterdir()) == [output.name, f"{output.name}.report.json"]
+    return output
+
+
+def test_a_build_of_real_takes(built):
+    corpus = Corpus.open(built)
+    report = json.loads((built.parent / f"{built.name}.report.json").read_text())
+    assert "elbow" in report["rejected"]["13_18"]
+    assert "21 frames" in report["rejected"]["dataset-1_walk-back_normal_001"]
+    names = [r.name for r in corpus.records if r.kind == "take"]
+    assert {"02_07#0", "02_07#1", "07_03", "dataset-1_bow_active_001"} <= set(names)
+    walk = names.index("07_03")
+    assert "A person walks forward." in corpus.captions(walk)
+    assert corpus.contents(walk) == ("walk",)
+    turn = names.index("dataset-2_walk-turn-left_normal_001")
+    assert corpus.records[turn].style == "normal"
+    assert corpus.motion(turn).root[-1, 0] > 1.0
+    cut_up = [r for r in corpus.records if r.take == "02_07" and r.kind == "take"]
+    assert all(b.first_frame == a.first_frame + a.frames for a, b in pairwise(cut_up))
+
+
+def test_a_killed_build_continues_and_gives_the_same_bytes(built, few_takes, tmp_path):
+    output = tmp_path / "corpus.safetensors"
+    command = (
+        "from pathlib import Path\nfrom moveset.data.build import build_corpus\n"
+        "if __name__ == '__main__':\n"
+        f"    build_corpus(Path({str(few_takes)!r}), Path({str(output)!r}), workers=2, compositions=12)\n"
+    )
+    script = tmp_path / "build.py"
+    script.write_text(command)
+    process = subprocess.Popen([sys.executable, str(script)])
+    work = tmp_path / "corpus.safetensors.work"
+    deadline = time.monotonic() + 120
+    while not list(work.glob("*.safetensors")) and process.poll() is None and time.monotonic() < deadline:
+        time.sleep(0.005)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    assert not output.exists(), "the build was over before it could be killed"
+    done = {p: p.stat().st_mtime_ns for p in work.glob("*.safetensors")}
+    assert done
+    build_corpus(few_takes, output, workers=1, compositions=12, keep_work=True)
+    assert output.read_bytes() == built.read_bytes()
+    assert all(p.stat().st_mtime_ns == t for p, t in done.items())
+    # A damaged cache file is made again.
+    (work / "07_03.safetensors").write_bytes(b"half a fi")
+    build_corpus(few_takes, output, workers=1, compositions=12)
+    assert output.read_bytes() == built.read_bytes()
+    assert not work.exists()
