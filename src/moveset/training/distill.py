@@ -135,7 +135,10 @@ class LCMTask(_DistillationTask):
 
     def training_step(self, step: int, loop: Loop) -> dict[str, Tensor]:
         batch = self.data.batch(self.config.batch, step)
-        text, draws = self.data.read(batch.captions), draw(self.grid, batch.z0, self.config.guidance, self.draws)
+        text, draws = (
+            self.data.read(batch.captions, self.draws),
+            draw(self.grid, batch.z0, self.config.guidance, self.draws),
+        )
         t = self.grid.time(draws.point_B)
         z = add_noise(self.schedule, batch.z0, draws.noise_BND, t)
         student, ema = _bound(self.student, text, batch.frames), _bound(self.ema.module, text, batch.frames)
@@ -180,7 +183,7 @@ class PCMTask(_DistillationTask):
     def training_step(self, step: int, loop: Loop) -> dict[str, Tensor]:
         config = self.config
         batch = self.data.batch(config.batch, step)
-        text, draws = self.data.read(batch.captions), draw(self.grid, batch.z0, config.guidance, self.draws)
+        text, draws = self.data.read(batch.captions, self.draws), draw(self.grid, batch.z0, config.guidance, self.draws)
         z = add_noise(self.schedule, batch.z0, draws.noise_BND, self.grid.time(draws.point_B))
         student, ema = _bound(self.student, text, batch.frames), _bound(self.ema.module, text, batch.frames)
         teacher = self._bound_teacher(text, batch.frames)

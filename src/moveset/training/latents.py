@@ -15,6 +15,7 @@ from torch import Tensor
 from tqdm import tqdm
 
 from moveset.data.corpus import Corpus
+from moveset.data.paraphrase import paraphrase
 from moveset.io.limits import atomic_write
 from moveset.training.clips import Crop, FeatureStore, clip_weights
 
@@ -47,8 +48,10 @@ class LatentSet:
         std: (M, N, d) posterior standard deviations.
         frames: (M,) clip lengths.
         clip: (M,) indices into the feature store (2 * record + mirrored).
-        whole: (M,) whether the entry is a whole clip.
+        paraphrased: share of captions in a batch that are said otherwise.
     """
+
+    paraphrased = 0.0
 
     def __init__(self, corpus: Corpus, split: str, tensors: dict[str, Tensor]) -> None:
         self.mean, self.std = tensors["mean"].float(), tensors["std"].float()
@@ -90,8 +93,9 @@ class LatentSet:
         return self._captions[int(self.clip[entry])]
 
     def all_captions(self) -> list[str]:
-        """Every caption in use, sorted, for the embedding cache."""
-        return sorted({caption for captions in self._captions.values() for caption in captions})
+        """Every caption in use and its paraphrase, sorted, for the embedding cache."""
+        written = {caption for captions in self._captions.values() for caption in captions}
+        return sorted(written | {paraphrase(caption) for caption in written})
 
     def batch(self, size: int, seed: int, step: int) -> LatentBatch:
         """The batch of a step: a pure function of (seed, step); latents are drawn from the posterior and normalised."""
@@ -99,11 +103,12 @@ class LatentSet:
         entries = torch.multinomial(self.weights, size, replacement=True, generator=generator)
         noise = torch.randn(size, *self.mean.shape[1:], generator=generator)
         z0 = (self.mean[entries] + self.std[entries] * noise - self.center) / self.scale
-        pick = torch.rand(size, generator=generator).tolist()
+        pick, other = torch.rand(2, size, generator=generator).tolist()
         captions = []
-        for entry, share in zip(entries.tolist(), pick, strict=True):
+        for entry, share, said in zip(entries.tolist(), pick, other, strict=True):
             options = self.captions(entry)
-            captions.append(options[int(share * len(options))])
+            caption = options[int(share * len(options))]
+            captions.append(paraphrase(caption) if said < self.paraphrased else caption)
         return LatentBatch(z0, self.frames[entries], captions)
 
 

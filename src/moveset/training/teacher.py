@@ -23,6 +23,9 @@ from moveset.training.optim import cosine_lr
 from moveset.training.tasks import Sources
 
 MAX_TOKENS = 32
+PARAPHRASED = 0.5
+WORD_DROP = 0.12
+BLUR = 0.12
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,6 +60,7 @@ class LatentData:
         )
         name = f"latents-{self.vae.digest[:12]}"
         self.train = LatentSet.of(corpus, "train", store, self.vae.module, sources.cache / f"{name}-train.safetensors")
+        self.train.paraphrased = PARAPHRASED
         self.val = LatentSet.of(
             corpus, "val", store, self.vae.module, sources.cache / f"{name}-val.safetensors", windows=0
         )
@@ -71,9 +75,23 @@ class LatentData:
         """Training latents of a step, on the device."""
         return self.train.batch(size, self.seed, step).to(self.device)
 
-    def read(self, captions: list[str]) -> TextEmbedding:
-        """Token states of captions; "" is the unconditional input."""
-        return self.text.lookup(captions, MAX_TOKENS)
+    def read(self, captions: list[str], disturbed_by: torch.Generator | None = None) -> TextEmbedding:
+        """Token states of captions; "" is the unconditional input.
+
+        Given a generator, words go missing and states are blurred: the corpus has few words, and a network that may
+        rely on each of them does not understand a prompt that says the same in others.
+        """
+        text = self.text.lookup(captions, MAX_TOKENS)
+        if disturbed_by is None:
+            return text
+        size = torch.rand(len(captions), 1, generator=disturbed_by)
+        missing = torch.rand(text.mask.shape, generator=disturbed_by) < WORD_DROP * 2 * size
+        missing[:, 0] = False
+        noise = torch.randn(text.tokens.shape, generator=disturbed_by) * BLUR * 2 * size[..., None]
+        empty = torch.tensor([not caption for caption in captions])
+        mask = text.mask & ~(missing & ~empty[:, None]).to(text.mask.device)
+        tokens = text.tokens + noise.masked_fill(empty[:, None, None], 0.0).to(text.tokens)
+        return TextEmbedding(tokens, mask, text.pooled)
 
 
 class TeacherTask(Task):
@@ -109,7 +127,7 @@ class TeacherTask(Task):
         dropped = torch.rand(len(batch.captions), generator=self.noise) < self.config.text_drop
         captions = ["" if drop else caption for drop, caption in zip(dropped.tolist(), batch.captions, strict=True)]
         t = torch.randint(1000, (len(captions),), generator=self.noise).to(loop.device)
-        loss = self._loss(self.teacher, batch, captions, t, self.noise)
+        loss = self._loss(self.teacher, batch, captions, t, self.noise, self.noise)
         norm = loop.minimise(loss, "teacher")
         self.ema.update(self.teacher, ema_warmup(step, self.config.ema))
         return {"loss": loss.detach(), "gradient_norm": norm}
@@ -124,10 +142,16 @@ class TeacherTask(Task):
         return {"loss": float(torch.stack(losses).mean())}
 
     def _loss(
-        self, model: nn.Module, batch: LatentBatch, captions: list[str], t: Tensor, generator: torch.Generator
+        self,
+        model: nn.Module,
+        batch: LatentBatch,
+        captions: list[str],
+        t: Tensor,
+        generator: torch.Generator,
+        disturbed_by: torch.Generator | None = None,
     ) -> Tensor:
         noise = torch.randn(batch.z0.shape, generator=generator).to(batch.z0)
-        text = self.data.read(captions)
+        text = self.data.read(captions, disturbed_by)
         noisy = add_noise(self.schedule, batch.z0, noise, t)
         made = model(noisy, t, text.tokens, text.mask, None, None, batch.frames)
         return (made.float() - noise).square().mean()
