@@ -14,10 +14,10 @@ _SUBJECT = re.compile(
 _PEOPLE = (
     "a dancer", "a boy", "a maid", "a fellow", "a lady", "a kid", "a student", "an athlete", "a soldier", "a robot",
     "the model", "the avatar", "a worker", "a teacher", "my neighbour", "this fellow", "a player", "the mannequin",
-    "one person", "a stranger", "an adult", "the figure", "a visitor", "the hero", "a villager", "the animated
-    human", "a pedestrian", "the agent", "an avatar", "the lad", "the boy", "this person", "a young man", "a young
-    woman", "a passer-by", "the body", "it", "everybody", "a volunteer", "a patient", "the guard", "a child", "a
-    runner", "the user", "a participant",
+    "one person", "a stranger", "an adult", "the figure", "a visitor", "the hero", "a villager",
+    "the animated human", "a pedestrian", "the agent", "an avatar", "the lad", "the boy", "this person",
+    "a young man", "a young woman", "a passer-by", "the body", "it", "everybody", "a volunteer", "a patient",
+    "the guard", "a child", "a runner", "the user", "a participant",
 )  # fmt: skip
 _FRAMES = (
     "{}", "{}", "{}", "{}", "in this clip {}", "here {}", "in the video {}", "now {}", "you can see how {}",
