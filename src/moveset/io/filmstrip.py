@@ -19,6 +19,7 @@ from moveset.motion.clip import Motion
 
 _PANEL = (208, 300)
 _HEADER, _FOOTER = 54, 34
+_WAYS = "forward", "forward left", "left", "backward left", "backward", "backward right", "right", "forward right"
 _RULE, _FAINT = (222, 225, 230), (120, 128, 140)
 
 
@@ -58,11 +59,10 @@ def travel_in_words(motion: Motion) -> str:
     first = rotations.heading(motion.rotations[0, 0])
     x, _, z = rotations.rotate(rotations.inv(first), motion.root[-1] - motion.root[0]).tolist()
     distance = math.hypot(x, z)
-    words = f"{distance:.1f} m"
+    words = "on the spot"
     if distance >= 0.3:
         octant = round(math.degrees(math.atan2(x, z)) / 45.0) % 8
-        words += " " + ("forward", "forward left", "left", "backward left", "backward", "backward right", "right",
-                        "forward right")[octant]  # fmt: skip
+        words = f"{distance:.1f} m {_WAYS[octant]}"
     yaw = rotations.heading_angle(motion.rotations[:, 0])
     steps = torch.remainder(yaw.diff() + math.pi, 2 * math.pi) - math.pi
     turn = round(math.degrees(float(steps.sum())) / 5) * 5

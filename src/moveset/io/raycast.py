@@ -15,19 +15,31 @@ from moveset.motion import rotations
 from moveset.motion.clip import Motion
 
 LIGHT = np.array((-0.38, 0.72, 0.58)) / np.linalg.norm((-0.38, 0.72, 0.58))
+_LIGHT = LIGHT.astype(np.float32)
 
 
 @dataclass(frozen=True, eq=False)
 class Shapes:
-    """What ``paint`` needs of every part in every frame, all (F, P, …): see ``posed_shapes``."""
+    """Parts of a body in view coordinates, frame by frame.
+
+    Args:
+        low, high: (F, P, 3) box around each part.
+        depth: (F, P) of its middle.
+        maps: (F, P, 7, 3, 3) coefficients of 1, y, y² times 1, x, x² of the polynomials that ``paint`` adds up.
+        tilt: (F, P, 2) the sign of the cone's root, and how the place along the axis changes with depth.
+        facing: (F, P, 4, 4) from (x, y, 1, z) to the normal before ``bend`` is taken off, and to the place on the axis.
+        bend: (F, P, 3) how the normal changes along the axis.
+        balls: (F, B, 3) world centres of spheres that fill the body, for its shadow.
+        ball_radii: (B,) their radii.
+    """
 
     low: np.ndarray
     high: np.ndarray
     depth: np.ndarray
-    inverse: np.ndarray
-    rays: np.ndarray
-    axis: np.ndarray
-    radii: np.ndarray
+    maps: np.ndarray
+    tilt: np.ndarray
+    facing: np.ndarray
+    bend: np.ndarray
     balls: np.ndarray
     ball_radii: np.ndarray
 
@@ -36,11 +48,7 @@ def posed_shapes(
     parts: tuple[Part, ...], motion: Motion, axes: np.ndarray, targets: np.ndarray, frames: Sequence[int] | None
 ) -> Shapes:
     """Parts of all or some frames in view coordinates: ``axes`` (3, 3) to the right, up and towards the viewer, from
-    ``targets`` (F, 3).
-
-    A part's own coordinates q follow from view coordinates v by q = B (v - c). ``inverse`` holds B; ``rays`` holds the
-    columns u, v, w, e of q - start = u x + v y + w + e z, z being the depth.
-    """
+    ``targets`` (F, 3)."""
     owner = [part.joint for part in parts]
     start, end = (np.stack([getattr(part, name) for part in parts]) for name in ("start", "end"))
     radii = np.array([part.radii for part in parts])
@@ -50,27 +58,103 @@ def posed_shapes(
     to_world = turned.numpy().astype(np.float64) @ np.stack([part.frame for part in parts])
     to_view = axes @ to_world
     centre = (place - targets[:, None]) @ axes.T
+    # A part's own coordinates are q = B (v - c); seen from its first sphere, q = rays · (x, y, 1, z).
     inverse = np.linalg.inv(to_view)
-    w = -np.einsum("fpij,fpj->fpi", inverse, centre) - start
-    rays = np.concatenate((inverse[..., :2], w[..., None], inverse[..., 2:]), axis=-1)
+    middle = -np.einsum("fpij,fpj->fpi", inverse, centre) - start
+    rays = np.concatenate((inverse[..., :2], middle[..., None], inverse[..., 2:]), axis=-1)
+    maps, tilt = _polynomials(rays, end - start, radii)
+
+    axis = np.broadcast_to((end - start)[:, None], (*rays.shape[:2], 1, 3))
+    back = np.swapaxes(inverse, -1, -2)
+    facing = np.concatenate((back @ rays, axis @ rays), axis=-2)
+    # Along the axis, 0 is the first sphere and 1 the second.
+    lean, spread = _lean(end - start, radii)
+    facing[..., 3, 2] -= lean
+    facing[..., 3, :] /= spread[:, None]
+
     ends = [centre + np.einsum("fpij,pj->fpi", to_view, q) for q in (start, end)]
-    spread = [np.linalg.norm(to_view, axis=-1) * radii[:, k, None] for k in (0, 1)]
-    balls, ball_radii = [], []
-    for share in (0.0, 0.25, 0.5, 0.75, 1.0):
-        q = start + share * (end - start)
-        balls.append(place + np.einsum("fpij,pj->fpi", to_world, q))
-        ball_radii.append(radii @ (1.0 - share, share))
+    reach = [np.linalg.norm(to_view, axis=-1) * radii[:, k, None] for k in (0, 1)]
+    shares = np.linspace(0.0, 1.0, 5)
+    filling = [place + np.einsum("fpij,pj->fpi", to_world, start + share * (end - start)) for share in shares]
     return Shapes(
-        low=np.minimum(ends[0] - spread[0], ends[1] - spread[1]),
-        high=np.maximum(ends[0] + spread[0], ends[1] + spread[1]),
+        low=np.minimum(ends[0] - reach[0], ends[1] - reach[1]),
+        high=np.maximum(ends[0] + reach[0], ends[1] + reach[1]),
         depth=0.5 * (ends[0] + ends[1])[..., 2],
-        inverse=inverse,
-        rays=rays,
-        axis=end - start,
-        radii=radii,
-        balls=np.concatenate(balls, axis=1),
-        ball_radii=np.concatenate(ball_radii),
+        maps=maps.astype(np.float32),
+        tilt=tilt.astype(np.float32),
+        facing=facing.astype(np.float32),
+        bend=(back @ np.swapaxes(axis, -1, -2))[..., 0].astype(np.float32),
+        balls=np.concatenate(filling, axis=1),
+        ball_radii=np.concatenate([radii @ (1.0 - share, share) for share in shares]),
     )
+
+
+def _lean(axis: np.ndarray, radii: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Of each part (P,): where along its axis the cone leaves the first sphere, and how far on the second (squared
+    metres); a part whose one sphere holds the other has no cone and counts as infinitely long."""
+    difference = radii[:, 0] - radii[:, 1]
+    spread = (axis * axis).sum(axis=-1) - difference**2
+    return radii[:, 0] * difference, np.where(spread > 1e-9, spread, np.inf)
+
+
+def _polynomials(rays: np.ndarray, axis: np.ndarray, radii: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """``Shapes.maps`` and ``Shapes.tilt``.
+
+    The intersection is Quilez's (iquilezles.org, "round cone"), its terms gathered into polynomials of x and y: a ray
+    meets a sphere, or the cone, at depth p + sqrt(d) where d is not negative, p being a plane and d a quadratic.
+    """
+    u, v, w, e = (rays[..., k] for k in range(4))
+    length = np.linalg.norm(e, axis=-1)
+    ray = -e / length[..., None]
+    m2 = np.einsum("fpi,pi->fp", ray, axis)
+    per_part = (*radii.T, (axis * axis).sum(axis=-1), *_lean(axis, radii))
+    ra, rb, m0, lean, spread = (np.broadcast_to(value, m2.shape) for value in per_part)
+    m1 = _plane(*(np.einsum("fpi,pi->fp", k, axis) for k in (u, v, w)))
+    m3 = _plane(*((k * ray).sum(axis=-1) for k in (u, v, w)))
+    square = np.stack([_squared(_plane(u[..., k], v[..., k], w[..., k])) for k in range(3)]).sum(axis=0)
+    m6 = m3 - _constant(m2)
+    ball_a = _squared(m3) - square + _constant(ra * ra)
+    ball_b = _squared(m6) - square + 2.0 * m1 + _constant(rb * rb - m0)
+
+    def times(p: np.ndarray, by: np.ndarray) -> np.ndarray:
+        return p * by[..., None, None]
+
+    solid = np.isfinite(spread)
+    d2 = np.where(solid, spread, 1.0)
+    k2 = d2 - m2 * m2
+    k2 = np.where(np.abs(k2) > 1e-6 * m0, k2, 1e-6)
+    k1 = times(m3, d2) - times(m1, m2) + _constant(m2 * lean)
+    k0 = times(square, d2) - _squared(m1) + times(m1, 2.0 * lean) - _constant(m0 * ra * ra)
+    cone = times(_squared(k1) - times(k0, k2), (k2 * length) ** -2)
+    cone = np.where(solid[..., None, None], cone, -_constant(np.ones_like(m2)))
+    along = times(m1 - _constant(lean + 0.5 * d2), 2.0 / d2)
+    maps = (
+        times(ball_a, length**-2), times(ball_b, length**-2), cone,
+        times(m3, 1.0 / length), times(m6, 1.0 / length), times(k1, 1.0 / (k2 * length)), along,
+    )  # fmt: skip
+    return np.stack(maps, axis=2), np.stack((np.sign(k2), -2.0 * length * m2 / d2), axis=-1)
+
+
+def _constant(c: np.ndarray) -> np.ndarray:
+    """(F, P, 3, 3) coefficients of a constant (F, P)."""
+    out = np.zeros((*c.shape, 3, 3))
+    out[..., 0, 0] = c
+    return out
+
+
+def _plane(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:
+    """(F, P, 3, 3) coefficients of a x + b y + c."""
+    out = _constant(c)
+    out[..., 0, 1], out[..., 1, 0] = a, b
+    return out
+
+
+def _squared(p: np.ndarray) -> np.ndarray:
+    """(F, P, 3, 3) coefficients of a plane's square."""
+    a, b, c = p[..., 0, 1], p[..., 1, 0], p[..., 0, 0]
+    out = _plane(2 * a * c, 2 * b * c, c * c)
+    out[..., 0, 2], out[..., 2, 0], out[..., 1, 1] = a * a, b * b, 2 * a * b
+    return out
 
 
 def paint(
@@ -83,91 +167,43 @@ def paint(
     colour: np.ndarray,
     ramp: np.ndarray,
 ) -> None:
-    """Ray-cast one round cone into a rectangle of the depth and colour buffers (H, W); ``ramp``: colours by brightness.
+    """Cast rays at one part into a rectangle of the depth and colour buffers (H, W); ``ramp``: colours by brightness.
 
-    The intersection is Quilez's (iquilezles.org, "round cone"), with its terms gathered into polynomials of x and y.
+    Where a ray misses, a square root is not a number and every comparison with it false: callers silence the warning.
     """
-    u, v, w, e = shapes.rays[index, part].T
-    axis, (ra, rb) = shapes.axis[part], shapes.radii[part]
-    length = float(np.sqrt(e @ e))
-    ray = -e / length
-    rr = ra - rb
-    m0, m2 = float(axis @ axis), float(axis @ ray)
-    d2 = m0 - rr * rr
-    m1 = np.array((axis @ u, axis @ v, axis @ w))
-    m3 = np.array((ray @ u, ray @ v, ray @ w))
-    square = np.array((u @ u, v @ v, 2 * (u @ v), 2 * (u @ w), 2 * (v @ w), w @ w))
+    columns = np.stack((np.ones_like(y), y, y * y), axis=1)
+    rows = np.stack((np.ones_like(x), x, x * x))
+    ball_a, ball_b, cone, plane_a, plane_b, plane_c, along = columns @ shapes.maps[index, part] @ rows
+    sign, slope = shapes.tilt[index, part]
+    for root, plane in ((ball_a, plane_a), (ball_b, plane_b)):
+        np.sqrt(root, out=root)
+        root += plane
+    depth = np.fmax(ball_a, ball_b, out=ball_a)
+    np.sqrt(cone, out=cone)
+    if sign < 0:
+        np.negative(cone, out=cone)
+    cone += plane_c
+    along += np.multiply(cone, slope, out=plane_c)
+    np.abs(along, out=along)
+    np.fmax(depth, cone, out=depth, where=along < 1.0)
 
-    ball_a = _squared(m3) - square + (0, 0, 0, 0, 0, ra * ra)
-    m6 = m3 - (0.0, 0.0, m2)
-    ball_b = _squared(m6) - square + 2.0 * _linear(m1) + (0, 0, 0, 0, 0, rb * rb - m0)
-    t = _entry(_plane(m3, x, y), _quadratic(ball_a, x, y), 1.0)
-    np.minimum(t, _entry(_plane(m6, x, y), _quadratic(ball_b, x, y), 1.0), out=t)
-    k2 = d2 - m2 * m2
-    if d2 > 0.0 and abs(k2) > 1e-6 * m0:
-        k1 = d2 * m3 - m2 * m1 + (0.0, 0.0, m2 * rr * ra)
-        k0 = d2 * square - _squared(m1) + 2.0 * rr * ra * _linear(m1) - (0, 0, 0, 0, 0, m0 * ra * ra)
-        side = _entry(_plane(k1, x, y), _quadratic(_squared(k1) - k2 * k0, x, y), k2)
-        along = _plane(m1 - (0.0, 0.0, ra * rr), x, y) + np.float32(m2) * side
-        # Comparing with NaN and infinity is False, as it should be where the ray misses the cone.
-        np.minimum(t, np.where((along > 0.0) & (along < d2), side, np.inf), out=t)
-
-    t *= np.float32(-1.0 / length)
-    hit = t > nearest
-    np.copyto(nearest, t, where=hit)
-    depth = t[hit]
-    if not len(depth):
+    hit = depth > nearest
+    np.copyto(nearest, depth, where=hit)
+    points = np.ones((4, np.count_nonzero(hit)), dtype=np.float32)
+    if not points.size:
         return
-    points = np.ones((4, len(depth)), dtype=np.float32)
     points[0] = np.broadcast_to(x, hit.shape)[hit]
     points[1] = np.broadcast_to(y[:, None], hit.shape)[hit]
-    points[3] = depth
-    # The surface faces away from the nearest sphere of those that sweep the cone out; the rows of ``facing`` give that
-    # direction for the first sphere and, last, how far along the axis the sphere lies.
-    back = shapes.inverse[index, part].T
-    rays = shapes.rays[index, part]
-    facing = np.concatenate((back @ rays, axis[None] @ rays)).astype(np.float32) @ points
-    along = np.clip((facing[3] - np.float32(ra * rr)) * np.float32(1.0 / max(d2, 1e-9)), 0.0, 1.0)
-    normal = facing[:3] - (back @ axis).astype(np.float32)[:, None] * along
+    points[3] = depth[hit]
+    # The surface faces away from the nearest of the spheres that sweep the part out.
+    facing = shapes.facing[index, part] @ points
+    place = np.clip(facing[3], 0.0, 1.0)
+    normal = facing[:3] - shapes.bend[index, part][:, None] * place
     size = np.sqrt(np.einsum("ij,ij->j", normal, normal))
-    lit = (LIGHT.astype(np.float32) @ normal) / size
-    bright = np.maximum(normal[2] / size, 0.0) * np.float32(45.0)
+    lit = (_LIGHT @ normal) / size
     lit *= 0.5
     lit += 0.5
+    bright = np.maximum(normal[2] / size, 0.0) * np.float32(45.0)
     bright += np.float32(85.0) * lit * lit
     bright += np.float32(90.0)
     colour[hit] = ramp[bright.astype(np.uint8)]
-
-
-def _linear(p: np.ndarray) -> np.ndarray:
-    """Coefficients of x², y², xy, x, y, 1 of a plane's p0 x + p1 y + p2."""
-    return np.array((0.0, 0.0, 0.0, p[0], p[1], p[2]))
-
-
-def _squared(p: np.ndarray) -> np.ndarray:
-    """Coefficients of x², y², xy, x, y, 1 of (p0 x + p1 y + p2)²."""
-    a, b, c = p
-    return np.array((a * a, b * b, 2 * a * b, 2 * a * c, 2 * b * c, c * c))
-
-
-def _plane(p: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    a, b, c = p.astype(np.float32)
-    out: np.ndarray = (b * y + c)[:, None] + a * x
-    return out
-
-
-def _quadratic(p: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    xx, yy, xy, x1, y1, c = p.astype(np.float32)
-    out: np.ndarray = y[:, None] * (xy * x) + ((yy * y + y1) * y + c)[:, None] + (xx * x + x1) * x
-    return out
-
-
-def _entry(half_b: np.ndarray, discriminant: np.ndarray, a: float) -> np.ndarray:
-    """Distance at which a ray enters: the smaller root of a t² + 2 b t + c; infinite where there is none."""
-    missed = discriminant < 0.0
-    np.maximum(discriminant, 0.0, out=discriminant)
-    np.sqrt(discriminant, out=discriminant)
-    discriminant += half_b
-    discriminant *= np.float32(-1.0 / a)
-    discriminant[missed] = np.inf
-    return discriminant

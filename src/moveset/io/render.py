@@ -196,11 +196,12 @@ class Painter:
         x, y = x.astype(np.float32), y.astype(np.float32)
         nearest = np.full((len(y), len(x)), -np.inf, dtype=np.float32)
         colour = np.zeros((len(y), len(x)), dtype=np.uint32)
-        for part in np.argsort(-shapes.depth[index]):
-            area = slice(*rows[part]), slice(*columns[part])
-            if len(nearest[area]) and nearest[area].shape[1]:
-                ramp = _ramp(self.shades[part], shapes.depth[index, part])
-                paint(shapes, index, part, x[area[1]], y[area[0]], nearest[area], colour[area], ramp)
+        with np.errstate(invalid="ignore"):
+            for part in np.argsort(-shapes.depth[index]):
+                area = slice(*rows[part]), slice(*columns[part])
+                if nearest[area].size:
+                    ramp = _ramp(self.shades[part], shapes.depth[index, part])
+                    paint(shapes, index, part, x[area[1]], y[area[0]], nearest[area], colour[area], ramp)
         body = Image.fromarray(colour.view(np.uint8).reshape(*colour.shape, 4)).reduce(fine)
         picture.paste(body, (int(left), int(top)), mask=body)
 
