@@ -20,7 +20,7 @@ from moveset.io.limits import atomic_write
 from moveset.motion.clip import Motion
 
 #: Part of every imported take's stamp: raise it when an importer changes.
-_IMPORT_VERSION = 1
+_IMPORT_VERSION = 2
 
 
 @dataclass(frozen=True, eq=False)
