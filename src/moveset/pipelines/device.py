@@ -1,5 +1,6 @@
 """Which device to compute on, and how long things take there."""
 
+import os
 import time
 
 import torch
@@ -8,13 +9,15 @@ from moveset.errors import InputError
 
 
 def pick_device(name: str = "auto") -> torch.device:
-    """A device by name; "auto" takes a CUDA device if there is one.
+    """A device by name; "auto" takes a CUDA device if there is one, under torchrun the one of this process.
 
     Raises:
         InputError: an unknown device, or one that this machine does not have.
     """
     if name == "auto":
-        return torch.device("cuda" if torch.cuda.is_available() else "cpu")
+        if not torch.cuda.is_available():
+            return torch.device("cpu")
+        return torch.device("cuda", int(os.environ.get("LOCAL_RANK", "0")) % torch.cuda.device_count())
     try:
         device = torch.device(name)
     except RuntimeError:
