@@ -1,6 +1,7 @@
 """Training the teacher: noise prediction in the VAE's latent space, text dropped now and then for guidance."""
 
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import torch
 from torch import Tensor, nn
@@ -50,26 +51,23 @@ class LatentData:
     """Latents and embedded captions of both splits, each made once and kept in the cache folder."""
 
     def __init__(self, sources: Sources, text_encoder: str, loop: Loop) -> None:
-        corpus = Corpus.open(sources.corpus)
         self.vae = frozen.load(sources.vae, "vae_ema")
-        store = FeatureStore.of(
-            corpus,
-            get_codec(self.vae.task["codec"]),
-            sources.cache / f"features-{self.vae.task['codec']}",
-            loop.rank == 0,
-        )
-        name = f"latents-{self.vae.digest[:12]}"
-        self.train = LatentSet.of(corpus, "train", store, self.vae.module, sources.cache / f"{name}-train.safetensors")
-        self.train.paraphrased = PARAPHRASED
-        self.val = LatentSet.of(
-            corpus, "val", store, self.vae.module, sources.cache / f"{name}-val.safetensors", windows=0
-        )
-        captions = sorted({*self.train.all_captions(), *self.val.all_captions()})
-        encoder = get_text_encoder(text_encoder)
-        self.text = EmbeddingCache.build(encoder, captions, sources.cache / f"text-{text_encoder}.safetensors").to(
-            loop.device
-        )
+        # Whoever comes first makes the caches; the other processes open them.
+        with loop.fabric.rank_zero_first():
+            self._open(sources, text_encoder, loop.rank == 0)
+        self.text = self.text.to(loop.device)
         self.seed, self.device = loop.config.seed * 64 + loop.rank, loop.device
+
+    def _open(self, sources: Sources, text_encoder: str, progress: bool) -> None:
+        corpus, vae, codec = Corpus.open(sources.corpus), self.vae, self.vae.task["codec"]
+        store = FeatureStore.of(corpus, get_codec(codec), sources.cache / f"features-{codec}", progress)
+        latents = sources.cache / f"latents-{vae.digest[:12]}"
+        self.train = LatentSet.of(corpus, "train", store, vae.module, Path(f"{latents}-train.safetensors"))
+        self.train.paraphrased = PARAPHRASED
+        self.val = LatentSet.of(corpus, "val", store, vae.module, Path(f"{latents}-val.safetensors"), windows=0)
+        captions = sorted({*self.train.all_captions(), *self.val.all_captions()})
+        path = sources.cache / f"text-{text_encoder.replace('/', '-').replace(':', '-')}.safetensors"
+        self.text = EmbeddingCache.build(get_text_encoder(text_encoder), captions, path)
 
     def batch(self, size: int, step: int) -> LatentBatch:
         """Training latents of a step, on the device."""

@@ -76,9 +76,11 @@ class VAETask(Task):
         self.config, self.steps = config, loop.config.steps
         corpus = Corpus.open(sources.corpus)
         self.codec = get_codec(config.codec)
-        self.store = FeatureStore.of(
-            corpus, self.codec, sources.cache / f"features-{config.codec}", progress=loop.rank == 0
-        )
+        # Whoever comes first makes the cache; the other processes open it.
+        with loop.fabric.rank_zero_first():
+            self.store = FeatureStore.of(
+                corpus, self.codec, sources.cache / f"features-{config.codec}", progress=loop.rank == 0
+            )
         self.vae = config.model.build().to(loop.device)
         self.ema = Ema(self.vae, config.ema)
         self.noise = loop.generator("noise", device=loop.device)
