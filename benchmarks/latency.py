@@ -4,7 +4,7 @@
 
 One round runs every method once, in an order that changes, so that a busy moment of the machine hits all of them;
 ratios are medians of ratios within a round. Quote minima beside medians: one foreign busy core slows small OpenMP
-kernels many times over. Run it on a quiet machine and without OMP_WAIT_POLICY: threads that sleep between kernels cost a
+kernels many times over. Run it on a quiet machine without OMP_WAIT_POLICY: threads that sleep between kernels cost a
 third more there. A sentence becomes 196 frames (9.8 s) at batch 1.
 
     text    sentence to token states            decode   latents to features to rotations and root path
