@@ -14,10 +14,10 @@ FILES, PICTURES = ("bvh", "glb"), ("png", "gif")
 PROMPTS = {
     "walk": "a person walks forward",
     "wave": "a person waves with the right hand",
-    "run": "someone runs fast",
-    "bow": "a person bows politely",
-    "kick": "a man kicks with the right leg",
-    "dance": "a person is dancing happily",
+    "run": "a person runs forward",
+    "turn": "an old man walks forward and turns left",
+    "raise": "a woman raises both hands",
+    "walk-wave": "a person walks forward, then waves with the left hand",
 }
 SEED = 7
 

@@ -66,7 +66,7 @@ GUIDANCE = (1.0, 4.0)
 
 def _students() -> EngineConfig:
     return EngineConfig(
-        steps=1300, save_every=250, validate_every=250, grad_clip=1.0, precision="bf16-mixed", threads=1
+        steps=1000, save_every=250, validate_every=250, grad_clip=1.0, precision="bf16-mixed", threads=1
     )
 
 
