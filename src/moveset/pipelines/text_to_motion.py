@@ -28,6 +28,10 @@ from moveset.pipelines.warnings import too_long, unfamiliar
 from moveset.text.encoder import TextEmbedding, TextEncoder, get_text_encoder, stack
 
 
+# Below one half: a doubtful foot is held rather than let slide (a fifth less skating than at 0.5, at the same jerk).
+CONTACT = 0.35
+
+
 @dataclass(frozen=True, eq=False)
 class Generation:
     """What was made, and how.
@@ -220,6 +224,6 @@ class TextToMotion:
         x_BFD = vae.decode(z_BND * n["latent_std"] + n["latent_mean"], lengths, max(frames))
         x_BFD = (x_BFD * n["feature_std"] + n["feature_mean"]).cpu()
         codec = get_codec(self.bundle.config.codec)
-        planted_BF4 = x_BFD[..., codec.groups["contacts"]] > 0.5
+        planted_BF4 = x_BFD[..., codec.groups["contacts"]] > CONTACT
         rows = zip(x_BFD, planted_BF4, frames, strict=True)
         return [(codec.decode(x[:length]), planted[:length]) for x, planted, length in rows]
