@@ -11,6 +11,7 @@ from moveset.data.corpus import Corpus
 from moveset.pipelines.bundle import BundleConfig, save_bundle
 from moveset.text.cache import EmbeddingCache
 from moveset.text.encoder import get_text_encoder
+from moveset.text.familiarity import calibrate
 from moveset.training import checkpoint, frozen
 from moveset.training.clips import FeatureStore
 from moveset.training.latents import LatentSet
@@ -18,6 +19,14 @@ from moveset.training.length import train_length
 from moveset.training.tasks import Sources
 
 KNOWN_CAPTIONS = 2000
+UNKNOWN_ACTIONS = (
+    "a person plays the piano", "someone cooks dinner", "a cat sleeps on the sofa", "a man drives a car",
+    "a person swims in a pool", "someone rides a bicycle", "a person sits on a chair", "climb the stairs",
+    "a person lies down on the floor", "doing push-ups", "a person crawls on the floor", "the stock market fell today",
+    "juggling three balls", "a person does a backflip", "typing on a keyboard", "a person squats",
+    "someone kneels and prays", "two people hug", "a woman drinks tea at a table", "he opens the door",
+    "a person throws a ball", "someone rolls over", "a person skips rope", "she combs her hair",
+)  # fmt: skip
 
 
 def pack(
@@ -70,8 +79,8 @@ def pack(
         guidance={network: guidance[network] for network in modules if network in guidance},
         far_prompt=familiarity_limit(known_pooled, text_encoder),
         provenance={
-            "corpus": f"{len(corpus)} clips, {corpus.seconds / 3600:.2f} h",
-            **{name: f"step {checkpoint.resolve(path).name}" for name, path in students.items()},
+            "corpus": f"{len(corpus.indices(composed=False))} clips, {corpus.seconds / 3600:.2f} h",
+            **{name: checkpoint.resolve(path).name.replace("_", " ") for name, path in students.items()},
         },
     )
     normalizer = {
@@ -96,23 +105,40 @@ def caption_lengths(corpus: Corpus, per_clip: int = 2) -> tuple[list[str], torch
 
 
 def known_captions(corpus: Corpus) -> list[str]:
-    """Captions that stand for what the model knows: a few of every content and combination."""
-    by_content: dict[tuple[str, ...], set[str]] = {}
-    for k in corpus.indices("train"):
+    """Captions that stand for what the model knows: plain and styled ones of every single content."""
+    by_content: dict[tuple[str, ...], dict[str, None]] = {}
+    for k in corpus.indices("train", composed=False):
         for mirrored in (False, True):
-            by_content.setdefault(corpus.contents(k, mirrored), set()).update(corpus.captions(k, mirrored))
+            by_content.setdefault(corpus.contents(k, mirrored), {}).update(dict.fromkeys(corpus.captions(k, mirrored)))
     each = max(1, KNOWN_CAPTIONS // len(by_content))
-    chosen = {c for captions in by_content.values() for c in sorted(captions)[:: max(1, len(captions) // each)][:each]}
+    chosen: set[str] = set()
+    for captions in by_content.values():
+        # The first ones are what people type; the rest is sampled evenly.
+        written = list(captions)
+        chosen.update(written[: each // 2] + written[each // 2 :: max(1, 2 * len(written) // each)])
     return sorted(chosen)
 
 
 def familiarity_limit(known: torch.Tensor, text_encoder: str) -> float:
-    """The similarity that 95 % of held-out wordings of known contents reach."""
+    """The similarity that best separates held-out wordings of known contents from actions that are not in the data."""
     encoder = get_text_encoder(text_encoder)
-    contents = ("walk", "run", "wave-left-hand", "raise-up-both-hands", "walk-turn-left", "bow", "kick", "dash")
-    sentences = [sentence for content in contents for sentence in heldout_captions(content)]
-    best = (encoder.encode(sentences).pooled @ torch.nn.functional.normalize(known.float(), dim=-1).T).amax(dim=1)
-    return round(float(best.quantile(0.05)), 3)
+    contents = (
+        "walk",
+        "run",
+        "wave-left-hand",
+        "raise-up-both-hands",
+        "walk-turn-left",
+        "bow",
+        "kick",
+        "dash",
+        "salsa",
+    )
+    inside = [sentence for content in contents for sentence in heldout_captions(content)]
+    unit = torch.nn.functional.normalize(known.float(), dim=-1)
+    best = [(encoder.encode(list(texts)).pooled @ unit.T).amax(dim=1) for texts in (inside, UNKNOWN_ACTIONS)]
+    found = calibrate(*best)
+    print(f"far prompts: below {found.cosine:.2f}; {found.false_alarms:.0%} false alarms, {found.missed:.0%} missed")
+    return round(found.cosine, 3)
 
 
 def main() -> None:
