@@ -14,27 +14,30 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from moveset.data.captions import heldout_captions
+from moveset.data.captions import heldout_captions, train_captions
 from moveset.data.corpus import Corpus
 from moveset.evaluation.content_classifier import ContentClassifier
 from moveset.evaluation.content_training import clip_features, content_class, labelled_clips, pad
 from moveset.evaluation.frechet import frechet_distance
 from moveset.evaluation.physical import jerk, skating
 from moveset.motion.clip import Motion
+from moveset.motion.features import get_codec
 from moveset.pipelines.bundle import Bundle
 from moveset.pipelines.request import Method, Request
 from moveset.pipelines.text_to_motion import TextToMotion
 
 
-def prompts_of(corpus: Corpus, splits: list[str], classes: set[str], copies: int) -> list[tuple[str, str, int]]:
-    """(content class, held-out wording, frames) for every judged take of the splits, ``copies`` wordings each."""
+def prompts_of(
+    corpus: Corpus, splits: list[str], classes: set[str], copies: int, wording: str
+) -> list[tuple[str, str, int]]:
+    """(content class, sentence, frames) for every judged take of the splits, ``copies`` sentences each."""
     out = []
     for split in splits:
         for k in corpus.indices(split, composed=False):
             label, frames = corpus.contents(k)[0], corpus.records[k].frames
             if content_class(label) not in classes or frames < 24:
                 continue
-            wordings = heldout_captions(label)
+            wordings = heldout_captions(label) if wording == "held-out" else train_captions(label)
             out += [(content_class(label), wordings[(k + 3 * c) % len(wordings)], frames) for c in range(copies)]
     return out
 
@@ -67,6 +70,15 @@ def report(classifier: ContentClassifier, motions: list[Motion], labels: list[st
     return out
 
 
+@torch.inference_mode()
+def reconstructed(bundle: Bundle, motion: Motion) -> Motion:
+    """A motion through the autoencoder and back: what no denoiser can do better."""
+    codec, n, vae = get_codec(bundle.config.codec), bundle.normalizer, bundle.module("vae")
+    features, lengths = (codec.encode(motion) - n["feature_mean"]) / n["feature_std"], torch.tensor([len(motion)])
+    made = vae.decode(vae.encode(features[None], lengths)[0], lengths, len(motion))[0]
+    return codec.decode(made * n["feature_std"] + n["feature_mean"])
+
+
 def main() -> None:
     """See the module."""
     parser = argparse.ArgumentParser()
@@ -77,6 +89,7 @@ def main() -> None:
     parser.add_argument("--guidance", type=float, nargs="*", default=[], help="instead of the model's own scales")
     parser.add_argument("--splits", nargs="*", default=["test"])
     parser.add_argument("--copies", type=int, default=2)
+    parser.add_argument("--wording", choices=("held-out", "known"), default="held-out")
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--out", type=Path)
     given = parser.parse_args()
@@ -84,7 +97,7 @@ def main() -> None:
     corpus, classifier = Corpus.open(given.corpus), ContentClassifier.load(given.classifier)
     clips = [c for split in given.splits for c in labelled_clips(corpus, split) if c.label in classifier.labels]
     real_features = clip_features(classifier, [c.joints for c in clips]).double()
-    wanted = prompts_of(corpus, given.splits, set(classifier.labels), given.copies)
+    wanted = prompts_of(corpus, given.splits, set(classifier.labels), given.copies, given.wording)
     requests = [Request((text,), (frames,), seed) for seed, (_, text, frames) in enumerate(wanted)]
     labels = [label for label, _, _ in wanted]
     t2m = TextToMotion(Bundle.find(given.model), "cpu")
@@ -93,6 +106,9 @@ def main() -> None:
     keep = [k for k, c in enumerate(known) if c in classifier.labels and len(real_motions[k]) >= 24]
     rows = {"real": report(classifier, [real_motions[k] for k in keep], [known[k] for k in keep], None)}
     print("real", {k: v for k, v in rows["real"].items() if k != "per_class"}, len(keep), "takes", flush=True)
+    made_again = [reconstructed(t2m.bundle, real_motions[k]) for k in keep]
+    rows["reconstructed"] = report(classifier, made_again, [known[k] for k in keep], real_features)
+    print("reconstructed", {k: v for k, v in rows["reconstructed"].items() if k != "per_class"}, flush=True)
     for network in given.networks:
         solver, _, steps = network.partition("-")
         for w in given.guidance or [t2m.bundle.config.guidance[network]]:
