@@ -21,7 +21,7 @@ def train(
     recipe: Literal["small", "paper", "tiny"] = "small",
     resume: tyro.conf.FlagCreatePairsOff[bool] = False,
     folder: Path | None = None,
-    corpus: Path = Path("data/corpus"),
+    corpus: Path = Path("data/corpus.safetensors"),
     vae: Path | None = None,
     teacher: Path | None = None,
     steps: int | None = None,

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from moveset.training.distill import DistillationConfig
 from moveset.training.engine import EngineConfig
 from moveset.training.tasks import Recipe
-from moveset.training.teacher import TeacherConfig
+from moveset.training.teacher import Disturbance, TeacherConfig
 from moveset.training.vae import VAETrainingConfig
 from moveset.training.vae_loss import ReconstructionWeights
 
@@ -40,28 +40,40 @@ def decoder() -> Recipe:
 def teacher() -> Recipe:
     """5.9 M parameters, text as token states."""
     return Recipe(
-        task=TeacherConfig(batch=64, lr=7e-4),
+        task=TeacherConfig(batch=64, lr=7e-4, disturbance=DISTURBANCE),
         engine=EngineConfig(
-            steps=6000, save_every=500, validate_every=500, grad_clip=1.0, precision="bf16-mixed", threads=1
+            steps=7900, save_every=500, validate_every=500, grad_clip=1.0, precision="bf16-mixed", threads=1
         ),
     )
 
 
 def lcm() -> Recipe:
     """The one-step baseline; guidance drawn around the teacher's best."""
-    return Recipe(task=DistillationConfig(guidance=GUIDANCE, batch=64, lr=3e-4, warmup=100), engine=_students())
+    return Recipe(
+        task=DistillationConfig(guidance=GUIDANCE, batch=64, lr=3e-4, warmup=100, disturbance=DISTURBANCE),
+        engine=_students(),
+    )
 
 
 def pcm() -> Recipe:
     """MotionPCM; ``--set phases=2`` and ``--set phases=4`` for the other students."""
     return Recipe(
-        task=DistillationConfig(guidance=GUIDANCE, batch=64, lr=3e-4, warmup=100, discriminator_lr=2e-4),
+        task=DistillationConfig(
+            guidance=GUIDANCE,
+            batch=64,
+            lr=3e-4,
+            warmup=100,
+            discriminator_lr=2e-4,
+            disturbance=DISTURBANCE,
+        ),
         engine=_students(),
     )
 
 
-# The published range [5, 15] is far too strong here: the teacher's content is as accurate at w = 1 as at 3.
+# The published range [5, 15] is far too strong here: the teacher says what validation prompts say in 78, 83 and 80 % of
+# clips at w = 1, 2 and 3.
 GUIDANCE = (1.0, 4.0)
+DISTURBANCE = Disturbance(paraphrased=0.5, word_drop=0.12, blur=0.12)
 
 
 def _students() -> EngineConfig:

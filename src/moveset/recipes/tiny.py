@@ -7,10 +7,11 @@ from moveset.models.timed_vae import TimedVAEConfig
 from moveset.training.distill import DistillationConfig
 from moveset.training.engine import EngineConfig
 from moveset.training.tasks import Recipe
-from moveset.training.teacher import TeacherConfig
+from moveset.training.teacher import Disturbance, TeacherConfig
 from moveset.training.vae import VAETrainingConfig
 
 _ENGINE = EngineConfig(steps=4, save_every=2, validate_every=4, log_every=1, precision="32-true", tensorboard=False)
+_ROUGH = Disturbance(paraphrased=0.5, word_drop=0.1, blur=0.1)
 _VAE = TimedVAEConfig(width=32, frame_width=16, encoder_blocks=1, decoder_blocks=1, token_blocks=1, frame_blocks=1)
 
 
@@ -27,12 +28,12 @@ def decoder() -> Recipe:
 def teacher() -> Recipe:
     """Three blocks of width 32."""
     model = LatentDenoiserConfig(width=32, heads=2, hidden=32, blocks=3)
-    return Recipe(task=TeacherConfig(model=model, batch=4, warmup=1), engine=_ENGINE)
+    return Recipe(task=TeacherConfig(model=model, batch=4, warmup=1, disturbance=_ROUGH), engine=_ENGINE)
 
 
 def student() -> Recipe:
     """LCM, or MotionPCM with its discriminator."""
-    return Recipe(task=DistillationConfig(guidance=(1.0, 5.0), batch=4, warmup=1), engine=_ENGINE)
+    return Recipe(task=DistillationConfig(guidance=(1.0, 5.0), batch=4, warmup=1, disturbance=_ROUGH), engine=_ENGINE)
 
 
 TRAINING: dict[str, Callable[[], Recipe]] = {

@@ -34,7 +34,7 @@ from moveset.training.ema import Ema
 from moveset.training.engine import Loop, Task
 from moveset.training.optim import cosine_lr
 from moveset.training.tasks import Sources
-from moveset.training.teacher import LatentData
+from moveset.training.teacher import Disturbance, LatentData
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,6 +62,7 @@ class DistillationConfig:
     warmup: int = 1000
     discriminator_lr: float = 1e-4
     text_encoder: str = "minilm"
+    disturbance: Disturbance = field(default_factory=Disturbance)
     model: LatentDenoiserConfig | TokenDenoiserConfig | None = None
     kind: str = field(init=False, default="")
 
@@ -75,7 +76,7 @@ class _DistillationTask(Task):
 
     def __init__(self, config: DistillationConfig, sources: Sources, loop: Loop) -> None:
         self.steps = loop.config.steps
-        self.data = LatentData(sources, config.text_encoder, loop)
+        self.data = LatentData(sources, config.text_encoder, config.disturbance, loop)
         teacher = frozen.load(sources.teacher, "teacher_ema", loop.device)
         self.teacher = teacher.module
         self.student = self.teacher.student().requires_grad_(True)

@@ -93,9 +93,9 @@ class LatentSet:
         return self._captions[int(self.clip[entry])]
 
     def all_captions(self) -> list[str]:
-        """Every caption in use and its paraphrase, sorted, for the embedding cache."""
+        """Every caption in use, with its paraphrase where batches hold any, sorted, for the embedding cache."""
         written = {caption for captions in self._captions.values() for caption in captions}
-        return sorted(written | {paraphrase(caption) for caption in written})
+        return sorted(written | {paraphrase(caption) for caption in written if self.paraphrased})
 
     def batch(self, size: int, seed: int, step: int) -> LatentBatch:
         """The batch of a step: a pure function of (seed, step); latents are drawn from the posterior and normalised."""

@@ -24,9 +24,21 @@ from moveset.training.optim import cosine_lr
 from moveset.training.tasks import Sources
 
 MAX_TOKENS = 32
-PARAPHRASED = 0.5
-WORD_DROP = 0.12
-BLUR = 0.12
+
+
+@dataclass(frozen=True, kw_only=True)
+class Disturbance:
+    """How captions are roughened in training, for corpora of few words; the published methods do none of it.
+
+    Args:
+        paraphrased: share of captions said otherwise (``data.paraphrase``).
+        word_drop: mean share of a sentence's token states that go missing.
+        blur: mean standard deviation of the noise on token states (MiniLM's own is 0.38).
+    """
+
+    paraphrased: float = 0.0
+    word_drop: float = 0.0
+    blur: float = 0.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,6 +53,7 @@ class TeacherConfig:
     text_drop: float = 0.1
     ema: float = 0.999
     text_encoder: str = "minilm"
+    disturbance: Disturbance = field(default_factory=Disturbance)
     kind: str = field(init=False)
 
     def __post_init__(self) -> None:
@@ -50,7 +63,8 @@ class TeacherConfig:
 class LatentData:
     """Latents and embedded captions of both splits, each made once and kept in the cache folder."""
 
-    def __init__(self, sources: Sources, text_encoder: str, loop: Loop) -> None:
+    def __init__(self, sources: Sources, text_encoder: str, disturbance: Disturbance, loop: Loop) -> None:
+        self.disturbance = disturbance
         self.vae = frozen.load(sources.vae, "vae_ema")
         # Whoever comes first makes the caches; the other processes open them.
         with loop.fabric.rank_zero_first():
@@ -63,7 +77,7 @@ class LatentData:
         store = FeatureStore.of(corpus, get_codec(codec), sources.cache / f"features-{codec}", progress)
         latents = sources.cache / f"latents-{vae.digest[:12]}"
         self.train = LatentSet.of(corpus, "train", store, vae.module, Path(f"{latents}-train.safetensors"))
-        self.train.paraphrased = PARAPHRASED
+        self.train.paraphrased = self.disturbance.paraphrased
         self.val = LatentSet.of(corpus, "val", store, vae.module, Path(f"{latents}-val.safetensors"), windows=0)
         captions = sorted({*self.train.all_captions(), *self.val.all_captions()})
         path = sources.cache / f"text-{text_encoder.replace('/', '-').replace(':', '-')}.safetensors"
@@ -76,16 +90,16 @@ class LatentData:
     def read(self, captions: list[str], disturbed_by: torch.Generator | None = None) -> TextEmbedding:
         """Token states of captions; "" is the unconditional input.
 
-        Given a generator, words go missing and states are blurred: the corpus has few words, and a network that may
-        rely on each of them does not understand a prompt that says the same in others.
+        Given a generator, words go missing and states are blurred (``Disturbance``): the corpus has few words, and a
+        network that may rely on each of them does not understand a prompt that says the same in others.
         """
         text = self.text.lookup(captions, MAX_TOKENS)
         if disturbed_by is None:
             return text
         size = torch.rand(len(captions), 1, generator=disturbed_by)
-        missing = torch.rand(text.mask.shape, generator=disturbed_by) < WORD_DROP * 2 * size
+        missing = torch.rand(text.mask.shape, generator=disturbed_by) < self.disturbance.word_drop * 2 * size
         missing[:, 0] = False
-        noise = torch.randn(text.tokens.shape, generator=disturbed_by) * BLUR * 2 * size[..., None]
+        noise = torch.randn(text.tokens.shape, generator=disturbed_by) * self.disturbance.blur * 2 * size[..., None]
         empty = torch.tensor([not caption for caption in captions])
         mask = text.mask & ~(missing & ~empty[:, None]).to(text.mask.device)
         tokens = text.tokens + noise.masked_fill(empty[:, None, None], 0.0).to(text.tokens)
@@ -99,7 +113,7 @@ class TeacherTask(Task):
 
     def __init__(self, config: TeacherConfig, sources: Sources, loop: Loop) -> None:
         self.config, self.steps = config, loop.config.steps
-        self.data = LatentData(sources, config.text_encoder, loop)
+        self.data = LatentData(sources, config.text_encoder, config.disturbance, loop)
         self.schedule = scaled_linear()
         self.teacher = config.model.build().to(loop.device)
         self.ema = Ema(self.teacher, config.ema)
