@@ -17,8 +17,6 @@ the crop. Decoding uses the root and the rotations alone; the rest is there to b
 repeat those of the frame before.
 """
 
-from dataclasses import replace
-
 import torch
 from torch import Tensor
 
@@ -122,10 +120,6 @@ class NativeCodec:
 
     def _six(self, features: Tensor) -> Tensor:
         return features[..., self.groups["rotations"]].unflatten(-1, (len(self.skeleton), 6))
-
-    def with_fps(self, motion: Motion) -> Motion:
-        """The motion at this codec's frame rate."""
-        return motion if motion.fps == self.fps else replace(motion.resampled(self.fps), fps=self.fps)
 
 
 def _hold(steps: Tensor) -> Tensor:
