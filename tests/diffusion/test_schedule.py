@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from moveset.diffusion.schedule import Schedule, scaled_linear
+from moveset.diffusion.schedule import Schedule, cosine, linear, scaled_linear
 from moveset.errors import InputError
 
 # t: alpha_bar, alpha, sigma of 1000 scaled-linear steps from beta 0.00085 to 0.012
@@ -57,7 +57,22 @@ def test_tables_first_used_while_sampling_still_serve_training(t):
     assert weight.grad == schedule.alpha(t)
 
 
-@pytest.mark.parametrize("values", [[], [0.5, 0.5], [0.2, 0.8], [1.0, 0.5], [0.5, 0.0], [0.5, float("nan")]])
+@pytest.mark.parametrize("values", [[], [0.5, 0.5], [0.2, 0.8], [1.5, 0.5], [0.5, 0.0], [0.5, float("nan")]])
 def test_impossible_schedules_are_refused(values):
     with pytest.raises(InputError):
         Schedule(torch.tensor(values, dtype=torch.float64))
+
+
+def test_linear_starts_clean_and_is_that_of_ddpm():
+    schedule = linear()
+    assert len(schedule) == 1001
+    t = torch.arange(1001)
+    assert schedule.sigma(t)[0] == 0
+    beta = 1 - schedule.alpha_bar[1:] / schedule.alpha_bar[:-1]
+    torch.testing.assert_close(beta, 1e-4 + (t[1:].double() - 1) / 999 * (0.02 - 1e-4), atol=1e-12, rtol=0)
+
+
+def test_cosine_is_that_of_diffusers():
+    diffusers = pytest.importorskip("diffusers")
+    oracle = diffusers.DDPMScheduler(10, beta_schedule="squaredcos_cap_v2").alphas_cumprod
+    torch.testing.assert_close(cosine(10).alpha_bar[1:].float(), oracle, atol=1e-6, rtol=1e-4)

@@ -4,8 +4,16 @@ import pytest
 import torch
 
 from moveset.diffusion.guidance import cfg, guidance_embedding
-from moveset.diffusion.schedule import scaled_linear
-from moveset.diffusion.steps import add_noise, ddim_step, ddim_timesteps, predict_z0, renoise
+from moveset.diffusion.schedule import linear, scaled_linear
+from moveset.diffusion.steps import (
+    add_noise,
+    ddim_step,
+    ddim_timesteps,
+    denoise_step,
+    predict_eps,
+    predict_z0,
+    renoise,
+)
 from moveset.errors import InputError
 
 SCHEDULE = scaled_linear()
@@ -83,3 +91,53 @@ def test_guidance_embedding_equals_diffusers():
     oracle = pipeline.get_guidance_scale_embedding(None, w, embedding_dim=256)
     # arguments reach 15000 radians, where float32 itself is only good to 1e-3
     torch.testing.assert_close(guidance_embedding(w), oracle, atol=2e-3, rtol=0)
+
+
+def test_a_full_step_down_is_the_posterior_of_ddpm():
+    """Ho et al. 2020, Eq. 7: the mean and the variance of q(x_{t-1} | x_t, x_0)."""
+    schedule = linear()
+    t = torch.tensor([2, 37, 500, 1000])
+    a = schedule.alpha_bar
+    beta = 1 - a[t] / a[t - 1]
+    z, z0 = torch.randn(2, 4, 3, dtype=torch.float64)
+    mean = (a[t - 1].sqrt() * beta / (1 - a[t]))[:, None] * z0
+    mean = mean + ((1 - beta).sqrt() * (1 - a[t - 1]) / (1 - a[t]))[:, None] * z
+    deviation = (beta * (1 - a[t - 1]) / (1 - a[t])).sqrt()[:, None]
+    still = denoise_step(schedule, z, z0, t, t - 1, 1.0, torch.zeros_like(z))
+    torch.testing.assert_close(still, mean)
+    torch.testing.assert_close(denoise_step(schedule, z, z0, t, t - 1, 1.0, torch.ones_like(z)), mean + deviation)
+
+
+@pytest.mark.parametrize("eta", [0.0, 0.5, 1.0])
+def test_a_step_keeps_the_marginal(eta):
+    """Whatever eta: from q(z_t | z_0) to q(z_s | z_0)."""
+    schedule = linear()
+    generator = torch.Generator().manual_seed(0)
+    z0 = torch.full((200_000,), 0.7)
+    eps, noise = torch.randn(2, len(z0), generator=generator)
+    t, s = torch.tensor(800), torch.tensor(300)
+    out = denoise_step(schedule, add_noise(schedule, z0, eps, t), z0, t, s, eta, noise)
+    assert abs(out.mean() - 0.7 * schedule.alpha(s)) < 0.01
+    assert abs(out.std() - schedule.sigma(s)) < 0.01
+
+
+def test_the_clean_end_is_the_prediction_itself():
+    schedule = linear()
+    z, z0, noise = torch.randn(3, 2, 5)
+    out = denoise_step(schedule, z, z0, torch.tensor([100, 7]), torch.tensor([0, 3]), 1.0, noise)
+    assert torch.equal(out[0], z0[0])
+    assert not torch.equal(out[1], z0[1])
+
+
+def test_deterministic_step_equals_the_one_by_noise():
+    schedule = linear()
+    z, z0 = torch.randn(2, 4, 6)
+    t, s = torch.tensor([1000, 500, 40, 2]), torch.tensor([999, 100, 20, 1])
+    by_noise = ddim_step(schedule, z, predict_eps(schedule, z, z0, t), t, s)
+    torch.testing.assert_close(denoise_step(schedule, z, z0, t, s), by_noise, atol=2e-5, rtol=1e-4)
+
+
+@pytest.mark.parametrize(("eta", "noise"), [(0.3, None), (1.5, torch.zeros(1)), (-0.1, torch.zeros(1))])
+def test_eta_out_of_range_or_without_noise_is_refused(eta, noise):
+    with pytest.raises(InputError, match="eta"):
+        denoise_step(linear(), torch.zeros(1), torch.zeros(1), torch.tensor([5]), torch.tensor([4]), eta, noise)

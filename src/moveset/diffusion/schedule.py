@@ -1,7 +1,8 @@
 """The noise schedule: how much of the latent and how much noise make up z_t.
 
-z_t = alpha_t z_0 + sigma_t eps, with alpha_t² + sigma_t² = 1 and t in 0 … T-1. There is no noise-free time: the
-smallest noise is that of t = 0 (sigma_0 = 0.029 for the default schedule).
+z_t = alpha_t z_0 + sigma_t eps, with alpha_t² + sigma_t² = 1. Two conventions of time are in use: latent diffusion counts
+t = 0 … T-1 and has no noise-free time (sigma_0 = 0.029 for ``scaled_linear``); RDM and DiP count t = 0 … T, and t = 0 is
+the clean segment (``linear``, ``cosine``).
 """
 
 from dataclasses import dataclass, field
@@ -17,10 +18,11 @@ class Schedule:
     """A variance-preserving schedule.
 
     Args:
-        alpha_bar: (T,) float64 on the CPU, falling from near 1 to near 0: the share of the signal's variance.
+        alpha_bar: float64 on the CPU, one number a time, falling from 1 or near it to near 0: the share of the
+            signal's variance.
 
     Raises:
-        InputError: values that are not strictly falling inside (0, 1).
+        InputError: values that are not strictly falling inside (0, 1].
     """
 
     alpha_bar: Tensor
@@ -30,8 +32,8 @@ class Schedule:
 
     def __post_init__(self) -> None:
         a = self.alpha_bar
-        if not (a.ndim == 1 and len(a) and bool((a.diff() < 0).all()) and float(a[-1]) > 0 and float(a[0]) < 1):
-            raise InputError("a schedule needs strictly falling alpha_bar values inside (0, 1)")
+        if not (a.ndim == 1 and len(a) and bool((a.diff() < 0).all()) and float(a[-1]) > 0 and float(a[0]) <= 1):
+            raise InputError("a schedule needs strictly falling alpha_bar values inside (0, 1]")
 
     def __len__(self) -> int:
         return len(self.alpha_bar)
@@ -68,3 +70,27 @@ def scaled_linear(steps: int = 1000, beta_start: float = 0.00085, beta_end: floa
     """
     beta = torch.linspace(beta_start**0.5, beta_end**0.5, steps, dtype=torch.float64) ** 2
     return Schedule(torch.cumprod(1 - beta, dim=0))
+
+
+def linear(steps: int = 1000, beta_start: float = 1e-4, beta_end: float = 0.02) -> Schedule:
+    """The schedule of DDPM (Ho et al. 2020, arXiv 2006.11239), used by MotionDiffuse and RDM: beta linear in t = 1 … T.
+
+    It has T + 1 entries: time 0 is clean.
+
+    >>> linear().alpha_bar[[0, 1]].tolist()
+    [1.0, 0.9999]
+    """
+    beta = torch.linspace(beta_start, beta_end, steps, dtype=torch.float64)
+    return _from_clean(torch.cumprod(1 - beta, dim=0))
+
+
+def cosine(steps: int = 10, offset: float = 0.008, largest_beta: float = 0.999) -> Schedule:
+    """The cosine schedule (Nichol & Dhariwal 2021, arXiv 2102.09672), as used by DiP with T = 10; time 0 is clean."""
+    t = torch.arange(steps + 1, dtype=torch.float64) / steps
+    share = torch.cos((t + offset) / (1 + offset) * torch.pi / 2) ** 2
+    beta = (1 - share[1:] / share[:-1]).clamp(max=largest_beta)
+    return _from_clean(torch.cumprod(1 - beta, dim=0))
+
+
+def _from_clean(alpha_bar: Tensor) -> Schedule:
+    return Schedule(torch.cat((alpha_bar.new_ones(1), alpha_bar)))

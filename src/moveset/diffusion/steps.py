@@ -49,6 +49,41 @@ def ddim_step(schedule: Schedule, z: Tensor, eps: Tensor, t: Tensor, s: Tensor) 
     return ratio * z + (sigma_s - ratio * sigma_t) * eps
 
 
+def predict_eps(schedule: Schedule, z: Tensor, z0: Tensor, t: Tensor) -> Tensor:
+    """The noise that z_t and the predicted clean z_0 imply: (z_t - alpha_t z_0) / sigma_t. Not defined where t is clean."""
+    alpha, sigma = _alpha_sigma(schedule, t, z)
+    return (z - alpha * z0) / sigma
+
+
+def denoise_step(
+    schedule: Schedule, z: Tensor, z0: Tensor, t: Tensor, s: Tensor, eta: float = 0.0, noise: Tensor | None = None
+) -> Tensor:
+    """From time t down to time s, given a prediction of the clean z_0 (DDIM, arXiv 2010.02502, Eq. 12 and 16).
+
+    With ``eta`` = 1 this is the posterior q(z_s | z_t, z_0): DDPM's step with its smaller variance when s = t - 1.
+    Rows with a clean s become z_0 itself.
+
+    Args:
+        eta: share of the posterior's standard deviation in 0 … 1; 0 is deterministic.
+        noise: standard normal, like z; needed unless ``eta`` is 0.
+
+    Raises:
+        InputError: ``eta`` out of range, or above 0 without noise.
+    """
+    if not 0.0 <= eta <= 1.0 or (eta and noise is None):
+        raise InputError(f"eta {eta} is not in 0 to 1, or there is no noise for it")
+    alpha_t, sigma_t = _alpha_sigma(schedule, t, z)
+    alpha_s, sigma_s = _alpha_sigma(schedule, s, z)
+    eps = (z - alpha_t * z0) / sigma_t
+    if noise is None or eta == 0.0:
+        out = alpha_s * z0 + sigma_s * eps
+    else:
+        ratio = alpha_t / alpha_s
+        spread = eta * (sigma_s / sigma_t) * (1 - ratio * ratio).clamp_min(0.0).sqrt()
+        out = alpha_s * z0 + (sigma_s**2 - spread**2).clamp_min(0.0).sqrt() * eps + spread * noise
+    return torch.where(sigma_s == 0, z0, out)
+
+
 def renoise(schedule: Schedule, z: Tensor, s_from: Tensor, s_to: Tensor, noise: Tensor) -> Tensor:
     """From the marginal at ``s_from`` to that at a later ``s_to``: r z + sqrt(1 - r²) noise, r = alpha_to/alpha_from.
 
