@@ -1,0 +1,1 @@
+"""Recurrent diffusion over motion segments: a flow along time, diffusion along noise, sampled as a staircase."""
