@@ -1,8 +1,8 @@
 """The noise schedule: how much of the latent and how much noise make up z_t.
 
-z_t = alpha_t z_0 + sigma_t eps, with alpha_t² + sigma_t² = 1. Two conventions of time are in use: latent diffusion counts
-t = 0 … T-1 and has no noise-free time (sigma_0 = 0.029 for ``scaled_linear``); RDM and DiP count t = 0 … T, and t = 0 is
-the clean segment (``linear``, ``cosine``).
+z_t = alpha_t z_0 + sigma_t eps, with alpha_t² + sigma_t² = 1. Two conventions of time are in use: latent diffusion
+counts t = 0 … T-1 and has no noise-free time (sigma_0 = 0.029 for ``scaled_linear``); RDM and DiP count t = 0 … T,
+where t = 0 is the clean segment (``linear``, ``cosine``).
 """
 
 from dataclasses import dataclass, field

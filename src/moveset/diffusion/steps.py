@@ -50,7 +50,7 @@ def ddim_step(schedule: Schedule, z: Tensor, eps: Tensor, t: Tensor, s: Tensor) 
 
 
 def predict_eps(schedule: Schedule, z: Tensor, z0: Tensor, t: Tensor) -> Tensor:
-    """The noise that z_t and the predicted clean z_0 imply: (z_t - alpha_t z_0) / sigma_t. Not defined where t is clean."""
+    """The noise that z_t and the predicted clean z_0 imply: (z_t - alpha_t z_0) / sigma_t, for t above 0."""
     alpha, sigma = _alpha_sigma(schedule, t, z)
     return (z - alpha * z0) / sigma
 
