@@ -7,7 +7,7 @@ import pytest
 
 from moveset import load
 from moveset.cli.__main__ import main
-from moveset.pipelines import bundle
+from moveset.pipelines import model_folder
 from moveset.pipelines.text_to_motion import TextToMotion
 from tests.bundles import tiny_bundle
 
@@ -24,7 +24,7 @@ def clip(model, tmp_path):
 
 @pytest.fixture
 def shipped(model, monkeypatch):
-    monkeypatch.setattr(bundle, "shipped", lambda: {"tiny": model})
+    monkeypatch.setattr(model_folder, "shipped", lambda: {"tiny": model})
 
 
 def test_convert_keeps_the_joints(clip, tmp_path):
@@ -88,7 +88,7 @@ def test_doctor_names_what_is_damaged(model, tmp_path, monkeypatch, capsys):
     folder = shutil.copytree(model, tmp_path / "tiny")
     path = folder / "vae.safetensors"
     path.write_bytes(path.read_bytes()[:-4])
-    monkeypatch.setattr(bundle, "shipped", lambda: {"tiny": folder})
+    monkeypatch.setattr(model_folder, "shipped", lambda: {"tiny": folder})
     assert main(["doctor", "--model", str(folder)]) == 1
     out = capsys.readouterr().out
     assert "ok    device" in out

@@ -77,12 +77,12 @@ def _device(name: str) -> dict[str, Any]:
 
 
 def _weights() -> dict[str, Any]:
-    from moveset.pipelines.bundle import Bundle, shipped
+    from moveset.pipelines.model_folder import VerifiedFolder, shipped
 
     folders = shipped()
     if not folders:
         raise InputError("no models are installed; reinstall moveset")
-    return {f"{name} (MB verified)": round(Bundle(path).verify() / 1e6, 1) for name, path in folders.items()}
+    return {f"{name} (MB verified)": round(VerifiedFolder(path).verify() / 1e6, 1) for name, path in folders.items()}
 
 
 def _video() -> dict[str, Any]:

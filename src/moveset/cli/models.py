@@ -1,47 +1,88 @@
 """``moveset models``: what comes with this installation."""
 
 import json as jsonlib
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import tyro
 
+if TYPE_CHECKING:
+    from moveset.pipelines.bundle import Bundle
+    from moveset.pipelines.stream_bundle import StreamBundle
+
 
 def models(*, json: tyro.conf.FlagCreatePairsOff[bool] = False) -> int:
-    """List the shipped models.
+    """List the shipped models and their networks.
 
     Args:
         json: Print one JSON object on stdout and nothing else.
     """
-    from moveset.pipelines.bundle import DEFAULT_MODEL, Bundle, shipped
+    from moveset.pipelines.model_folder import shipped
 
-    rows = []
-    for name, path in shipped().items():
-        bundle = Bundle(path)
-        config = bundle.config
-        rows.append(
-            {
-                "name": name,
-                "default": name == DEFAULT_MODEL,
-                "megabytes": round(sum(size for _, size in bundle.files.values()) / 1e6, 1),
-                "pcm_steps": list(config.steps("pcm")),
-                "lcm_steps": list(config.steps("lcm")),
-                "teacher": "teacher" in config.models,
-                "fps": config.fps,
-                "max_seconds": config.max_frames / config.fps,
-                "text_encoder": config.text_encoder,
-                "guidance": dict(config.guidance),
-                "provenance": dict(config.provenance),
-            }
-        )
+    rows = [describe(name, path) for name, path in shipped().items()]
     if json:
         print(jsonlib.dumps({"models": rows}))
         return 0
     if not rows:
         print("no models are installed; reinstall moveset, or give a model folder with --model")
     for row in rows:
-        steps = "/".join(map(str, row["pcm_steps"]))
-        solvers = f"MotionPCM in {steps} steps" + (", LCM" if row["lcm_steps"] else "") + ", teacher" * row["teacher"]
-        limits = f"{row['fps']:g} fps  up to {row['max_seconds']:g} s a prompt"
-        print(f"{row['name']}  {row['megabytes']} MB  {solvers}  {limits}")
-        for key, value in row["provenance"].items():
-            print(f"    {key}: {value}")
+        tell(row)
     return 0
+
+
+def describe(name: str, path: Path) -> dict[str, Any]:
+    """What a shipped model is and can, as a JSON object."""
+    from moveset.pipelines.bundle import DEFAULT_MODEL, Bundle
+    from moveset.pipelines.model_folder import STREAM, VerifiedFolder
+    from moveset.pipelines.stream_bundle import DEFAULT_STREAM, StreamBundle
+
+    folder = StreamBundle(path) if VerifiedFolder(path).task == STREAM else Bundle(path)
+    config = folder.config
+    return {
+        "name": name,
+        "task": config.task,
+        "default": name in (DEFAULT_MODEL, DEFAULT_STREAM),
+        "megabytes": round(sum(size for _, size in folder.files.values()) / 1e6, 1),
+        "networks": {
+            network: {"kind": spec.kind, "megabytes": round(folder.files[f"{network}.safetensors"][1] / 1e6, 1)}
+            for network, spec in config.models.items()
+        },
+        "pcm_steps": list(config.steps("pcm")),
+        **(stream_limits(folder) if isinstance(folder, StreamBundle) else clip_limits(folder)),
+        "fps": config.fps,
+        "text_encoder": config.text_encoder,
+        "guidance": dict(config.guidance),
+        "provenance": dict(config.provenance),
+    }
+
+
+def clip_limits(folder: "Bundle") -> dict[str, Any]:
+    """What is particular to text-to-motion."""
+    config = folder.config
+    return {
+        "lcm_steps": list(config.steps("lcm")),
+        "teacher": "teacher" in config.models,
+        "max_seconds": config.max_frames / config.fps,
+    }
+
+
+def stream_limits(folder: "StreamBundle") -> dict[str, Any]:
+    """What is particular to a stream."""
+    config = folder.config
+    return {"network": config.network, "segment_seconds": config.segment / config.fps}
+
+
+def tell(row: dict[str, Any]) -> None:
+    """Print a model for a person."""
+    steps = "/".join(map(str, row["pcm_steps"]))
+    if "network" in row:
+        others = ", ".join(name for name in row["networks"] if name not in ("flow", row["network"]))
+        can = f"a stream by {row['network']}" + f", or by {others}" * bool(others)
+        limits = f"{row['segment_seconds']:g} s a segment"
+    else:
+        can = f"MotionPCM in {steps} steps" + (", LCM" if row["lcm_steps"] else "") + ", teacher" * row["teacher"]
+        limits = f"up to {row['max_seconds']:g} s a prompt"
+    print(f"{row['name']}  {row['megabytes']} MB  {can}  {row['fps']:g} fps  {limits}")
+    print("    " + ", ".join(f"{network} {entry['megabytes']} MB" for network, entry in row["networks"].items()))
+    for key, value in row["provenance"].items():
+        print(f"    {key}: {value}")

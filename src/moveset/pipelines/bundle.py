@@ -1,247 +1,79 @@
-"""A model folder: everything one generator needs, as safetensors and JSON, each file guarded by its sha256.
+"""The model folder of text-to-motion: an autoencoder of clips, a denoiser of its latents, and the denoiser's students.
 
-``config.json``             what the parts are (``BundleConfig``)
-``<model>.safetensors``     weights in half precision: ``vae``, ``length``, ``teacher``, ``lcm-1``, ``pcm-1`` …
-``normalizer.safetensors``  feature_mean, feature_std (D,), latent_mean, latent_std (N, d) or (d,)
-``prompts.json``            captions of the training data
-``prompts.safetensors``     ``pooled`` (P, C), their pooled text embeddings
-``manifest.json``           sha256 and size of every other file
-
-Only what is asked for is read, and what is read is verified.
+Networks: ``vae``, ``length``, ``teacher``, ``lcm-1``, ``pcm-1`` … in a folder as described in ``model_folder``;
+``normalizer.safetensors`` has feature_mean, feature_std (D,), latent_mean, latent_std (N, d) or (d,).
 """
 
-import hashlib
-import json
-import shutil
-import tempfile
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, fields, replace
-from functools import cached_property
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar, Self
 
-import torch
-from safetensors import SafetensorError
-from safetensors.torch import load as load_safetensors
-from safetensors.torch import save as save_safetensors
 from torch import Tensor, nn
 
-from moveset.errors import FormatError, InputError
-from moveset.io.limits import atomic_write, read_limited
-from moveset.models.packed import PACKABLE, can_pack, pack
-from moveset.text.familiarity import KnownPrompts
+from moveset.pipelines.model_folder import (
+    TEXT_TO_MOTION,
+    FolderConfig,
+    ModelFolder,
+    ModelSpec,
+    find_folder,
+    save_folder,
+)
+from moveset.pipelines.model_folder import shipped as shipped
 
-FORMAT = 1
-MAX_FILE = 512 * 2**20
+__all__ = ["DEFAULT_MODEL", "SOLVERS", "Bundle", "BundleConfig", "ModelSpec", "find_folder", "save_bundle", "shipped"]
+
 DEFAULT_MODEL = "motionpcm-small"
 SOLVERS = ("pcm", "lcm", "teacher")
 
 
 @dataclass(frozen=True, kw_only=True)
-class ModelSpec:
-    """Architecture of one network: what ``models.registry.build_model`` takes."""
-
-    kind: str
-    config: Mapping[str, Any]
-
-
-@dataclass(frozen=True, kw_only=True)
-class BundleConfig:
-    """What a model folder holds.
+class BundleConfig(FolderConfig):
+    """What a text-to-motion folder holds, besides what every ``FolderConfig`` says.
 
     Args:
-        name: what the model is called.
-        codec: feature codec of its motions, a name for ``motion.features.get_codec``.
-        fps: frames per second of its motions.
         min_frames: shortest clip.
         max_frames: longest clip.
         latent: (N, d), tokens of the latent and numbers in each.
-        text_encoder: a name for ``text.encoder.get_text_encoder``.
         points: solver points of the distillation grid (N in MotionPCM, section 3).
-        guidance: default guidance scale w by model name ("teacher", "pcm-1", …).
-        far_prompt: a prompt whose best cosine to the training captions is lower gets a warning.
-        provenance: on what, how and when it was trained; for people.
-        models: the networks by name; filled in by ``save_bundle``.
     """
 
-    name: str
-    codec: str = "native"
-    fps: float = 20.0
+    task: ClassVar[str] = TEXT_TO_MOTION
+
     min_frames: int = 20
     max_frames: int = 196
     latent: tuple[int, int] = (16, 32)
-    text_encoder: str = "minilm"
     points: int = 10
-    guidance: Mapping[str, float] = field(default_factory=dict)
-    far_prompt: float = 0.5
-    provenance: Mapping[str, str | int | float] = field(default_factory=dict)
-    models: Mapping[str, ModelSpec] = field(default_factory=dict)
-
-    def steps(self, solver: str) -> tuple[int, ...]:
-        """Step counts for which there is a student: the numbers behind "pcm-" or "lcm-", ascending."""
-        prefix = f"{solver}-"
-        return tuple(sorted(int(name[len(prefix) :]) for name in self.models if name.startswith(prefix)))
 
     @classmethod
-    def parse(cls, data: bytes, where: Path) -> "BundleConfig":
-        """From the bytes of a ``config.json``.
+    def of(cls, raw: Mapping[str, Any]) -> Self:
+        """From the JSON object, whose ``models`` are specifications already."""
+        tokens, width = (int(n) for n in raw["latent"])
+        return cls(**{**raw, "latent": (tokens, width)})
 
-        Raises:
-            FormatError: not this format, or a newer version of it.
-        """
-        raw = _json_object(data, where)
-        version = raw.pop("format", None)
-        if version != FORMAT:
-            raise FormatError(f"{where} has format {version!r}; this version reads format {FORMAT}")
-        known = {f.name for f in fields(cls)}
-        if wrong := set(raw) ^ known:
-            raise FormatError(f"{where} does not fit this version: {sorted(wrong)[0]!r} is missing or unknown")
-        try:
-            models = {name: ModelSpec(**spec) for name, spec in raw.pop("models").items()}
-            tokens, width = (int(n) for n in raw.pop("latent"))
-            config = cls(**raw, latent=(tokens, width), models=models)
-            for denoiser in ("teacher", *(f"{solver}-{n}" for solver in ("pcm", "lcm") for n in config.steps(solver))):
-                if denoiser in models and not config.guidance[denoiser] >= 0:
-                    raise ValueError(f"guidance of {denoiser!r} is below 0")
-            if not 1 <= config.min_frames <= config.max_frames <= 10_000 or not 0 < config.fps <= 1000:
-                raise ValueError("frame numbers or frame rate out of range")
-            return config
-        except (TypeError, ValueError, KeyError, AttributeError) as error:
-            raise FormatError(f"{where} does not describe a model: {error}") from error
+    def check(self) -> None:
+        """Raises ValueError, TypeError or KeyError for numbers that no such model can have."""
+        super().check()
+        for denoiser in ("teacher", *(f"{solver}-{n}" for solver in ("pcm", "lcm") for n in self.steps(solver))):
+            if denoiser in self.models and not self.guidance[denoiser] >= 0:
+                raise ValueError(f"guidance of {denoiser!r} is below 0")
+        if not 1 <= self.min_frames <= self.max_frames <= 10_000:
+            raise ValueError("frame numbers out of range")
 
 
-class Bundle:
-    """An opened model folder; networks are read when they are first asked for.
+class Bundle(ModelFolder[BundleConfig]):
+    """An opened text-to-motion folder; networks are read when they are first asked for.
 
     Args:
         path: the folder.
 
     Raises:
         FormatError: no model folder, or a damaged one.
+        InputError: a model of another kind.
     """
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        if not (path / "manifest.json").is_file():
-            raise FormatError(f"{path} is no model folder: it has no manifest.json; give a folder made by save_bundle")
-        self.config = BundleConfig.parse(self._verified("config.json"), path / "config.json")
-        self._modules: dict[str, nn.Module] = {}
-
-    @classmethod
-    def find(cls, name_or_path: str | Path) -> "Bundle":
-        """Open a shipped model by name, or a folder.
-
-        Raises:
-            InputError: neither a shipped model nor a folder.
-        """
-        return cls(find_folder(name_or_path))
-
-    @cached_property
-    def files(self) -> dict[str, tuple[str, int]]:
-        """sha256 and size in bytes of every file, by name, as the manifest has them."""
-        where = self.path / "manifest.json"
-        raw = _json_object(read_limited(where, 2**20), where)
-        try:
-            if any(Path(name).name != name for name in raw["files"]):
-                raise ValueError("a file outside the folder")
-            return {name: (str(entry["sha256"]), int(entry["bytes"])) for name, entry in raw["files"].items()}
-        except (TypeError, ValueError, KeyError, AttributeError) as error:
-            raise FormatError(f"{where} is not a manifest; copy the model folder again") from error
-
-    def module(self, name: str, device: torch.device | str = "cpu") -> nn.Module:
-        """The network of that name in float32, for inference only (``models.packed`` on a processor); kept once read.
-
-        Raises:
-            FormatError: the model has no such network, or its file is damaged.
-        """
-        if name not in self._modules:
-            spec = self.config.models.get(name)
-            if spec is None:
-                raise FormatError(
-                    f"model {self.config.name!r} has no network {name!r}; it has {', '.join(self.config.models)}"
-                )
-            module = _build(spec)
-            state = {key: _single(value) for key, value in self.tensors(f"{name}.safetensors").items()}
-            try:
-                module.load_state_dict(state, strict=True)
-            except RuntimeError as error:
-                raise FormatError(
-                    f"{self.path / name}.safetensors does not fit the architecture in config.json; copy the model again"
-                ) from error
-            module = module.eval().requires_grad_(False).to(device)
-            self._modules[name] = pack(module) if spec.kind in PACKABLE and can_pack(device) else module
-        return self._modules[name]
-
-    def tensors(self, file: str) -> dict[str, Tensor]:
-        """The tensors of one safetensors file, verified."""
-        data = self._verified(file)
-        try:
-            return load_safetensors(data)
-        except SafetensorError as error:
-            raise FormatError(f"{self.path / file} is not a safetensors file: {error}") from error
-
-    @cached_property
-    def normalizer(self) -> dict[str, Tensor]:
-        """feature_mean, feature_std, latent_mean, latent_std."""
-        tensors = self.tensors("normalizer.safetensors")
-        if missing := {"feature_mean", "feature_std", "latent_mean", "latent_std"} - set(tensors):
-            raise FormatError(
-                f"{self.path / 'normalizer.safetensors'} lacks {sorted(missing)[0]!r}; copy the model again"
-            )
-        return tensors
-
-    @cached_property
-    def captions(self) -> KnownPrompts:
-        """Captions the model was trained on, with their pooled embeddings."""
-        captions = _json_object(self._verified("prompts.json"), self.path / "prompts.json").get("captions")
-        pooled = self.tensors("prompts.safetensors").get("pooled")
-        if not isinstance(captions, list) or pooled is None or len(captions) != len(pooled):
-            raise FormatError(
-                f"prompts.json and prompts.safetensors in {self.path} do not belong together; copy the model"
-            )
-        return KnownPrompts(tuple(captions), pooled)
-
-    def verify(self) -> int:
-        """Check every file against the manifest; the number of bytes checked.
-
-        Raises:
-            FormatError: naming the first file that is damaged or missing.
-        """
-        return sum(len(self._verified(name)) for name in self.files)
-
-    def _verified(self, file: str) -> bytes:
-        if file not in self.files:
-            raise FormatError(f"{self.path} has no {file} in its manifest; copy the model folder again")
-        path = self.path / file
-        data = read_limited(path, MAX_FILE)
-        sha256, size = self.files[file]
-        if len(data) != size or hashlib.sha256(data).hexdigest() != sha256:
-            raise FormatError(
-                f"{path} is damaged: it does not match the sha256 in manifest.json; reinstall moveset or copy it again"
-            )
-        return data
-
-
-def shipped() -> dict[str, Path]:
-    """Folders of the models that come with the package, by name."""
-    root = Path(__file__).parents[1] / "weights"
-    return {p.parent.name: p.parent for p in sorted(root.glob("*/manifest.json"))}
-
-
-def find_folder(name_or_path: str | Path) -> Path:
-    """Folder of a shipped model, or the folder given.
-
-    Raises:
-        InputError: neither.
-    """
-    known = shipped()
-    if str(name_or_path) in known:
-        return known[str(name_or_path)]
-    path = Path(name_or_path)
-    if path.is_dir():
-        return path
-    names = ", ".join(known) or "none"
-    raise InputError(f"unknown model {str(name_or_path)!r}; shipped models: {names}; or give a model folder")
+    config_class = BundleConfig
+    statistics = ("feature_mean", "feature_std", "latent_mean", "latent_std")
 
 
 def save_bundle(
@@ -252,7 +84,7 @@ def save_bundle(
     captions: Sequence[str],
     pooled: Tensor,
 ) -> Path:
-    """Write a model folder; it appears whole or not at all, and replaces an older one of that name.
+    """Write a text-to-motion folder; it appears whole or not at all, and replaces an older one of that name.
 
     Args:
         path: the folder to make.
@@ -264,68 +96,6 @@ def save_bundle(
 
     Raises:
         ValueError: weights that half precision cannot hold, or captions that do not fit their embeddings.
+        FormatError: a configuration that could not be read again.
     """
-    from moveset.models.registry import describe
-
-    if len(captions) != len(pooled):
-        raise ValueError(f"{len(captions)} captions do not fit {len(pooled)} embeddings")
-    specs = {}
-    blobs: dict[str, bytes] = {}
-    for name, module in modules.items():
-        kind, settings = describe(module.config)  # type: ignore[arg-type]
-        specs[name] = ModelSpec(kind=kind, config=settings)
-        blobs[f"{name}.safetensors"] = save_safetensors({k: _half(k, v) for k, v in module.state_dict().items()})
-    blobs["normalizer.safetensors"] = save_safetensors({k: v.float().contiguous() for k, v in normalizer.items()})
-    blobs["prompts.json"] = _dump({"captions": list(captions)})
-    blobs["prompts.safetensors"] = save_safetensors({"pooled": _half("pooled", pooled)})
-    blobs["config.json"] = _dump({"format": FORMAT, **asdict(replace(config, models=specs))})
-    files = {k: {"sha256": hashlib.sha256(v).hexdigest(), "bytes": len(v)} for k, v in sorted(blobs.items())}
-    blobs["manifest.json"] = _dump({"files": files})
-    path.parent.mkdir(parents=True, exist_ok=True)
-    folder = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))
-    try:
-        for name, blob in blobs.items():
-            with atomic_write(folder / name) as file:
-                file.write(blob)
-        folder.chmod(0o755)
-        if path.exists():
-            path.rename(folder / ".old")
-        folder.rename(path)
-        shutil.rmtree(path / ".old", ignore_errors=True)
-    except BaseException:
-        shutil.rmtree(folder, ignore_errors=True)
-        raise
-    return path
-
-
-def _build(spec: ModelSpec) -> nn.Module:
-    from moveset.models.registry import build_model
-
-    return build_model(spec.kind, spec.config)
-
-
-def _half(name: str, value: Tensor) -> Tensor:
-    if not value.is_floating_point():
-        return value.contiguous()
-    half = value.detach().cpu().half().contiguous()
-    if not torch.isfinite(half).all():
-        raise ValueError(f"{name} has values that half precision cannot hold")
-    return half
-
-
-def _single(value: Tensor) -> Tensor:
-    return value.float() if value.is_floating_point() else value
-
-
-def _dump(data: Mapping[str, object]) -> bytes:
-    return (json.dumps(data, indent=1, ensure_ascii=False) + "\n").encode()
-
-
-def _json_object(data: bytes, where: Path) -> dict[str, Any]:
-    try:
-        raw = json.loads(data)
-    except (ValueError, RecursionError) as error:
-        raise FormatError(f"{where} is not JSON: {error}; copy the model folder again") from error
-    if not isinstance(raw, dict):
-        raise FormatError(f"{where} is not a JSON object; copy the model folder again")
-    return raw
+    return save_folder(path, config, modules, normalizer, captions, pooled)

@@ -1,0 +1,157 @@
+"""Folders of streams: what is written is read, absurd numbers are refused, and the two kinds are not confused."""
+
+import dataclasses
+import json
+
+import pytest
+import torch
+
+from moveset import TextToMotion
+from moveset.cli.__main__ import main
+from moveset.errors import FormatError, InputError
+from moveset.models.latent_denoiser import LatentDenoiserConfig
+from moveset.models.length import LengthPredictorConfig
+from moveset.pipelines import model_folder
+from moveset.pipelines.bundle import Bundle
+from moveset.pipelines.stream_bundle import StreamBundle, StreamConfig, save_stream_bundle
+from tests.bundles import tiny_bundle
+
+CONFIG = StreamConfig(
+    name="tiny-stream",
+    network="pcm-1",
+    segment=12,
+    depth_cap=2,
+    schedule="cosine",
+    timesteps=500,
+    points=8,
+    sampler_steps=10,
+    start=4,
+    lag=2,
+    eta=0.5,
+    guidance={"pcm-1": 1.5, "pcm-2": 2.5},
+    far_prompt=0.3,
+    idle="a person waits",
+    provenance={"data": "none"},
+)
+SIZES = {"tokens": 4, "token_dim": 6, "text_dim": 8, "width": 8, "heads": 2, "hidden": 8, "blocks": 1}
+NORMALIZER = {"feature_mean": torch.arange(6.0), "feature_std": torch.ones(6)}
+
+
+def networks(seed=0):
+    """Stand-ins of any kind: a folder does not care what its networks compute."""
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(seed)
+        made = {
+            "rdm": LatentDenoiserConfig(**SIZES).build(),
+            "flow": LengthPredictorConfig(text_dim=8, width=8).build(),
+        }
+        return made | {name: LatentDenoiserConfig(**SIZES, guided=True).build() for name in ("pcm-1", "pcm-2")}
+
+
+def save(path, config=CONFIG, modules=None, normalizer=NORMALIZER):
+    modules = networks() if modules is None else modules
+    return save_stream_bundle(path, config, modules, normalizer, ["a", "b"], torch.eye(2, 8))
+
+
+@pytest.fixture
+def folder(tmp_path):
+    return save(tmp_path / "tiny-stream")
+
+
+def test_what_is_written_is_read(folder):
+    bundle = StreamBundle.find(folder)
+    assert dataclasses.replace(bundle.config, models={}) == CONFIG
+    assert bundle.config.denoisers == ("rdm", "pcm-1", "pcm-2")
+    assert bundle.config.steps("pcm") == (1, 2)
+    for name, module in networks().items():
+        for key, value in module.state_dict().items():
+            assert torch.equal(bundle.tensors(f"{name}.safetensors")[key], value.half())
+        assert bundle.module(name).config == module.config
+    assert torch.equal(bundle.normalizer["feature_mean"], NORMALIZER["feature_mean"])
+    assert bundle.captions.sentences == ("a", "b")
+    assert bundle.verify() == sum(p.stat().st_size for p in folder.iterdir() if p.name != "manifest.json")
+
+
+def test_the_same_networks_give_the_same_bytes(folder, tmp_path):
+    again = save(tmp_path / "again")
+    assert {p.name: p.read_bytes() for p in folder.iterdir()} == {p.name: p.read_bytes() for p in again.iterdir()}
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"network": "pcm-4"}, "'pcm-4' is none of rdm, pcm-1, pcm-2"),
+        ({"network": "flow"}, "'flow' is none of"),
+        ({"schedule": "round"}, "'round' is none of linear, cosine"),
+        ({"segment": 0}, "segment 0"),
+        ({"segment": 28.5}, "segment 28.5"),
+        ({"depth_cap": -1}, "depth_cap -1"),
+        ({"points": 501}, "points 501"),
+        ({"points": 1}, "student of more steps than the 1 points"),
+        ({"start": 11}, "start 11"),
+        ({"lag": 0}, "lag 0"),
+        ({"eta": float("nan")}, "eta nan"),
+        ({"fps": 0.0}, "frame rate"),
+        ({"guidance": {"pcm-1": 1.5}}, "'pcm-2' takes a guidance scale"),
+        ({"guidance": {"pcm-1": 1.5, "pcm-2": -1.0}}, "below 0"),
+        ({"guidance": {"pcm-1": 1.5, "pcm-2": 1.0, "pcm-8": 1.0}}, "not there"),
+    ],
+)
+def test_absurd_numbers_are_refused_before_anything_is_written(tmp_path, change, message):
+    with pytest.raises(FormatError, match=message):
+        save(tmp_path / "absurd", dataclasses.replace(CONFIG, **change))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_statistics_are_needed(tmp_path):
+    with pytest.raises(ValueError, match="lacks 'feature_std'"):
+        save(tmp_path / "none", normalizer={"feature_mean": torch.zeros(6)})
+
+
+def test_the_kinds_are_not_confused(folder, tmp_path, monkeypatch, capsys):
+    clips = tiny_bundle(tmp_path / "tiny-clips")
+    monkeypatch.setattr(model_folder, "shipped", lambda: {"tiny-clips": clips, "tiny-stream": folder})
+    with pytest.raises(InputError, match=r"'tiny-stream' is a stream model, for `moveset stream`.*: tiny-clips$"):
+        TextToMotion.from_pretrained("tiny-stream")
+    with pytest.raises(InputError, match=r"'tiny-clips' is a text-to-motion model, for `moveset gene.*: tiny-stream$"):
+        StreamBundle.find("tiny-clips")
+    assert main(["generate", "a person walks", "--model", str(folder), "-o", str(tmp_path / "a.bvh")]) == 2
+    err = capsys.readouterr().err
+    assert "tiny-clips" in err
+    assert err.count("\n") == 1
+
+
+def test_folders_that_name_no_task_are_of_text_to_motion(tmp_path):
+    folder = tiny_bundle(tmp_path / "old")
+    config = json.loads((folder / "config.json").read_text())
+    assert config.pop("task") == "text-to-motion"
+    before = Bundle(folder).config
+    assert type(before).parse(json.dumps(config).encode(), folder / "config.json") == before
+    with pytest.raises(FormatError, match="task 'dance'; this version knows text-to-motion, stream"):
+        type(before).parse(json.dumps(config | {"task": "dance"}).encode(), folder / "config.json")
+
+
+def test_models_lists_both_kinds(folder, tmp_path, monkeypatch, capsys):
+    clips = tiny_bundle(tmp_path / "tiny-clips")
+    monkeypatch.setattr(model_folder, "shipped", lambda: {"tiny-clips": clips, "rdm-small": folder})
+    assert main(["models", "--json"]) == 0
+    first, second = json.loads(capsys.readouterr().out)["models"]
+    assert (first["task"], second["task"]) == ("text-to-motion", "stream")
+    assert (first["default"], second["default"]) == (False, True)
+    assert second["network"] == "pcm-1"
+    assert second["segment_seconds"] == 0.6
+    assert set(second["networks"]) == {"rdm", "flow", "pcm-1", "pcm-2"}
+    assert main(["models"]) == 0
+    out = capsys.readouterr().out
+    assert "a stream by pcm-1, or by rdm, pcm-2  20 fps  0.6 s a segment" in out
+    assert "MotionPCM in 1/2/4 steps, LCM, teacher" in out
+
+
+def test_doctor_verifies_both_kinds(folder, tmp_path, monkeypatch):
+    from moveset.cli.doctor import _weights
+
+    monkeypatch.setattr(model_folder, "shipped", lambda: {"tiny-stream": folder})
+    assert set(_weights()) == {"tiny-stream (MB verified)"}
+    (folder / "flow.safetensors").write_bytes(b"")
+    with pytest.raises(FormatError, match=r"flow\.safetensors is damaged"):
+        _weights()
