@@ -141,6 +141,7 @@ class Loop:
         self.generators: dict[str, torch.Generator] = {}
         self._shared: set[str] = set()
         self._optimizers: dict[str, torch.optim.Optimizer] = {}
+        self._losses: dict[str, Tensor] = {}
 
     def generator(self, name: str, *, shared: bool = False, device: torch.device | str = "cpu") -> torch.Generator:
         """A new generator that is saved with every checkpoint.
@@ -175,15 +176,25 @@ class Loop:
         wanted = [parameter for parameter in _parameters(self._optimizers[optimizer]) if parameter.requires_grad]
         with torch.autocast(self.device.type, enabled=False):
             loss.backward(inputs=wanted)
+        # Gradients of several calls add up, and so must the losses that they belong to.
+        before = self._losses.get(optimizer)
+        self._losses[optimizer] = loss.detach() if before is None else before + loss.detach()
 
     def step(self, optimizer: str) -> Tensor:
-        """Averages gradients over processes, clips, steps, clears. Returns the gradient's norm before clipping."""
+        """Averages gradients over processes, clips, steps, clears. Returns the gradient's norm before clipping.
+
+        An optimiser with a true attribute ``wants_loss`` is given the sum of the losses since its last step.
+        """
         stepped = self._optimizers[optimizer]
         parameters = [parameter for parameter in _parameters(stepped) if parameter.requires_grad]
         if self.world_size > 1:
             self._average(parameters)
         norm = nn.utils.clip_grad_norm_(parameters, self.config.grad_clip or float("inf"))
-        stepped.step()
+        loss = self._losses.pop(optimizer, None)
+        if getattr(stepped, "wants_loss", False):
+            cast(Any, stepped).step(loss)
+        else:
+            stepped.step()
         stepped.zero_grad(set_to_none=True)
         return norm
 

@@ -1,0 +1,260 @@
+"""MoMo-Adam: Adam where it may be, Polyak's step where Adam would overshoot, and everything in the state dict."""
+
+import copy
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import torch
+from torch import nn
+
+from moveset.errors import InputError
+from moveset.training.engine import EngineConfig, Task, run
+from moveset.training.momo import MomoAdam
+from moveset.training.optim import flatten_optimizer, unflatten_optimizer
+from tests.training.momo_processes import main as one_process
+from tests.training.tiny_task import TinyConfig
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+
+
+def network(seed: int = 0) -> nn.Module:
+    torch.manual_seed(seed)
+    return nn.Sequential(nn.Linear(6, 16), nn.Tanh(), nn.Linear(16, 3))
+
+
+def losses(model: nn.Module, optimizer: torch.optim.Optimizer, steps: int, generator: torch.Generator) -> list[float]:
+    """Regression on fresh batches; Adam and MoMo-Adam alike."""
+    out = []
+    for _ in range(steps):
+        x = torch.randn(8, 6, generator=generator)
+        loss = (model(x) - x[:, :3].sin()).square().mean() + 0.3
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step(loss) if isinstance(optimizer, MomoAdam) else optimizer.step()
+        out.append(loss.item())
+    return out
+
+
+def quadratic(optimizer_of, steps: int = 300, least: float = 0.0) -> tuple[float, float, torch.optim.Optimizer]:
+    """Distances from the minimum of sum(a (x - 3)²) / 2 + least, badly scaled, on the way from zero: the largest one
+    and the last one; and the optimiser."""
+    curvature, distances = torch.tensor([1.0, 10.0, 100.0]), []
+    x = nn.Parameter(torch.zeros(3))
+    optimizer = optimizer_of([x])
+    for _ in range(steps):
+        loss = 0.5 * (curvature * (x - 3.0).square()).sum() + least
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step(loss) if isinstance(optimizer, MomoAdam) else optimizer.step()
+        distances.append((x - 3.0).abs().max().item())
+    return max(distances), distances[-1], optimizer
+
+
+@pytest.mark.parametrize("betas", [(0.9, 0.999), (0.0, 0.99)])
+def test_it_is_adam_to_the_last_bit_while_the_cap_does_not_bind(betas):
+    ours, theirs = network(), network()
+    one = MomoAdam(ours.parameters(), lr=1e-3, betas=betas)
+    two = torch.optim.Adam(theirs.parameters(), lr=1e-3, betas=betas, foreach=False)
+    losses(ours, one, 50, torch.Generator().manual_seed(1))
+    losses(theirs, two, 50, torch.Generator().manual_seed(1))
+    assert all(torch.equal(a, b) for a, b in zip(ours.parameters(), theirs.parameters(), strict=True))
+
+
+def test_the_cap_binds_where_a_step_of_adam_would_overshoot():
+    farthest, last, _ = quadratic(lambda p: MomoAdam(p, lr=1e2))
+    assert farthest <= 3.0
+    assert last < 1e-3
+    assert quadratic(lambda p: torch.optim.Adam(p, lr=1e2))[0] > 90.0
+
+
+@pytest.mark.parametrize("lr", [1e2, 1e-2])
+def test_the_first_step_is_the_closed_form(lr):
+    """k = 1: d = (1 - β1) g, F = (1 - β1) f, γ = (1 - β1) <g, x>, D = |g| + ε, so the cap is (f - f*) / <g, g / D>."""
+    start, bound, decay, eps = torch.tensor([2.0, -1.0, 0.5], dtype=torch.float64), 0.25, 0.1, 1e-8
+    x = nn.Parameter(start.clone())
+    optimizer = MomoAdam([x], lr=lr, weight_decay=decay, lower_bound=bound, eps=eps)
+    weights = torch.tensor([1.0, -4.0, 0.3], dtype=torch.float64)
+    loss = (weights * x).square().sum() + x.sum()
+    loss.backward()
+    optimizer.step(loss)
+    gradient = 2 * weights.square() * start + 1.0
+    scale, along = gradient.abs() + eps, gradient @ start
+    model = (1 + lr * decay) * (loss.item() - bound - along) + along
+    tau = min(lr / 0.1, max(0.0, model.item() * 0.1) / (0.01 * gradient @ (gradient / scale)).item())
+    want = (start - tau * 0.1 * gradient / scale) / (1 + lr * decay)
+    torch.testing.assert_close(x.detach(), want, rtol=1e-12, atol=1e-12)
+    assert (tau < lr / 0.1) == (lr == 1e2)
+
+
+def test_a_loss_at_its_bound_moves_nothing():
+    x = nn.Parameter(torch.tensor([1.0, 2.0]))
+    optimizer = MomoAdam([x], lr=1.0, lower_bound=5.0)
+    loss = x.square().sum()
+    loss.backward()
+    optimizer.step(loss)
+    assert x.tolist() == [1.0, 2.0]
+
+
+def test_a_gradient_of_zero_moves_nothing():
+    x = nn.Parameter(torch.tensor([1.0, 2.0]))
+    optimizer = MomoAdam([x, nn.Parameter(torch.ones(3))], lr=1.0)
+    for _ in range(3):
+        loss = (0.0 * x).sum() + 1.0
+        loss.backward()
+        optimizer.step(loss)
+    assert x.tolist() == [1.0, 2.0]
+
+
+def test_the_bound_is_estimated_where_it_is_unknown():
+    _, last, optimizer = quadratic(lambda p: MomoAdam(p, lr=1.0, estimate_bound=True), steps=400, least=40.0)
+    assert last < 1e-2
+    assert flatten_optimizer(optimizer)[0]["0/lower_bound"].item() == pytest.approx(40.0, abs=0.1)
+    _, _, optimizer = quadratic(lambda p: MomoAdam(p, lr=1.0), steps=5, least=40.0)
+    assert flatten_optimizer(optimizer)[0]["0/lower_bound"].item() == 0.0
+
+
+@pytest.mark.parametrize("estimate", [False, True])
+@pytest.mark.parametrize("lr", [0.05, 20.0])
+def test_many_steps_follow_the_published_recursion(lr, estimate):
+    """Algorithm 3 and its estimate of the bound, written out on one vector."""
+    beta1, beta2, eps, decay, start = 0.8, 0.95, 1e-8, 0.02, 2.0
+    table = torch.Generator().manual_seed(5)
+    targets = torch.randn(30, 4, generator=table, dtype=torch.float64)
+    x = torch.randn(4, generator=table, dtype=torch.float64)
+    parts = [nn.Parameter(part.clone()) for part in x.split([1, 3])]
+    optimizer = MomoAdam(parts, lr, (beta1, beta2), eps, decay, start, estimate)
+    d, v, mean, gamma, bound, capped = torch.zeros_like(x), torch.zeros_like(x), 0.0, 0.0, start, 0
+    for k, target in enumerate(targets, 1):
+        loss = (torch.cat(parts) - target).square().sum() + 5.0
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step(loss)
+
+        g, f = 2 * (x - target), (x - target).square().sum().item() + 5.0
+        d, v = beta1 * d + (1 - beta1) * g, beta2 * v + (1 - beta2) * g * g
+        mean, gamma = beta1 * mean + (1 - beta1) * f, beta1 * gamma + (1 - beta1) * float(g @ x)
+        scale, unit, rho = (v / (1 - beta2**k)).sqrt() + eps, 1 + lr * decay, 1 - beta1**k
+        norm, along = float(d @ (d / scale)), float(d @ x)
+        reach = unit * (mean - gamma) + along
+        if estimate and reach < unit * rho * bound:
+            bound = max(reach / (2 * unit * rho), start)
+        polyak = max(0.0, reach - unit * rho * bound) / norm
+        tau = min(lr / rho, polyak)
+        capped += polyak < lr / rho
+        if estimate:
+            bound = max((mean + along - gamma - tau * norm / 2) / rho, start)
+        x = (x - tau * d / scale) / unit
+        torch.testing.assert_close(torch.cat(parts).detach(), x, rtol=1e-9, atol=1e-9)
+    assert (0 if lr < 1 else 10) <= capped <= (15 if lr < 1 else 30)
+
+
+@pytest.mark.parametrize(
+    "settings", [{"lr": 1e2}, {"lr": 1e-2, "weight_decay": 0.1}, {"lr": 3.0, "estimate_bound": True}]
+)
+def test_ten_steps_are_five_a_round_trip_and_five(settings):
+    model, generator = network(), torch.Generator().manual_seed(1)
+    optimizer = MomoAdam(model.parameters(), **settings)
+    losses(model, optimizer, 5, generator)
+    twin, again = copy.deepcopy(model), generator.clone_state()
+    other = MomoAdam(twin.parameters())
+    tensors, rest = flatten_optimizer(optimizer)
+    unflatten_optimizer(other, {k: v.clone() for k, v in tensors.items()}, json.loads(json.dumps(rest)))
+    assert losses(model, optimizer, 5, generator) == losses(twin, other, 5, again)
+    assert all(torch.equal(a, b) for a, b in zip(model.parameters(), twin.parameters(), strict=True))
+    mine, theirs = flatten_optimizer(optimizer)[0], flatten_optimizer(other)[0]
+    assert mine.keys() == theirs.keys()
+    assert all(torch.equal(value, theirs[name]) for name, value in mine.items())
+
+
+class Regression(Task):
+    """One network, in two halves of a batch, by MoMo-Adam."""
+
+    name = "regression"
+
+    def __init__(self, loop, parts: int) -> None:
+        self.config, self.net, self.parts = TinyConfig(), network(), parts
+        self.optimizer = MomoAdam(self.net.parameters(), lr=10.0)
+        self.noise = loop.generator("noise")
+
+    def modules(self):
+        return {"net": self.net}
+
+    def optimizers(self):
+        return {"net": self.optimizer}
+
+    def training_step(self, step, loop):
+        for x in torch.randn(8, 6, generator=self.noise).chunk(self.parts):
+            loop.backward((self.net(x) - x[:, :3].sin()).square().mean() / self.parts, "net")
+        loop.step("net")
+        return {}
+
+
+def engine(folder: Path, steps: int, resume: bool = False, parts: int = 1) -> nn.Module:
+    made = []
+
+    def make(loop):
+        made.append(Regression(loop, parts))
+        return made[0]
+
+    config = EngineConfig(steps=steps, save_every=5, validate_every=0, device="cpu", tensorboard=False)
+    run(make, config, folder, resume)
+    return made[0].net
+
+
+def test_resuming_a_training_is_exact(tmp_path):
+    engine(tmp_path / "straight", 10)
+    engine(tmp_path / "halves", 5)
+    with pytest.warns(UserWarning, match="steps 5 -> 10"):
+        engine(tmp_path / "halves", 10, resume=True)
+    straight = {file.name: file.read_bytes() for file in (tmp_path / "straight" / "step_10").iterdir()}
+    assert straight == {file.name: file.read_bytes() for file in (tmp_path / "halves" / "step_10").iterdir()}
+
+
+def test_losses_of_an_accumulated_gradient_add_up(tmp_path):
+    whole, halves = engine(tmp_path / "whole", 8), engine(tmp_path / "halves", 8, parts=2)
+    for one, other in zip(whole.parameters(), halves.parameters(), strict=True):
+        torch.testing.assert_close(one, other, rtol=1e-3, atol=1e-4)
+
+
+@pytest.mark.timeout(600)
+def test_replicas_stay_equal_although_their_losses_differ(tmp_path):
+    command = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2"]
+    environment = {**os.environ, "PYTHONPATH": str(REPOSITORY), "OMP_NUM_THREADS": "1"}
+    done = subprocess.run(
+        [*command, "-m", "tests.training.momo_processes", str(tmp_path)],
+        env=environment, cwd=REPOSITORY, capture_output=True, text=True, timeout=280,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr[-3000:]
+    said = [json.loads((tmp_path / f"rank_{rank}.json").read_text()) for rank in (0, 1)]
+    assert said[0]["losses"] != said[1]["losses"]
+    assert said[0]["parameters"] == said[1]["parameters"]
+    assert said[0]["state"] == said[1]["state"]
+    one_process(tmp_path)
+    alone = json.loads((tmp_path / "rank_0.json").read_text())
+    assert alone["parameters"] == pytest.approx(said[0]["parameters"], rel=1e-3, abs=1e-4)
+
+
+def test_two_groups_are_refused():
+    groups = [{"params": [nn.Parameter(torch.ones(1))]} for _ in range(2)]
+    with pytest.raises(InputError, match="one group of parameters"):
+        MomoAdam(groups)
+
+
+@pytest.mark.parametrize(
+    ("setting", "words"),
+    [
+        ({"lr": 0.0}, "learning rate"),
+        ({"lr": float("nan")}, "learning rate"),
+        ({"betas": (1.0, 0.9)}, "beta1"),
+        ({"betas": (0.9, -0.1)}, "beta2"),
+        ({"eps": -1e-8}, "eps"),
+        ({"weight_decay": -1.0}, "weight_decay"),
+    ],
+)
+def test_nonsense_is_refused(setting, words):
+    with pytest.raises(InputError, match=words):
+        MomoAdam([nn.Parameter(torch.ones(1))], **setting)
