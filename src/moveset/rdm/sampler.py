@@ -1,0 +1,364 @@
+"""The samplers of RDM: a sequence at once, or a stream without end, both by the same staircase.
+
+The state of a segment is kept in y-space, where it is diffused like any other; it is pushed through the flow when the
+network looks at it, and the network's clean segment is pulled back. All segments of a wave are one batch: the rows of
+the batch are grouped by segment, oldest first, with one row for every item within. Noise is keyed by item, segment and
+step, so neither the order of evaluation nor the batch changes a sample.
+
+Shapes: B items, N segments, n frames of a segment, D features, C text width; in the networks' calls B counts rows.
+Source: RDM (arXiv 2406.07169), Algorithm 1, with the prediction (not its noise) pulled back through the flow.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+from typing import Any, Literal, get_args
+
+import torch
+from torch import Tensor
+
+from moveset.diffusion.schedule import Schedule
+from moveset.diffusion.steps import add_noise, denoise_step
+from moveset.errors import InputError
+from moveset.rdm.noise import ENTRY, START, noise_of_items
+from moveset.rdm.staircase import Cell, Staircase
+from moveset.rdm.transport import Transport
+
+# x_BnD, t_B, prev_BnD, prev_t_B, index_B and the segment number of each row -> clean x_BnD. The text is bound inside.
+Denoiser = Callable[[Tensor, Tensor, Tensor, Tensor, Tensor, Sequence[int]], Tensor]
+InitNoise = Literal["shared", "independent"]
+Entry = Literal["copy", "refreshed"]
+Order = Literal["wavefront", "rows"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settings:
+    """How cells become samples.
+
+    Args:
+        schedule: the noise schedule; its time 0 is clean.
+        levels: K + 1 falling levels of it, the last 0: ``staircase.levels(K)``, or the phase edges of a student.
+        staircase: the plan, of K steps.
+        eta: share of fresh noise in every step: 0 is DDIM, 1 is DDPM.
+        init_noise: whether a segment that enters at the first step begins with its left neighbour's noise or its own.
+            Without fresh noise in the steps, shared noise keeps the segments correlated.
+        entry: what a segment that enters later begins with: a copy of its left neighbour's state in y-space, or the
+            neighbour's current clean estimate with fresh noise.
+
+    Raises:
+        InputError: levels that do not fit the staircase or the schedule, or an option out of range.
+    """
+
+    schedule: Schedule
+    levels: tuple[int, ...]
+    staircase: Staircase
+    eta: float = 0.0
+    init_noise: InitNoise = "independent"
+    entry: Entry = "copy"
+
+    def __post_init__(self) -> None:
+        if len(self.levels) != self.staircase.steps + 1:
+            count = self.staircase.steps
+            raise InputError(f"{len(self.levels)} levels do not make {count} steps; give one more level than steps")
+        falling = all(t > s for t, s in pairwise(self.levels))
+        if not (falling and self.levels[-1] == 0 and self.levels[0] < len(self.schedule)):
+            raise InputError(f"levels must fall from at most {len(self.schedule) - 1} to 0; got {self.levels}")
+        if not 0.0 <= self.eta <= 1.0:
+            raise InputError(f"eta {self.eta} is not in 0 (DDIM) to 1 (DDPM)")
+        for name, kind in (("init_noise", InitNoise), ("entry", Entry)):
+            if getattr(self, name) not in get_args(kind):
+                raise InputError(f"{name} {getattr(self, name)!r} is not one of {', '.join(get_args(kind))}")
+
+
+@dataclass(eq=False)
+class StreamState:
+    """All that a sampler remembers: with the same settings and seeds, what continues it to the last bit.
+
+    Attributes:
+        wave: waves done.
+        calls: network evaluations done, of one segment each.
+        finished: segments finished; the next one is the oldest in work.
+        steps: step that each segment in work has reached, oldest first.
+        y: (B, n, D) state of each in y-space.
+        pooled: (B, C) sentence embedding of each.
+        left: (B, n, D) the last finished segment, clean, in x-space.
+        waiting: (B, n, D) in y-space, what the next segment will begin with.
+    """
+
+    wave: int = 0
+    calls: int = 0
+    finished: int = 0
+    steps: list[int] = field(default_factory=list)
+    y: list[Tensor] = field(default_factory=list)
+    pooled: list[Tensor] = field(default_factory=list)
+    left: Tensor | None = None
+    waiting: Tensor | None = None
+
+    @property
+    def entered(self) -> int:
+        """Segments that have entered; also the number of the next one."""
+        return self.finished + len(self.steps)
+
+    @property
+    def active(self) -> range:
+        """Numbers of the segments in work."""
+        return range(self.finished, self.entered)
+
+    def copy(self) -> "StreamState":
+        """An independent copy; tensors are shared, since none is ever written to."""
+        lists = {"steps": [*self.steps], "y": [*self.y], "pooled": [*self.pooled]}
+        return StreamState(self.wave, self.calls, self.finished, left=self.left, waiting=self.waiting, **lists)  # type: ignore[arg-type]
+
+    def numbers(self) -> dict[str, Any]:
+        """Everything but the tensors, for JSON."""
+        return {"wave": self.wave, "calls": self.calls, "finished": self.finished, "steps": [*self.steps]}
+
+    def tensors(self) -> dict[str, Tensor]:
+        """The tensors by name, each with memory of its own, for safetensors."""
+        named = {f"y.{k}": y for k, y in enumerate(self.y)} | {f"pooled.{k}": p for k, p in enumerate(self.pooled)}
+        named |= {name: held for name in ("left", "waiting") if (held := getattr(self, name)) is not None}
+        return {name: held.clone() for name, held in named.items()}
+
+    @classmethod
+    def restore(cls, numbers: dict[str, Any], tensors: dict[str, Tensor]) -> "StreamState":
+        """The state of which these are the ``numbers`` and ``tensors``."""
+        y, pooled = ([tensors[f"{name}.{k}"] for k in range(len(numbers["steps"]))] for name in ("y", "pooled"))
+        return cls(
+            numbers["wave"], numbers["calls"], numbers["finished"], [*numbers["steps"]], y, pooled,
+            tensors.get("left"), tensors.get("waiting"),
+        )  # fmt: skip
+
+
+class Stream(Iterator[Tensor]):
+    """Finished segments (B, n, D), one after the other; see ``stream``.
+
+    Attributes:
+        progress: the live state; ``state`` is a copy to keep.
+    """
+
+    def __init__(
+        self,
+        denoiser: Denoiser,
+        transport: Transport,
+        settings: Settings,
+        seeds: Sequence[int],
+        shape: tuple[int, int],
+        enter: Callable[[int], Tensor | None],
+        state: StreamState | None = None,
+        device: torch.device | str = "cpu",
+    ) -> None:
+        self._denoiser, self._transport, self._enter_text = denoiser, transport, enter
+        self._settings, self._plan = settings, settings.staircase
+        self._seeds, self._shape, self._device = tuple(seeds), tuple(shape), device
+        self.progress = StreamState() if state is None else state.copy()
+
+    @property
+    def state(self) -> StreamState:
+        """A copy of what the stream remembers; hand it to a new stream of the same settings to continue there."""
+        return self.progress.copy()
+
+    def __next__(self) -> Tensor:
+        now = self.progress
+        while self._plan.segments is None or now.finished < self._plan.segments:
+            if not self._plan.denoised(now.finished):
+                return self._flow_on()
+            done = self.evaluate(self._plan.wave(now.wave, first=now.finished))
+            now.wave += 1
+            if done is not None:
+                return done
+        raise StopIteration
+
+    @torch.no_grad()
+    def evaluate(self, cells: Sequence[Cell]) -> Tensor | None:
+        """Evaluates cells in one batch, all from the state before; the segment that was finished by it, if any.
+
+        Every cell's left neighbour must be ``lag`` steps ahead, or finished.
+        """
+        now, settings, last = self.progress, self._settings, self._plan.steps
+        segments, steps = [segment for segment, _ in cells], [step for _, step in cells]
+        for segment in segments:
+            if segment == now.entered:
+                self._enter(segment)
+        # What the network sees of a segment in work is pushed once, for itself and for its right neighbour.
+        seen = [j for j in now.active if j in segments or j + 1 in segments]
+        x = dict(zip(seen, self._by_segment(self._transport.push(*self._rows(seen))), strict=True))
+        prev = [x.get(j - 1, now.left) for j in segments]
+        y_BnD, index_B, pooled_BC = self._rows(segments)
+        t_B = self._levels(steps)
+        x0_BnD = self._denoiser(
+            torch.cat([x[j] for j in segments]),
+            t_B,
+            torch.cat([torch.zeros_like(y_BnD[: len(self._seeds)]) if held is None else held for held in prev]),
+            self._levels([min(k + self._plan.lag, last) if j else last for j, k in cells]),
+            index_B,
+            [j for j in segments for _ in self._seeds],
+        ).to(y_BnD.dtype)
+        y0_BnD = self._transport.pull(x0_BnD, index_B, pooled_BC)
+        s_B = self._levels([k + 1 for k in steps])
+        stepped = denoise_step(settings.schedule, y_BnD, y0_BnD, t_B, s_B, settings.eta, self._noise(segments, steps))
+        now.calls += len(segments)
+        return self._advance(segments, *(self._by_segment(z) for z in (stepped, y0_BnD, x0_BnD)))
+
+    def _advance(
+        self, segments: list[int], y: Sequence[Tensor], y0: Sequence[Tensor], x0: Sequence[Tensor]
+    ) -> Tensor | None:
+        now = self.progress
+        last = now.entered - 1
+        for j, stepped, estimate in zip(segments, y, y0, strict=True):
+            k = j - now.finished
+            now.y[k], now.steps[k] = stepped, now.steps[k] + 1
+            if j == last:
+                self._leave_for_the_next(estimate)
+        if now.steps[0] < self._plan.steps:
+            return None
+        # Only the oldest can be finished: each segment ends after its left neighbour.
+        now.left = x0[segments.index(now.finished)].clone()
+        now.finished += 1
+        del now.steps[0], now.y[0], now.pooled[0]
+        return now.left
+
+    def _enter(self, segment: int) -> None:
+        now, settings, at = self.progress, self._settings, self._plan.entry(segment)
+        text = self._enter_text(segment)
+        now.pooled.append(torch.zeros(len(self._seeds), 0, device=self._device) if text is None else text)
+        if segment == 0 or (at == 0 and settings.init_noise == "independent"):
+            y = noise_of_items(self._seeds, segment, START, self._shape).to(self._device)
+        else:
+            assert now.waiting is not None
+            y = now.waiting
+            if at and settings.entry == "refreshed":
+                fresh = noise_of_items(self._seeds, segment, ENTRY, self._shape).to(y)
+                y = add_noise(settings.schedule, y, fresh, self._levels([at]))
+        now.steps.append(at)
+        now.y.append(y)
+        now.waiting = None
+        self._leave_for_the_next(None)
+
+    def _leave_for_the_next(self, estimate: Tensor | None) -> None:
+        """Keeps of the last segment what the next one to enter begins with, once it is there."""
+        now, settings = self.progress, self._settings
+        if not self._plan.has(now.entered):
+            return
+        at = self._plan.entry(now.entered)
+        if at and settings.entry == "refreshed":
+            now.waiting = None if estimate is None else estimate.clone()
+        elif now.steps[-1] == at and (at or settings.init_noise == "shared"):
+            now.waiting = now.y[-1].clone()  # not a view that keeps a whole wave
+
+    @torch.no_grad()
+    def _flow_on(self) -> Tensor:
+        """A segment of the flow alone: f of the finished one before it."""
+        now, flow = self.progress, self._transport.flow
+        text = self._enter_text(now.finished)
+        assert now.left is not None
+        if flow is not None:
+            assert text is not None
+            index_B = torch.full((len(self._seeds),), now.finished, device=self._device)
+            now.left = flow(now.left, flow.context(text, index_B))
+        now.finished += 1
+        return now.left
+
+    def _rows(self, segments: Sequence[int]) -> tuple[Tensor, Tensor, Tensor]:
+        """State, segment number and sentence embedding of the rows of these segments."""
+        now, items = self.progress, len(self._seeds)
+        places = [j - now.finished for j in segments]
+        index_B = torch.tensor(segments, device=self._device).repeat_interleave(items)
+        return torch.cat([now.y[k] for k in places]), index_B, torch.cat([now.pooled[k] for k in places])
+
+    def _by_segment(self, rows: Tensor) -> tuple[Tensor, ...]:
+        return rows.split(len(self._seeds))
+
+    def _levels(self, steps: Sequence[int]) -> Tensor:
+        of_segments = torch.tensor([self._settings.levels[k] for k in steps], device=self._device)
+        return of_segments.repeat_interleave(len(self._seeds))
+
+    def _noise(self, segments: Sequence[int], steps: Sequence[int]) -> Tensor | None:
+        if not self._settings.eta:
+            return None
+        zeros = torch.zeros(len(self._seeds), *self._shape)  # the step to a clean level has no noise
+        drawn = [
+            noise_of_items(self._seeds, j, k, self._shape) if k + 1 < self._plan.steps else zeros
+            for j, k in zip(segments, steps, strict=True)
+        ]
+        return torch.cat(drawn).to(self._device)
+
+
+def stream(
+    denoiser: Denoiser,
+    transport: Transport,
+    schedule: Schedule,
+    levels: tuple[int, ...],
+    staircase: Staircase,
+    seeds: Sequence[int],
+    shape: tuple[int, int],
+    enter: Callable[[int], Tensor | None],
+    *,
+    eta: float = 0.0,
+    init_noise: InitNoise = "independent",
+    entry: Entry = "copy",
+    state: StreamState | None = None,
+    device: torch.device | str = "cpu",
+) -> Stream:
+    """Segments one after the other, in constant memory: the state of those in work and one finished segment.
+
+    Args:
+        denoiser: see the module. Its rows say which segments they are, so that it can bind each one's text.
+        transport: the flow, or the identity.
+        schedule: the noise schedule, with a clean time 0.
+        levels: K + 1 falling noise levels.
+        staircase: the plan; ``segments=None`` never ends.
+        seeds: one for every item.
+        shape: (n, D) of a segment.
+        enter: called with the number of each segment just before its first evaluation; returns its text's sentence
+            embeddings (B, C) for the flow, None where there is no flow.
+        eta, init_noise, entry: see ``Settings``.
+        state: where an earlier stream of the same settings and seeds was left.
+        device: where to compute; noise is always drawn on the CPU.
+
+    Raises:
+        InputError: settings that do not fit together.
+    """
+    settings = Settings(
+        schedule=schedule, levels=levels, staircase=staircase, eta=eta, init_noise=init_noise, entry=entry
+    )
+    return Stream(denoiser, transport, settings, seeds, shape, enter, state, device)
+
+
+def sample(
+    denoiser: Denoiser,
+    transport: Transport,
+    schedule: Schedule,
+    levels: tuple[int, ...],
+    staircase: Staircase,
+    seeds: Sequence[int],
+    shape: tuple[int, int],
+    pooled: Sequence[Tensor] | None = None,
+    *,
+    eta: float = 0.0,
+    init_noise: InitNoise = "independent",
+    entry: Entry = "copy",
+    order: Order = "wavefront",
+    device: torch.device | str = "cpu",
+) -> Tensor:
+    """N segments (B, N, n, D).
+
+    Args:
+        pooled: (B, C) sentence embeddings of every segment, for the flow; None where there is no flow.
+        order: "wavefront" evaluates all cells that can be at once as one batch; "rows" goes one by one, noise level by
+            noise level, with the same result and calls.
+        others: as for ``stream``.
+
+    Raises:
+        InputError: settings that do not fit together, or a staircase without end.
+    """
+    if staircase.segments is None:
+        raise InputError("a sample needs a number of segments; use a stream for one without end")
+    run = stream(
+        denoiser, transport, schedule, levels, staircase, seeds, shape,
+        (lambda segment: None) if pooled is None else pooled.__getitem__,
+        eta=eta, init_noise=init_noise, entry=entry, device=device,
+    )  # fmt: skip
+    done = []
+    if order == "rows":
+        done = [segment for cell in staircase.rows() if (segment := run.evaluate((cell,))) is not None]
+    return torch.stack([*done, *run], dim=1)
