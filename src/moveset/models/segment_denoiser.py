@@ -1,0 +1,363 @@
+"""The published segment denoiser: MotionDiffuse's linear-attention transformer that also sees the segment before.
+
+With ``prev="none"`` and ``max_index=0`` it is MotionDiffuse's own network, whose one segment is the whole clip
+("volume", 196 frames). RDM's recurrence adds two inputs: the number of the segment, and the previous segment at its
+own noise level. Whether the output is read as the clean segment (RDM) or as the noise (MotionDiffuse) is up to whoever
+trains it.
+
+Shapes: B batch, n frames of the segment, m frames of the previous one, D features, L text tokens, C text channels,
+M memory, P previous-segment width, W width, E conditioning width, H heads, d width of a head.
+Source: MotionDiffuse (arXiv 2208.15001), efficient attention (arXiv 1812.01243), RDM (arXiv 2406.07169). How RDM reads
+the previous segment is not published; one more cross-attention a layer is what its operation counts point to.
+"""
+
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as fn
+
+from moveset.diffusion.guidance import guidance_embedding
+from moveset.errors import InputError
+from moveset.models.layers import Block, TimeEmbedding
+from moveset.models.registry import register, require_range
+
+PREVIOUS = ("none", "xattn", "channel", "token")
+ATTENTION = ("linear", "softmax")
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class SegmentDenoiserConfig:
+    """Sizes of a ``SegmentDenoiser``; the defaults are MotionDiffuse on HumanML3D (KIT-ML: ``features=251``).
+
+    Args:
+        features: D.
+        frames: the longest segment, which is also the longest previous one.
+        text_dim: C of the token states: 512 for CLIP ViT-B/32, 384 for MiniLM.
+        conditioning: E, the width in which time, segment number and summary of the text are added up.
+        attention: "linear" (published) or "softmax".
+        read_padding: read the text's padding as well, as published (CLIP's 77 positions); the mask then only says
+            where the text ends. False: padding does not matter.
+        prev: how the previous segment is read. "none": not at all. "xattn": by one more cross-attention a layer, to an
+            encoding ``prev_width`` wide (1.24 times the operations at 28 frames). "channel": frame k beside frame k
+            (1.01). "token": as frames ahead of the segment's own (1.74).
+        boundary: with "xattn", the last so many frames of the previous segment are given once more as tokens of their
+            own, for a smooth join.
+        max_index: larger segment numbers count as this one; 0: the number is not an input.
+        guided: adds the guidance-scale embedding of the students.
+    """
+
+    features: int = 263
+    frames: int = 196
+    text_dim: int = 512
+    width: int = 512
+    layers: int = 8
+    heads: int = 8
+    feed_forward: int = 1024
+    conditioning: int = 2048
+    dropout: float = 0.0
+    attention: str = "linear"
+    text_width: int = 256
+    text_layers: int = 4
+    text_heads: int = 4
+    text_feed_forward: int = 2048
+    read_padding: bool = False
+    prev: str = "none"
+    prev_width: int = 256
+    boundary: int = 0
+    max_index: int = 0
+    guided: bool = False
+    guidance_waves: int = 256
+
+    def __post_init__(self) -> None:
+        for name in ("features", "text_dim", "feed_forward", "conditioning", "text_feed_forward"):
+            require_range(name, getattr(self, name), 1, 16384)
+        for name in ("width", "text_width", "prev_width"):
+            require_range(name, getattr(self, name), 2, 16384)
+        require_range("frames", self.frames, 1, 4096)
+        require_range("layers", self.layers, 1, 64)
+        require_range("text_layers", self.text_layers, 0, 64)
+        require_range("heads", self.heads, 1, self.width)
+        require_range("text_heads", self.text_heads, 1, self.text_width)
+        require_range("dropout", self.dropout, 0.0, 0.9)
+        require_range("boundary", self.boundary, 0, self.frames)
+        require_range("max_index", self.max_index, 0, 4096)
+        require_range("guidance_waves", self.guidance_waves, 4, 4096)
+        require_range("width modulo heads", self.width % self.heads, 0, 0)
+        require_range("width modulo 2", self.width % 2, 0, 0)
+        require_range("text_width modulo text_heads", self.text_width % self.text_heads, 0, 0)
+        for name, known in (("prev", PREVIOUS), ("attention", ATTENTION)):
+            if getattr(self, name) not in known:
+                raise InputError(f"{name} = {getattr(self, name)!r} is not known; choose one of {', '.join(known)}")
+        if self.prev != "none" and self.max_index == 0:
+            raise InputError(f"prev = {self.prev!r} needs max_index >= 1: segment 0 has no previous segment")
+        if self.boundary and self.prev != "xattn":
+            raise InputError(f"boundary = {self.boundary} needs prev = 'xattn', but prev is {self.prev!r}")
+
+    def build(self) -> "SegmentDenoiser":
+        """The module with fresh weights."""
+        return SegmentDenoiser(self)
+
+
+@dataclass(frozen=True, eq=False)
+class TextStates:
+    """A prompt after the text layers: states (B, L, C'), mask (B, L) or None to read all, summary (B, E)."""
+
+    states: Tensor
+    mask: Tensor | None
+    summary: Tensor
+
+
+class SegmentDenoiser(nn.Module):
+    """Predicts a segment from a noisy one, the text, its number and the segment before it."""
+
+    def __init__(self, config: SegmentDenoiserConfig) -> None:
+        super().__init__()
+        self.config = c = config
+        self.text_in = nn.Linear(c.text_dim, c.text_width)
+        self.text_blocks = nn.ModuleList(
+            Block(c.text_width, c.text_heads, c.text_feed_forward, c.dropout, cross=False) for _ in range(c.text_layers)
+        )
+        self.text_norm = nn.LayerNorm(c.text_width)
+        self.text_summary = nn.Linear(c.text_width, c.conditioning)
+
+        self.frames_in = nn.Linear(c.features, c.width)
+        self.position = nn.Parameter(torch.randn(c.frames, c.width))
+        self.time = TimeEmbedding(c.conditioning, c.width, c.guidance_waves if c.guided else None)
+        self.index = TimeEmbedding(c.conditioning, c.width, None) if c.max_index else None
+        prev_width = c.prev_width if c.prev == "xattn" else c.width
+        self.previous = Previous(c, prev_width) if c.prev != "none" else None
+        self.layers = nn.ModuleList(Layer(c) for _ in range(c.layers))
+        self.out = zeroed(nn.Linear(c.width, c.features))
+
+    def read(self, tokens_BLC: Tensor, mask_BL: Tensor) -> TextStates:
+        """The text layers: they depend on neither time nor noise, so a prompt needs them once.
+
+        Args:
+            tokens_BLC: token states of a frozen text encoder.
+            mask_BL: True at real tokens. The summary is taken at the last True position: for CLIP that is the
+                end-of-text token, whose state is CLIP's own summary. A row without any True reads one zero token.
+        """
+        length = mask_BL.shape[1]
+        last_B = (mask_BL * torch.arange(length, device=mask_BL.device)).amax(dim=1)
+        mask = None
+        if not self.config.read_padding:
+            tokens_BLC = tokens_BLC.masked_fill(~mask_BL[..., None], 0.0)
+            empty = ~mask_BL.any(dim=1, keepdim=True)
+            mask = mask_BL | (empty & (torch.arange(length, device=mask_BL.device) == 0))
+        x = self.text_in(tokens_BLC)
+        for block in self.text_blocks:
+            x = block(x, mask, None)
+        x = self.text_norm(x)
+        return TextStates(x, mask, self.text_summary(x[torch.arange(len(x), device=x.device), last_B]))
+
+    def forward(
+        self,
+        x_BnD: Tensor,
+        t_B: Tensor,
+        prev_BmD: Tensor,
+        prev_t_B: Tensor,
+        index_B: Tensor,
+        tokens_BLC: Tensor,
+        mask_BL: Tensor,
+        w_B: Tensor | None = None,
+        mask_Bn: Tensor | None = None,
+        taps: list[Tensor] | None = None,
+    ) -> Tensor:
+        """The predicted segment (B, n, D), normalised features.
+
+        Args:
+            x_BnD: noisy segment.
+            t_B: (B,) its noise level, 0 (clean) to 1000.
+            prev_BmD: the previous segment, in full; ignored without a ``prev`` and in rows of index 0.
+            prev_t_B: (B,) its noise level.
+            index_B: (B,) segment number from 0.
+            tokens_BLC: text token states.
+            mask_BL: True at real tokens, see ``read``.
+            w_B: (B,) guidance scale, for students (``guided``) and only for them.
+            mask_Bn: True at frames of the clip; the others do not matter and their output means nothing. None: all.
+            taps: a list that receives every layer's output (B, n, W).
+
+        Raises:
+            InputError: a segment longer than ``frames``, a previous one of unfit length, or a guidance scale where
+                none belongs (or the reverse).
+        """
+        text = self.read(tokens_BLC, mask_BL)
+        return self.denoise(x_BnD, t_B, prev_BmD, prev_t_B, index_B, text, w_B, mask_Bn, taps)
+
+    def denoise(
+        self,
+        x_BnD: Tensor,
+        t_B: Tensor,
+        prev_BmD: Tensor,
+        prev_t_B: Tensor,
+        index_B: Tensor,
+        text: TextStates,
+        w_B: Tensor | None = None,
+        mask_Bn: Tensor | None = None,
+        taps: list[Tensor] | None = None,
+    ) -> Tensor:
+        """As ``forward``, for text that was read before."""
+        c, n = self.config, x_BnD.shape[1]
+        require_length("segment", n, c.frames)
+        w_BG = None if w_B is None else guidance_embedding(w_B, c.guidance_waves)
+        condition = self.time(t_B, w_BG) + text.summary
+        if self.index is not None:
+            condition = condition + self.index(index_B.clamp(max=c.max_index), None)
+        condition = fn.silu(condition)
+
+        if mask_Bn is not None:
+            x_BnD = x_BnD.masked_fill(~mask_Bn[..., None], 0.0)
+        x = self.frames_in(x_BnD) + self.position[:n]
+        mask, before = mask_Bn, None
+        if self.previous is not None:
+            before = self.previous(prev_BmD, prev_t_B, index_B == 0)
+        if before is not None and c.prev == "channel":
+            if before.shape[1] != n:
+                raise InputError(
+                    f"prev = 'channel' pairs frames, but the previous segment has {before.shape[1]} and this one {n}"
+                )
+            x = x + before
+        elif before is not None and c.prev == "token":
+            x = torch.cat((before, x), dim=1)
+            if mask_Bn is not None:
+                mask = torch.cat((mask_Bn.new_ones(before.shape[:2]), mask_Bn), dim=1)
+        for layer in self.layers:
+            x = layer(x, mask, text, before, condition)
+            if taps is not None:
+                taps.append(x[:, -n:])
+        return self.out(x[:, -n:])
+
+    def student(self) -> "SegmentDenoiser":
+        """A copy with a guidance embedding that changes nothing yet: the start of distillation."""
+        out = replace(self.config, guided=True).build().to(self.position)
+        out.load_state_dict({**out.state_dict(), **self.state_dict()})
+        return out.train(self.training)
+
+
+class Previous(nn.Module):
+    """The previous segment as tokens (B, m, P): its frames, their positions and noise level; or a learned null."""
+
+    def __init__(self, config: SegmentDenoiserConfig, width: int) -> None:
+        super().__init__()
+        self.boundary = config.boundary
+        self.frames_in = nn.Linear(config.features, width)
+        self.position = nn.Parameter(torch.randn(config.frames, width))
+        self.level = TimeEmbedding(width, config.width, None)
+        self.null = nn.Parameter(torch.randn(width))
+        if config.boundary:
+            self.boundary_in = nn.Linear(config.features, width)
+            self.boundary_position = nn.Parameter(torch.randn(config.boundary, width))
+
+    def forward(self, prev_BmD: Tensor, prev_t_B: Tensor, first_B: Tensor) -> Tensor:
+        """Tokens; rows of a first segment are the null, whatever stands in prev.
+
+        Raises:
+            InputError: more frames than positions.
+        """
+        require_length("previous segment", prev_BmD.shape[1], len(self.position))
+        first = first_B[:, None, None]
+        prev = prev_BmD.masked_fill(first, 0.0)
+        tokens = self.frames_in(prev) + self.position[: prev.shape[1]]
+        if self.boundary:
+            # A previous segment shorter than the boundary gives what it has, the newest at the last place.
+            last = self.boundary_in(prev[:, -self.boundary :])
+            tokens = torch.cat((tokens, last + self.boundary_position[-last.shape[1] :]), dim=1)
+        return torch.where(first, self.null, tokens + self.level(prev_t_B, None)[:, None])
+
+
+class Layer(nn.Module):
+    """Frames attend to each other, to the text and to the previous segment, then feed forward; each step stylized."""
+
+    def __init__(self, config: SegmentDenoiserConfig) -> None:
+        super().__init__()
+        c = config
+        self.itself, self.itself_out = Attention(c, None), Stylization(c)
+        self.text, self.text_out = Attention(c, c.text_width), Stylization(c)
+        self.before = Attention(c, c.prev_width) if c.prev == "xattn" else None
+        self.before_out = Stylization(c) if c.prev == "xattn" else None
+        self.inward, self.outward = nn.Linear(c.width, c.feed_forward), zeroed(nn.Linear(c.feed_forward, c.width))
+        self.feed_out = Stylization(c)
+        self.dropout = nn.Dropout(c.dropout)
+
+    def forward(
+        self, x_BnW: Tensor, mask_Bn: Tensor | None, text: TextStates, before_BmP: Tensor | None, condition_BE: Tensor
+    ) -> Tensor:
+        x = x_BnW + self.itself_out(self.itself(x_BnW, None, mask_Bn), condition_BE)
+        x = x + self.text_out(self.text(x, text.states, text.mask), condition_BE)
+        if self.before is not None and self.before_out is not None:
+            x = x + self.before_out(self.before(x, before_BmP, None), condition_BE)
+        fed = self.outward(self.dropout(fn.gelu(self.inward(x))))
+        return x + self.feed_out(fed, condition_BE)
+
+
+class Attention(nn.Module):
+    """Pre-norm attention to the frames themselves or to a memory; the projection after it is the stylization's."""
+
+    def __init__(self, config: SegmentDenoiserConfig, memory: int | None) -> None:
+        super().__init__()
+        self.heads, self.mix = config.heads, linear_attention if config.attention == "linear" else softmax_attention
+        self.norm = nn.LayerNorm(config.width)
+        self.memory_norm = None if memory is None else nn.LayerNorm(memory)
+        self.query = nn.Linear(config.width, config.width)
+        self.keys = nn.Linear(memory or config.width, config.width)
+        self.values = nn.Linear(memory or config.width, config.width)
+
+    def forward(self, x_BnW: Tensor, memory_BMC: Tensor | None, mask_BM: Tensor | None) -> Tensor:
+        x = self.norm(x_BnW)
+        memory = x if memory_BMC is None or self.memory_norm is None else self.memory_norm(memory_BMC)
+        q, k, v = (
+            part.unflatten(-1, (self.heads, -1)) for part in (self.query(x), self.keys(memory), self.values(memory))
+        )
+        return self.mix(q, k, v, mask_BM).flatten(2)
+
+
+class Stylization(nn.Module):
+    """Scale and shift by the conditioning, SiLU, and a projection that starts at zero: a fresh layer does nothing."""
+
+    def __init__(self, config: SegmentDenoiserConfig) -> None:
+        super().__init__()
+        self.modulate = nn.Linear(config.conditioning, 2 * config.width)
+        self.norm = nn.LayerNorm(config.width)
+        self.dropout = nn.Dropout(config.dropout)
+        self.out = zeroed(nn.Linear(config.width, config.width))
+
+    def forward(self, x_BnW: Tensor, condition_BE: Tensor) -> Tensor:
+        scale, shift = self.modulate(condition_BE)[:, None].chunk(2, dim=-1)
+        return self.out(self.dropout(fn.silu(self.norm(x_BnW) * (1 + scale) + shift)))
+
+
+def linear_attention(q_BnHd: Tensor, k_BMHd: Tensor, v_BMHd: Tensor, mask_BM: Tensor | None) -> Tensor:
+    """softmax_d(q) (softmax_M(k)^T v): linear in n and M, since keys meet values first. (B, n, H, d)
+
+    The mask is True at entries to be read; a row that has none gives zero.
+    """
+    if mask_BM is not None:
+        away = ~mask_BM[:, :, None, None]
+        # Not minus infinity: a row without entries would become NaN.
+        k_BMHd, v_BMHd = k_BMHd.masked_fill(away, torch.finfo(k_BMHd.dtype).min), v_BMHd.masked_fill(away, 0.0)
+    context_BHde = torch.einsum("bmhd,bmhe->bhde", k_BMHd.softmax(dim=1), v_BMHd)
+    return torch.einsum("bnhd,bhde->bnhe", q_BnHd.softmax(dim=-1), context_BHde)
+
+
+def softmax_attention(q_BnHd: Tensor, k_BMHd: Tensor, v_BMHd: Tensor, mask_BM: Tensor | None) -> Tensor:
+    """Ordinary attention, softmax(q k^T / sqrt(d)) v, in the layout of ``linear_attention``."""
+    q, k, v = (part.transpose(1, 2) for part in (q_BnHd, k_BMHd, v_BMHd))
+    mask = None if mask_BM is None else mask_BM[:, None, None, :]
+    return fn.scaled_dot_product_attention(q, k, v, attn_mask=mask).transpose(1, 2)
+
+
+def zeroed(layer: nn.Linear) -> nn.Linear:
+    """The layer with weights and bias of zero."""
+    nn.init.zeros_(layer.weight)
+    nn.init.zeros_(layer.bias)
+    return layer
+
+
+def require_length(what: str, frames: int, limit: int) -> None:
+    """Raises InputError for more frames than positions."""
+    if frames > limit:
+        raise InputError(f"a {what} of {frames} frames exceeds the model's {limit} positions; shorten it")
+
+
+register("segment_denoiser", SegmentDenoiserConfig)

@@ -1,0 +1,333 @@
+"""The published segment denoiser: its sizes, its cost, what it may look at, and linear attention by its formula."""
+
+import json
+import math
+from dataclasses import replace
+
+import pytest
+import torch
+from torch.utils.flop_counter import FlopCounterMode
+
+from moveset.errors import FormatError, InputError
+from moveset.models.registry import build_model, describe
+from moveset.models.segment_denoiser import SegmentDenoiserConfig, linear_attention
+
+TINY = SegmentDenoiserConfig(
+    features=5,
+    frames=8,
+    text_dim=6,
+    width=16,
+    layers=2,
+    heads=2,
+    feed_forward=24,
+    conditioning=20,
+    text_width=12,
+    text_layers=1,
+    text_heads=2,
+    text_feed_forward=16,
+    prev_width=10,
+    guidance_waves=8,
+)
+RECURRENT = replace(TINY, prev="xattn", max_index=2, boundary=2)
+WAYS = [RECURRENT, replace(TINY, prev="channel", max_index=2), replace(TINY, prev="token", max_index=2)]
+EVERY = [TINY, *WAYS, replace(RECURRENT, attention="softmax"), replace(RECURRENT, read_padding=True)]
+KIT = SegmentDenoiserConfig(features=251)
+
+
+def awake(config):
+    """A module whose zero-initialised layers speak."""
+    torch.manual_seed(0)
+    model = config.build().eval()
+    with torch.no_grad():
+        for parameter in model.parameters():
+            parameter.add_(0.2 * torch.randn_like(parameter))
+    return model
+
+
+@pytest.fixture
+def inputs():
+    g = torch.Generator().manual_seed(1)
+    x, prev, tokens = (torch.randn(4, *s, generator=g) for s in ((8, 5), (8, 5), (7, 6)))
+    mask = torch.arange(7) < torch.tensor([7, 4, 1, 5])[:, None]
+    return (
+        x,
+        torch.tensor([0, 3, 500, 1000]),
+        prev,
+        torch.tensor([9, 0, 0, 700]),
+        torch.tensor([0, 0, 1, 5]),
+        tokens,
+        mask,
+    )
+
+
+def parameters(module):
+    return sum(p.numel() for p in module.parameters())
+
+
+def on_meta(config):
+    with torch.device("meta"):
+        return config.build()
+
+
+def test_published_sizes():
+    model = on_meta(SegmentDenoiserConfig())
+    text = sum(parameters(getattr(model, name)) for name in ("text_in", "text_blocks", "text_norm", "text_summary"))
+    assert text == 5_918_464  # 5.9 M
+    assert parameters(model) - text == 81_233_671  # 81.2 M
+    # KIT-ML's twelve features less, in and out.
+    assert parameters(model) - parameters(on_meta(KIT)) == 12 * (512 + 513)
+    stylization = sum(p.numel() for name, p in model.named_parameters() if ".modulate." in name)
+    assert stylization == 8 * 3 * 2049 * 1024  # 50 M of it
+    small = on_meta(replace(KIT, frames=28, text_dim=384, prev="xattn", max_index=1))
+    assert parameters(small) - parameters(on_meta(replace(KIT, frames=28, text_dim=384))) == (
+        8 * (2049 * 1024 + 1024 + 2 * 513 * 512 + 1024 + 512 + 2 * 257 * 512)  # one cross-attention a layer
+        + (252 + 28 + 513 + 257 + 1) * 256  # the previous segment's encoding
+        + (513 + 2049) * 2048  # the segment number's
+    )
+
+
+def flops(config, frames, text_tokens=77):
+    model = on_meta(replace(config, frames=frames))
+    with torch.device("meta"):
+        x, number = torch.empty(1, frames, config.features), torch.zeros(1, dtype=torch.long)
+        text = model.read(torch.empty(1, text_tokens, 512), torch.ones(1, text_tokens, dtype=torch.bool))
+        with FlopCounterMode(display=False) as counter:
+            model.denoise(x, number, x, number, number, text)
+    return counter.get_total_flops()
+
+
+DERIVED = {196: 9.93e9, 49: 2.84e9, 28: 1.82e9, 14: 1.15e9}
+
+
+@pytest.mark.parametrize("frames", DERIVED)
+def test_operations_of_a_call_are_the_derived_ones(frames):
+    # Counted by hand, two operations a multiplication: what every frame costs, every text token, every call.
+    a_frame = 8 * (7 * 512**2 + 3 * 512 * 64 + 2 * 512 * 1024) + 2 * 251 * 512
+    a_token = 8 * (2 * 256 * 512 + 512 * 64)
+    a_call = 8 * 3 * 2048 * 1024 + 512 * 2048 + 2048**2
+    counted = flops(KIT, frames)
+    assert counted == 2 * (frames * a_frame + 77 * a_token + a_call)
+    assert counted == pytest.approx(DERIVED[frames], rel=5e-3)  # printed with three digits
+
+
+@pytest.mark.parametrize(("frames", "factor"), [(49, 1.25), (28, 1.23), (14, 1.20)])
+def test_reading_the_previous_segment_costs_a_quarter_more(frames, factor):
+    ratio = flops(replace(KIT, prev="xattn", max_index=1), frames) / flops(KIT, frames)
+    assert ratio == pytest.approx(factor, abs=0.015)
+
+
+def test_the_other_ways_to_read_it_cost_little_or_double():
+    plain = flops(KIT, 28)
+    assert 1.0 < flops(replace(KIT, prev="channel", max_index=1), 28) / plain < 1.02
+    assert 1.7 < flops(replace(KIT, prev="token", max_index=1), 28) / plain < 2.0
+
+
+@pytest.mark.parametrize("features", [263, 251])
+def test_paper_sized_shapes(features):
+    config = SegmentDenoiserConfig(features=features, layers=1, prev="xattn", max_index=6)
+    model, taps = on_meta(config), []
+    with torch.device("meta"):
+        x, number = torch.empty(2, 196, features), torch.zeros(2, dtype=torch.long)
+        tokens, mask = torch.empty(2, 77, 512), torch.ones(2, 77, dtype=torch.bool)
+        assert model(x, number, x[:, :28], number, number, tokens, mask, taps=taps).shape == x.shape
+    assert [tuple(tap.shape) for tap in taps] == [(2, 196, 512)]
+
+
+def naive(q, k, v, mask):
+    """Efficient attention entry by entry: y_n = sum_d softmax_d(q_n)_d sum_m softmax_m(k_.d)_m v_m."""
+    out = torch.zeros(*q.shape[:3], v.shape[-1], dtype=q.dtype)
+    for b in range(q.shape[0]):
+        read = [m for m in range(k.shape[1]) if mask[b, m]]
+        for h in range(q.shape[2]):
+            for n in range(q.shape[1]):
+                total_q = sum(math.exp(entry) for entry in q[b, n, h].tolist())
+                for d in range(q.shape[3]):
+                    total_k = sum(math.exp(k[b, m, h, d]) for m in read)
+                    for m in read:
+                        weight = math.exp(q[b, n, h, d]) / total_q * math.exp(k[b, m, h, d]) / total_k
+                        out[b, n, h] += weight * v[b, m, h]
+    return out
+
+
+def test_linear_attention_is_its_formula():
+    g = torch.Generator().manual_seed(0)
+    q, k, v = (torch.randn(2, length, 2, 3, dtype=torch.float64, generator=g) for length in (4, 5, 5))
+    mask = torch.tensor([[True] * 5, [True, False, True, True, False]])
+    torch.testing.assert_close(linear_attention(q, k, v, mask), naive(q, k, v, mask))
+    torch.testing.assert_close(linear_attention(q, k, v, None), naive(q, k, v, torch.ones_like(mask)))
+    nothing = linear_attention(q, k, v, torch.zeros_like(mask))
+    assert torch.equal(nothing, torch.zeros_like(nothing))
+
+
+@pytest.mark.parametrize("config", EVERY)
+def test_shapes_taps_and_gradients_of_all_parameters(config, inputs):
+    model, taps = awake(config), []
+    out = model(*inputs, taps=taps)
+    assert out.shape == inputs[0].shape
+    assert [tuple(tap.shape) for tap in taps] == [(4, 8, 16)] * 2
+    torch.testing.assert_close(model.out(taps[-1]), out)
+    out.square().mean().backward()
+    # A key's bias moves all keys alike, and the softmax over them does not see it.
+    invisible = (".keys.bias",)
+    silent = [n for n, p in model.named_parameters() if p.grad is None or p.grad.abs().max() == 0]
+    assert [name for name in silent if not name.endswith(invisible)] == []
+
+
+def test_a_fresh_network_is_zero_and_its_layers_are_the_identity(inputs):
+    model, taps = RECURRENT.build(), []
+    assert model(*inputs, taps=taps).abs().max() == 0
+    assert torch.equal(taps[0], taps[1])
+
+
+@pytest.mark.parametrize("config", EVERY)
+def test_padded_frames_do_not_matter(config, inputs):
+    x, t, prev, *rest = inputs
+    model = awake(config)
+    mask = torch.arange(8) < torch.tensor([8, 5, 1, 6])[:, None]
+    expected = model(x, t, prev, *rest, mask_Bn=mask)
+    torn = model(x.masked_fill(~mask[..., None], float("nan")), t, prev, *rest, mask_Bn=mask)
+    torch.testing.assert_close(torn[mask], expected[mask])
+    # A clip of five frames is the same alone, without any padding ("channel" pairs frames, so prev is cut there).
+    row = [part[1:2] for part in (x[:, :5], t, prev[:, :5] if config.prev == "channel" else prev, *rest)]
+    torch.testing.assert_close(model(*row), expected[1:2, :5])
+    torch.testing.assert_close(model(x, t, prev, *rest, mask_Bn=torch.ones_like(mask)), model(x, t, prev, *rest))
+
+
+@pytest.mark.parametrize("config", [TINY, RECURRENT, replace(RECURRENT, attention="softmax")])
+def test_padded_text_does_not_matter(config, inputs):
+    *start, tokens, mask = inputs
+    model = awake(config)
+    mask[3] = False  # a prompt without any token
+    expected = model(*start, tokens, mask)
+    assert torch.isfinite(expected).all()
+    torch.testing.assert_close(model(*start, tokens.masked_fill(~mask[..., None], float("nan")), mask), expected)
+    row = [part[1:2] for part in (*start, tokens[:, :4], mask[:, :4])]
+    torch.testing.assert_close(model(*row), expected[1:2])
+    # ... and the text does.
+    assert not torch.allclose(model(*start, tokens.roll(1, 0), mask)[0], expected[0], atol=1e-4)
+
+
+def test_padded_text_is_read_on_demand(inputs):
+    *start, tokens, mask = inputs
+    model = awake(replace(TINY, read_padding=True))
+    expected = model(*start, tokens, mask)
+    moved = model(*start, tokens + 1.0 * ~mask[..., None], mask)
+    assert torch.allclose(moved[0], expected[0])  # this prompt has no padding
+    assert not torch.allclose(moved[1], expected[1], atol=1e-4)
+
+
+def test_the_summary_is_the_last_real_token(inputs):
+    *_, tokens, mask = inputs
+    model = awake(TINY)
+    states = model.read(tokens, mask)
+    for row, last in enumerate([6, 3, 0, 4]):
+        torch.testing.assert_close(states.summary[row], model.text_summary(states.states[row, last]))
+
+
+@pytest.mark.parametrize("config", WAYS)
+def test_the_first_segment_has_no_previous_one(config, inputs):
+    x, t, prev, prev_t, index, *text = inputs
+    model = awake(config)
+    expected = model(x, t, prev, prev_t, index, *text)
+    other = model(x, t, prev + 1, prev_t + 1, index, *text)
+    assert torch.equal(other[:2], expected[:2])
+    assert not torch.allclose(other[2], expected[2], atol=1e-4)
+    torn = model(x, t, prev.masked_fill((index == 0)[:, None, None], float("nan")), prev_t, index, *text)
+    assert torch.equal(torn, expected)
+    # Level and content are two inputs.
+    assert not torch.allclose(model(x, t, prev, prev_t + 300, index, *text)[3], expected[3], atol=1e-4)
+    assert not torch.allclose(model(x, t, prev + 1, prev_t, index, *text)[3], expected[3], atol=1e-4)
+
+
+def test_the_last_frames_reach_the_network_twice(inputs):
+    x, t, prev, *rest = inputs
+    model = awake(RECURRENT)
+    expected = model(x, t, prev, *rest)
+    model.previous.boundary_in.weight.data.mul_(2)
+    assert not torch.allclose(model(x, t, prev, *rest)[2:], expected[2:], atol=1e-4)
+    one_frame = model(x, t, prev[:, -1:], *rest)  # less than the boundary
+    assert one_frame.shape == x.shape
+
+
+def test_segment_numbers_saturate(inputs):
+    x, t, prev, prev_t, _, *text = inputs
+    model = awake(RECURRENT)
+    one, two, many = (model(x, t, prev, prev_t, torch.full((4,), i), *text) for i in (1, 2, 10**6))
+    assert torch.equal(two, many)
+    assert not torch.allclose(one, two, atol=1e-4)
+    volume = awake(TINY)
+    assert torch.equal(
+        volume(x, t, prev, prev_t, torch.zeros(4).long(), *text), volume(x, t, 1 - prev, t, torch.ones(4).long(), *text)
+    )
+
+
+def test_time_matters(inputs):
+    x, t, *rest = inputs
+    model = awake(TINY)
+    assert not torch.allclose(model(x, t + 100, *rest), model(x, t, *rest), atol=1e-4)
+
+
+def test_text_read_once_serves_many_calls(inputs):
+    *start, tokens, mask = inputs
+    model = awake(RECURRENT)
+    assert torch.equal(model.denoise(*start, model.read(tokens, mask)), model(*inputs))
+
+
+def test_a_fresh_student_is_its_teacher_for_every_guidance(inputs):
+    teacher = awake(RECURRENT)
+    student = teacher.student()
+    assert not student.training
+    for w in (0.0, 7.5):
+        assert torch.equal(student(*inputs, torch.full((4,), w)), teacher(*inputs))
+    torch.nn.init.normal_(student.time.guidance.weight)
+    assert not torch.allclose(student(*inputs, torch.full((4,), 1.0)), student(*inputs, torch.full((4,), 2.0)))
+    with pytest.raises(InputError, match="does not take"):
+        teacher(*inputs, torch.ones(4))
+    with pytest.raises(InputError, match="needs"):
+        student(*inputs)
+
+
+def test_lengths_that_do_not_fit_are_one_sentence(inputs):
+    x, t, prev, *rest = inputs
+    model = RECURRENT.build()
+    with pytest.raises(InputError, match="segment of 16 frames exceeds"):
+        model(torch.cat((x, x), dim=1), t, prev, *rest)
+    with pytest.raises(InputError, match="previous segment of 16 frames exceeds"):
+        model(x, t, torch.cat((prev, prev), dim=1), *rest)
+    with pytest.raises(InputError, match="pairs frames"):
+        WAYS[1].build()(x, t, prev[:, :7], *rest)
+
+
+@pytest.mark.parametrize("config", EVERY)
+def test_rebuilt_from_its_description(config, inputs):
+    model = awake(config)
+    kind, stored = describe(config)
+    twin = build_model(kind, json.loads(json.dumps(stored))).eval()
+    assert (kind, twin.config) == ("segment_denoiser", config)
+    twin.load_state_dict(model.state_dict())
+    assert torch.equal(twin(*inputs), model(*inputs))
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"features": 0},
+        {"width": 15},
+        {"heads": 3},
+        {"text_heads": 5},
+        {"layers": 65},
+        {"dropout": 1.0},
+        {"prev": "concat"},
+        {"attention": "flash"},
+        {"prev": "xattn", "max_index": 0},
+        {"boundary": 1},
+        {"boundary": 99, "prev": "xattn", "max_index": 1},
+        {"max_index": -1},
+    ],
+    ids=str,
+)
+def test_bad_settings_are_one_sentence(wrong):
+    with pytest.raises(InputError):
+        replace(TINY, **wrong)
+    with pytest.raises(FormatError):
+        build_model("segment_denoiser", describe(TINY)[1] | wrong)
