@@ -135,7 +135,7 @@ class CouplingFlow(nn.Module):
     @property
     def dtype(self) -> torch.dtype:
         """What the flow computes in, and returns: float32, unless its weights were moved to float64."""
-        return self.blocks[0].lstm.weight_hh_l0.dtype
+        return self.index.weight.dtype
 
     def context(self, pooled_BC: Tensor, index_B: Tensor) -> Tensor:
         """What a segment is carried by, (B, c). It depends on nothing else: compute it once per segment and prompt.
