@@ -1,4 +1,4 @@
-"""The samplers: a wave as one batch against one cell at a time, calls against formulas, plain diffusion at the edges."""
+"""The samplers: a wave as one batch against one cell at a time, calls against formulas, plain diffusion as the edge."""
 
 import itertools
 import json
@@ -231,7 +231,7 @@ def test_a_stream_is_the_sample_and_can_be_stopped_anywhere(options):
                 Denoiser(),
                 Transport(Scaled()),
                 SCHEDULE,
-                levels(8),
+                levels(6),
                 endless,
                 SEEDS,
                 SHAPE,
