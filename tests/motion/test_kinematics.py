@@ -60,3 +60,22 @@ def test_matrices_carry_gradient_to_every_joint_with_children():
     fk_matrices(m, root, HML22).square().sum().backward()
     moved = m.grad.abs().amax(dim=(0, 2, 3)) > 0
     assert [bool(x) for x in moved] == [bool(children) for children in HML22.children]
+
+
+def test_every_joint_follows_its_parent():
+    local, root = pose(7, skeleton=KIT21)
+    turned, placed = fk(local, root, KIT21)
+    offsets = KIT21.offsets.double()
+    torch.testing.assert_close(turned[:, 0], local[:, 0])
+    torch.testing.assert_close(placed[:, 0], root)
+    for j, p in enumerate(KIT21.parents[1:], start=1):
+        torch.testing.assert_close(turned[:, j], rotations.mul(turned[:, p], local[:, j]))
+        torch.testing.assert_close(placed[:, j], placed[:, p] + rotations.rotate(turned[:, p], offsets[j]))
+
+
+def test_a_single_joint_is_where_its_root_is():
+    lone = Skeleton("lone", ("a",), (-1,), torch.zeros(1, 3))
+    local, root = pose(4, skeleton=lone)
+    turned, placed = fk(local, root, lone)
+    torch.testing.assert_close(turned, local)
+    torch.testing.assert_close(placed, root[:, None])

@@ -145,3 +145,22 @@ def test_six_numbers_need_not_be_a_rotation():
     torch.testing.assert_close(torch.linalg.det(m), torch.ones(50, dtype=torch.float64))
     torch.testing.assert_close(m[:, :, 0], torch.nn.functional.normalize(d[:, :3], dim=-1))
     assert torch.autograd.gradcheck(rotations.matrix_from_6d, d[:5].requires_grad_())
+
+
+def test_matrices_of_half_turns_and_of_nothing_come_back():
+    """Where one component after the other is the only one that is not small."""
+    q = torch.cat((torch.eye(4, dtype=torch.float64), rotations.normalize(torch.eye(4, dtype=torch.float64) + 1e-9)))
+    same(rotations.from_matrix(rotations.to_matrix(q)), q)
+    turn = quaternions(3, 500, seed=5)
+    same(rotations.from_matrix(rotations.to_matrix(turn)), turn)
+    same(rotations.from_matrix(rotations.to_matrix(turn.float())), turn.float(), atol=1e-6)
+
+
+def test_quaternions_of_six_numbers_equal_those_of_the_matrix():
+    d = torch.randn(4, 30, 6, generator=torch.Generator().manual_seed(6), dtype=torch.float64)
+    same(rotations.from_6d(d), rotations.from_matrix(rotations.matrix_from_6d(d)))
+
+
+def test_a_yaw_before_a_rotation():
+    angle, q = vectors(40)[:, 0] * 4, quaternions(40)
+    torch.testing.assert_close(rotations.yawed(q, angle), rotations.mul(rotations.yaw(angle), q))

@@ -89,10 +89,9 @@ class NativeCodec:
     def decode(self, features: Tensor) -> Motion:
         """The motion of features (F, D), starting above the origin and facing +Z."""
         heading, root = self.root_path(features)
-        local = rotations.from_6d(self._six(features))
-        pelvis = rotations.mul(rotations.yaw(heading), local[..., 0, :])
-        turned = torch.cat((pelvis[..., None, :], local[..., 1:, :]), dim=-2)
-        return Motion(rotations.normalize(turned), root, self.fps, self.skeleton)
+        turned = rotations.from_6d(self._six(features))
+        turned[..., 0, :] = rotations.yawed(turned[..., 0, :], heading)
+        return Motion(turned, root, self.fps, self.skeleton)
 
     def joints(self, features: Tensor) -> Tensor:
         """World positions (..., F, J, 3) of features (..., F, D), differentiable."""

@@ -4,6 +4,7 @@ Rotations act on column vectors; ``mul(a, b)`` applies ``b`` first. Angles are r
 """
 
 import math
+from functools import cache
 
 import roma
 import torch
@@ -80,6 +81,12 @@ def yaw(angle: Tensor) -> Tensor:
     return torch.stack((zero, torch.sin(half), zero, torch.cos(half)), dim=-1)
 
 
+def yawed(q: Tensor, angle: Tensor) -> Tensor:
+    """``mul(yaw(angle), q)`` in a few operations."""
+    half = 0.5 * angle[..., None]
+    return torch.cos(half) * q + torch.sin(half) * torch.cat((q[..., 2:], -q[..., :2]), dim=-1)
+
+
 def heading(q: Tensor) -> Tensor:
     """The twist of q about +Y, as a quaternion (swing-twist decomposition).
 
@@ -151,8 +158,39 @@ def to_matrix(q: Tensor) -> Tensor:
 
 
 def from_matrix(m: Tensor) -> Tensor:
-    """Unit quaternions of rotation matrices (..., 3, 3)."""
-    return roma.rotmat_to_unitquat(m)
+    """Unit quaternions of rotation matrices (..., 3, 3); the largest component is positive."""
+    return _from_columns(m.transpose(-1, -2).reshape(-1, 9).T).T.reshape(*m.shape[:-2], 4)
+
+
+def _from_columns(m_9N: Tensor) -> Tensor:
+    """Quaternions (4, N) of matrices given as their three columns one below the other."""
+    # 4 q qᵀ is linear in the matrix; each of its rows is the quaternion times one component. The row of the largest
+    # component is the accurate one (Shepperd 1978).
+    table, constant = _outer_table(m_9N.dtype, m_9N.device)
+    x, y, z, w = torch.addmm(constant, table, m_9N).view(4, 4, -1)
+    xy = torch.where(x[0] > y[1], x, y)
+    zw = torch.where(z[2] > w[3], z, w)
+    q = torch.where(torch.maximum(x[0], y[1]) > torch.maximum(z[2], w[3]), xy, zw)
+    return q * torch.rsqrt((q * q).sum(0))
+
+
+@cache
+def _outer_table(dtype: torch.dtype, device: torch.device) -> tuple[Tensor, Tensor]:
+    """(16, 9) and (16, 1): 4 q qᵀ from the columns of the matrix of q = (x, y, z, w)."""
+    terms = {
+        (0, 0): "1 +00 -11 -22", (1, 1): "1 -00 +11 -22", (2, 2): "1 -00 -11 +22", (3, 3): "1 +00 +11 +22",
+        (0, 1): "0 +10 +01", (0, 2): "0 +02 +20", (1, 2): "0 +21 +12",
+        (0, 3): "0 +21 -12", (1, 3): "0 +02 -20", (2, 3): "0 +10 -01",
+    }  # fmt: skip
+    with torch.inference_mode(False):
+        table, constant = torch.zeros(4, 4, 3, 3, dtype=dtype), torch.zeros(4, 4, dtype=dtype)
+        for (i, j), term in terms.items():
+            first, *entries = term.split()
+            for a, b in {(i, j), (j, i)}:
+                constant[a, b] = float(first)
+                for sign, row, column in entries:
+                    table[a, b, int(column), int(row)] = float(sign + "1")
+        return table.view(16, 9).to(device), constant.view(16, 1).to(device)
 
 
 def to_6d(q: Tensor) -> Tensor:
@@ -170,7 +208,13 @@ def matrix_from_6d(d: Tensor) -> Tensor:
 
 def from_6d(d: Tensor) -> Tensor:
     """Unit quaternions of (..., 6)."""
-    return from_matrix(matrix_from_6d(d))
+    # Components first: the sums run over rows, not over threes, and no operation has tiny inner loops.
+    a, b = d.reshape(-1, 6).T.contiguous().split(3)
+    a = a * torch.rsqrt((a * a).sum(0).clamp_min(1e-24))
+    b = b - (a * b).sum(0) * a
+    b = b * torch.rsqrt((b * b).sum(0).clamp_min(1e-24))
+    q_4N = _from_columns(torch.cat((a, b, torch.linalg.cross(a, b, dim=0))))
+    return q_4N.T.contiguous().view(*d.shape[:-1], 4)
 
 
 def from_euler(degrees: Tensor, order: str) -> Tensor:
