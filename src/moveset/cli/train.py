@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def train(
-    what: tyro.conf.Positional[Literal["vae", "decoder", "teacher", "lcm", "pcm"]],
+    what: tyro.conf.Positional[Literal["vae", "decoder", "teacher", "lcm", "pcm", "rdm"]],
     *,
     recipe: Literal["small", "paper", "tiny"] = "small",
     resume: tyro.conf.FlagCreatePairsOff[bool] = False,

@@ -5,7 +5,7 @@ Every choice comes from a random generator seeded by a string, so that the same 
 
 import random
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -14,7 +14,7 @@ from torch import Tensor
 
 from moveset.data.augment import MAX_FRAMES
 from moveset.data.captions import composed_captions, names_a_side
-from moveset.data.corpus import CorpusWriter
+from moveset.data.corpus import Corpus, CorpusWriter
 from moveset.data.labels import mirror_label
 from moveset.data.records import ClipRecord, Part, Recipe
 from moveset.data.splits import Split
@@ -63,10 +63,10 @@ class _Clip:
 class _Pool:
     """The takes of one split by content, mirrored ones included."""
 
-    def __init__(self, writer: CorpusWriter, split: Split) -> None:
+    def __init__(self, records: Iterable[ClipRecord], motions: Iterable[Motion], split: Split) -> None:
         self.by_content: dict[str, list[_Clip]] = defaultdict(list)
         self._poses: dict[tuple[int, bool], Tensor] = {}
-        for number, (record, motion) in enumerate(zip(writer.records, writer.motions, strict=False)):
+        for number, (record, motion) in enumerate(zip(records, motions, strict=False)):
             if record.split != split or record.frames < _SHORTEST:
                 continue
             for mirrored in (False, True):
@@ -101,7 +101,7 @@ def add_compositions(writer: CorpusWriter, train: int = 3000, seed: int = 0, *, 
     splits: tuple[Split, ...] = ("train", "val", "test")
     takes = {split: sum(r.split == split for r in writer.records) for split in splits}
     wanted = {split: round(train * takes[split] / max(takes["train"], 1)) for split in splits}
-    pools = {split: _Pool(writer, split) for split in splits}
+    pools = {split: _Pool(writer.records, writer.motions, split) for split in splits}
     added = 0
     with tqdm(total=sum(wanted.values()), desc="compositions", unit="", disable=not progress) as bar:
         for split in splits:
@@ -161,9 +161,11 @@ def _in_time(pool: _Pool, chance: random.Random) -> _Made | None:
     if not all(choices):
         return None
     first, second = (chance.choices(c, [_OFTEN.get(x, 1) for x in c])[0] for c in choices)
+    return None if first == second else _sequence(pool, first, second, chance)
+
+
+def _sequence(pool: _Pool, first: str, second: str, chance: random.Random) -> _Made | None:
     contents = (first, second)
-    if contents[0] == contents[1]:
-        return None
     a = pool.pick(contents[0], None, chance)
     b = pool.pick(contents[1], a.record.style if chance.random() < 0.7 else None, chance)
     # Cuts: what travels may be cut anywhere, but a turn keeps all of itself; what is on the spot keeps its beginning,
@@ -183,6 +185,28 @@ def _in_time(pool: _Pool, chance: random.Random) -> _Made | None:
     parts = (Part(a.number, a_start, a_stop, a.mirrored), Part(b.number, b_start, b_stop, b.mirrored))
     frames = a_stop - a_start + b_stop - b_start - _BLEND
     return "in_time", Recipe(parts, blend=_BLEND), frames, contents, _common_style(a, b)
+
+
+def plan_continuations(corpus: Corpus, split: Split, count: int, seed: int = 0) -> list[tuple[str, Recipe]]:
+    """``count`` recipes in which a content is followed by the same again, each with its content; all different.
+
+    A stream goes on with one sentence for longer than any take lasts; no clip of the corpus shows what comes then.
+    Contents are drawn by the root of their number of takes.
+    """
+    takes = [record for record in corpus.records if record.kind == "take"]
+    pool = _Pool(takes, (corpus.motion(k) for k in range(len(takes))), split)
+    contents = _available(pool, (*TRAVELLING, *ON_THE_SPOT))
+    weights = [len(pool.by_content[content]) ** 0.5 for content in contents]
+    chance = random.Random(f"continuations of {split}, seed {seed}")
+    made: dict[Recipe, str] = {}
+    for _ in range(6 * count):
+        if len(made) == count or not contents:
+            break
+        content = chance.choices(contents, weights)[0]
+        planned = _sequence(pool, content, content, chance)
+        if planned is not None:
+            made.setdefault(planned[1], content)
+    return [(content, recipe) for recipe, content in made.items()]
 
 
 def _best_seam(a: Tensor, b: Tensor, stops: range, starts: range) -> tuple[int, int]:

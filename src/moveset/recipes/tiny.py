@@ -6,8 +6,9 @@ from moveset.models.latent_denoiser import LatentDenoiserConfig
 from moveset.models.timed_vae import TimedVAEConfig
 from moveset.training.distill import DistillationConfig
 from moveset.training.engine import EngineConfig
+from moveset.training.reading import Disturbance
 from moveset.training.tasks import Recipe
-from moveset.training.teacher import Disturbance, TeacherConfig
+from moveset.training.teacher import TeacherConfig
 from moveset.training.vae import VAETrainingConfig
 
 _ENGINE = EngineConfig(steps=4, save_every=2, validate_every=4, log_every=1, precision="32-true", tensorboard=False)

@@ -33,8 +33,9 @@ from moveset.training import frozen
 from moveset.training.ema import Ema
 from moveset.training.engine import Loop, Task
 from moveset.training.optim import cosine_lr
+from moveset.training.reading import Disturbance
 from moveset.training.tasks import Sources
-from moveset.training.teacher import Disturbance, LatentData
+from moveset.training.teacher import LatentData
 
 
 @dataclass(frozen=True, kw_only=True)

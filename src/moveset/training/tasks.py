@@ -21,6 +21,7 @@ TASKS = {
     "teacher": "moveset.training.teacher:TeacherTask",
     "lcm": "moveset.training.distill:LCMTask",
     "pcm": "moveset.training.distill:PCMTask",
+    "rdm": "moveset.training.rdm:RDMTask",
 }
 RECIPES = ("small", "paper", "tiny")
 

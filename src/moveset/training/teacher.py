@@ -21,24 +21,8 @@ from moveset.training.ema import Ema, ema_warmup
 from moveset.training.engine import Loop, Task
 from moveset.training.latents import LatentBatch, LatentSet
 from moveset.training.optim import cosine_lr
+from moveset.training.reading import Disturbance, read_captions
 from moveset.training.tasks import Sources
-
-MAX_TOKENS = 32
-
-
-@dataclass(frozen=True, kw_only=True)
-class Disturbance:
-    """How captions are roughened in training, for corpora of few words; the published methods do none of it.
-
-    Args:
-        paraphrased: share of captions said otherwise (``data.paraphrase``).
-        word_drop: mean share of a sentence's token states that go missing.
-        blur: mean standard deviation of the noise on token states (MiniLM's own is 0.38).
-    """
-
-    paraphrased: float = 0.0
-    word_drop: float = 0.0
-    blur: float = 0.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,22 +72,8 @@ class LatentData:
         return self.train.batch(size, self.seed, step).to(self.device)
 
     def read(self, captions: list[str], disturbed_by: torch.Generator | None = None) -> TextEmbedding:
-        """Token states of captions; "" is the unconditional input.
-
-        Given a generator, words go missing and states are blurred (``Disturbance``): the corpus has few words, and a
-        network that may rely on each of them does not understand a prompt that says the same in others.
-        """
-        text = self.text.lookup(captions, MAX_TOKENS)
-        if disturbed_by is None:
-            return text
-        size = torch.rand(len(captions), 1, generator=disturbed_by)
-        missing = torch.rand(text.mask.shape, generator=disturbed_by) < self.disturbance.word_drop * 2 * size
-        missing[:, 0] = False
-        noise = torch.randn(text.tokens.shape, generator=disturbed_by) * self.disturbance.blur * 2 * size[..., None]
-        empty = torch.tensor([not caption for caption in captions])
-        mask = text.mask & ~(missing & ~empty[:, None]).to(text.mask.device)
-        tokens = text.tokens + noise.masked_fill(empty[:, None, None], 0.0).to(text.tokens)
-        return TextEmbedding(tokens, mask, text.pooled)
+        """Token states of captions; "" is the unconditional input. Roughened if given a generator."""
+        return read_captions(self.text, captions, self.disturbance, disturbed_by)
 
 
 class TeacherTask(Task):

@@ -1,0 +1,199 @@
+"""The segment denoiser that ships: predicts a clean segment from a noisy one, the segment before it, and text.
+
+Same task as ``segment_denoiser`` (RDM, Section 4), made cheap for a processor with the blocks of ``latent_denoiser``:
+text tokens and the frames of the previous segment enter as extra keys and values, computed once where neither changes;
+time, levels and text modulate the blocks.
+
+The clean segment is predicted as alpha_t x_t + sigma_t F(x_t, …): the network only has to say what the best linear
+guess for unit-variance data misses. Without it fine detail at low noise would have to pass a width below the number of
+features (the preconditioning of Karras et al. 2022, arXiv 2206.00364, for a variance-preserving schedule).
+
+Shapes: B rows, n frames, D features, L text tokens, C text width, W model width.
+"""
+
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as fn
+
+from moveset.diffusion.schedule import linear
+from moveset.models.latent_denoiser import Block, waves
+from moveset.models.registry import register, require_range
+
+_WAVES = 256
+_SCHEDULE = linear()
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class SegmentTransformerConfig:
+    """Sizes of a ``SegmentTransformer``; ``guided`` adds the guidance-scale embedding of the few-step students.
+
+    ``max_index`` is where the segment index saturates: 1 tells a first segment from a later one, and nothing more.
+    """
+
+    features: int = 269
+    frames: int = 28
+    text_dim: int = 384
+    width: int = 256
+    heads: int = 4
+    hidden: int = 1024
+    blocks: int = 4
+    max_index: int = 1
+    guided: bool = False
+
+    def __post_init__(self) -> None:
+        for name in ("features", "text_dim", "width", "heads", "hidden"):
+            require_range(name, getattr(self, name), 1, 16384)
+        require_range("frames", self.frames, 2, 4096)
+        require_range("blocks", self.blocks, 1, 64)
+        require_range("max_index", self.max_index, 0, 4096)
+        require_range("width modulo heads", self.width % self.heads, 0, 0)
+
+    def build(self) -> "SegmentTransformer":
+        """The module with fresh weights."""
+        return SegmentTransformer(self)
+
+
+@dataclass(frozen=True, eq=False)
+class Context:
+    """What a segment depends on besides itself: keys and values for every block, additive mask, modulation (B, W)."""
+
+    pairs: tuple[tuple[Tensor, Tensor], ...]
+    bias: Tensor | None
+    condition: Tensor
+    last: Tensor
+
+
+class SegmentTransformer(nn.Module):
+    """``denoiser(x, t, prev, prev_t, index, tokens, mask, w, valid, taps) -> x0``."""
+
+    def __init__(self, config: SegmentTransformerConfig) -> None:
+        super().__init__()
+        self.config = c = config
+        self.frame_in = nn.Linear(c.features, c.width)
+        self.position = nn.Parameter(torch.randn(c.frames, c.width) * 0.02)
+        self.previous_in = nn.Linear(c.features, c.width)
+        self.previous_position = nn.Parameter(torch.randn(c.frames, c.width) * 0.02)
+        self.previous_level = nn.Linear(_WAVES, c.width)
+        self.previous_norm = nn.LayerNorm(c.width)
+        self.no_previous = nn.Parameter(torch.randn(c.frames, c.width) * 0.02)
+        # The frame that the segment goes on from, beside every frame of it: continuity should not need attention.
+        self.last_in = nn.Linear(c.features, c.width)
+        self.text_in = nn.Sequential(nn.Linear(c.text_dim, c.width), nn.GELU("tanh"), nn.Linear(c.width, c.width))
+        self.text_norm = nn.LayerNorm(c.width)
+        self.text_position = nn.Parameter(torch.randn(64, c.width) * 0.02)
+        self.pool = nn.Linear(c.width, c.width)
+        self.time = nn.Sequential(nn.Linear(_WAVES, c.width), nn.SiLU(), nn.Linear(c.width, c.width))
+        self.index = nn.Embedding(c.max_index + 1, c.width)
+        nn.init.normal_(self.index.weight, std=0.02)
+        if c.guided:
+            # Zero at the start: a fresh student is its teacher, whatever the guidance scale.
+            self.guidance = nn.Linear(_WAVES, c.width, bias=False)
+            nn.init.zeros_(self.guidance.weight)
+        self.modulate = nn.Linear(c.width, 6 * c.width)
+        nn.init.normal_(self.modulate.weight, std=0.02)
+        nn.init.zeros_(self.modulate.bias)
+        self.blocks = nn.ModuleList(Block(c.width, c.heads, c.hidden, 0.0) for _ in range(c.blocks))
+        self.norm_out = nn.LayerNorm(c.width, elementwise_affine=False)
+        self.modulate_out = nn.Linear(c.width, 2 * c.width)
+        self.out = nn.Linear(c.width, c.features)
+        for layer in (self.modulate_out, self.out):
+            nn.init.zeros_(layer.weight)
+            nn.init.zeros_(layer.bias)
+
+    def read(self, tokens_BLC: Tensor, mask_BL: Tensor, prev_BnD: Tensor, prev_t_B: Tensor, index_B: Tensor) -> Context:
+        """Text and previous segment, for any number of calls in which neither they nor their level change."""
+        length = tokens_BLC.shape[1]
+        text = self.text_norm(self.text_in(tokens_BLC) + self.text_position[:length])
+        keep = mask_BL[..., None].to(text.dtype)
+        pooled = self.pool((text * keep).sum(1) / keep.sum(1).clamp_min(1.0))
+        later = (index_B > 0)[:, None, None]
+        level = self.previous_level(waves(prev_t_B))
+        told = self.previous_norm(self.previous_in(prev_BnD) + self.previous_position + level[:, None])
+        previous = torch.where(later, told, self.no_previous.to(told.dtype))
+        last = torch.where(later, self.last_in(prev_BnD[:, -1:]), torch.zeros((), device=told.device, dtype=told.dtype))
+        context = torch.cat((text.to(told.dtype), previous), dim=1)
+        bias = None
+        # A mask costs the attention its fast path, so none is built when no prompt in the batch is padded.
+        if not bool(mask_BL.all()):
+            bias = torch.zeros(context.shape[:2], dtype=torch.float32, device=context.device)
+            bias[:, :length].masked_fill_(~mask_BL, -1e4)
+        condition = pooled + self.index(index_B.clamp(max=self.config.max_index)) + level
+        return Context(tuple(block.read(context) for block in self.blocks), bias, condition, last)
+
+    def forward(
+        self,
+        x_BnD: Tensor,
+        t_B: Tensor,
+        prev_BnD: Tensor,
+        prev_t_B: Tensor,
+        index_B: Tensor,
+        tokens_BLC: Tensor,
+        mask_BL: Tensor,
+        w_B: Tensor | None = None,
+        mask_Bn: Tensor | None = None,
+        taps: list[Tensor] | None = None,
+    ) -> Tensor:
+        """The clean segment (B, n, D).
+
+        Args:
+            x_BnD: noisy segment at level ``t_B``, int64 in 0 … 1000.
+            prev_BnD: the segment before it, at level ``prev_t_B``; rows with index 0 have none and ignore it.
+            index_B: number of the segment; beyond ``max_index`` all are alike.
+            tokens_BLC: text token states; mask_BL True at real tokens.
+            w_B: guidance scale, for students (``guided``) only.
+            mask_Bn: True at valid frames; None means all.
+            taps: a list that receives every block's output (B, n, W), for the discriminator.
+        """
+        context = self.read(tokens_BLC, mask_BL, prev_BnD, prev_t_B, index_B)
+        return self.denoise(x_BnD, t_B, context, w_B, mask_Bn, taps)
+
+    def denoise(
+        self,
+        x_BnD: Tensor,
+        t_B: Tensor,
+        context: Context,
+        w_B: Tensor | None = None,
+        mask_Bn: Tensor | None = None,
+        taps: list[Tensor] | None = None,
+    ) -> Tensor:
+        """As ``forward``, for a context that was read before."""
+        condition = context.condition + self.time(waves(t_B))
+        if w_B is not None:
+            condition = condition + self.guidance(waves(w_B * 100.0))
+        condition = fn.silu(condition)
+        modulation = self.modulate(condition)[:, None]
+        x = self.frame_in(x_BnD) + self.position + context.last
+        bias = self._bias(context, mask_Bn, x)
+        for block, pair in zip(self.blocks, context.pairs, strict=True):
+            x = block(x, modulation, pair, bias)
+            if taps is not None:
+                taps.append(x)
+        scale, shift = self.modulate_out(condition)[:, None].chunk(2, dim=-1)
+        alpha, sigma = (table[:, None, None] for table in (_SCHEDULE.alpha(t_B), _SCHEDULE.sigma(t_B)))
+        # In bfloat16 the last product would quantise joint angles to a fraction of a degree: visible as jitter.
+        with torch.autocast(x.device.type, enabled=False):
+            missed = self.out(self.norm_out(x.float()) * (1 + scale.float()) + shift.float())
+            return alpha * x_BnD.float() + sigma * missed
+
+    def student(self) -> "SegmentTransformer":
+        """A copy with a guidance embedding that changes nothing yet: the start of distillation."""
+        out = replace(self.config, guided=True).build().to(self.position)
+        out.load_state_dict({**out.state_dict(), **self.state_dict()})
+        return out.train(self.training)
+
+    @staticmethod
+    def _bias(context: Context, mask_Bn: Tensor | None, x: Tensor) -> Tensor | None:
+        """Additive mask (B, 1, 1, n + L + n) over own frames and context, or None where everything may be seen."""
+        if context.bias is None and (mask_Bn is None or bool(mask_Bn.all())):
+            return None
+        own = x.new_zeros(x.shape[:2])
+        if mask_Bn is not None:
+            own = own.masked_fill(~mask_Bn, -1e4)
+        keys = context.pairs[0][0].shape[2]
+        told = x.new_zeros(len(x), keys) if context.bias is None else context.bias.to(x.dtype)
+        return torch.cat((own, told), dim=1)[:, None, None, :]
+
+
+register("segment_transformer", SegmentTransformerConfig)

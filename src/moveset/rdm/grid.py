@@ -1,0 +1,150 @@
+"""The two-dimensional grid of RDM: segments of a sequence along one axis, noise levels along the other.
+
+A sequence of F frames is cut from its first frame into N = ceil(F / n) segments of n frames. Cell (i, t) is segment i
+at noise level t; its left neighbour (i - 1, t') with t' < t is what the denoiser is told of the past. Training draws
+cells; ``corrupt`` says what the network sees in one.
+
+Two readings of how a cell is made, with f the flow from one segment to the next and f^(p) its power:
+
+- ``anchor="segment"``: y = f^(-p)(x_0^i) is noised and carried back, x_t^i = f^(p)(a_t y + s_t eps). In y every
+  segment is an ordinary diffusion, whatever the flow is.
+- ``anchor="first"``: the published Algorithm 2, x_t^i = f^(i)(a_t x_0^0 + s_t eps) with the target x_0^i. As t falls
+  the input tells nothing of x_0^i beyond x_0^0, so the network learns the conditional mean; kept to show exactly that.
+
+Shapes: B rows, N segments, n frames in each, D features, F frames, C text width.
+Source: RDM (arXiv 2406.07169), Sections 3 and 4, Algorithm 2, Eq. 9-10 and 27-30.
+"""
+
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import torch
+from torch import Tensor
+
+from moveset.diffusion.schedule import Schedule
+from moveset.diffusion.steps import add_noise
+from moveset.errors import InputError
+from moveset.rdm.transport import Transport
+
+Anchor = Literal["segment", "first"]
+ConditionLevel = Literal["below", "previous", "clean"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class GridConfig:
+    """How cells are drawn.
+
+    Args:
+        frames: n, frames of a segment.
+        anchor: see the module.
+        share_noise: one noise for a cell and its left neighbour, as Algorithm 2 has it. With ``anchor="segment"`` the
+            two inputs would give the clean data away and sampling diverges.
+        condition: level t' of the left neighbour: uniform "below" t, "previous" (t - 1, as published), or "clean"
+            (t' = 0: the autoregressive baselines MD-N).
+
+    Raises:
+        InputError: an unknown reading, or fewer than 2 frames.
+    """
+
+    frames: int = 28
+    anchor: Anchor = "segment"
+    share_noise: bool = False
+    condition: ConditionLevel = "below"
+
+    def __post_init__(self) -> None:
+        if self.frames < 2:
+            raise InputError(f"a segment of {self.frames} frames is too short; give at least 2")
+        for name, kind in (("anchor", Anchor), ("condition", ConditionLevel)):
+            if getattr(self, name) not in get_args(kind):
+                raise InputError(f"{name} {getattr(self, name)!r} is not one of {', '.join(get_args(kind))}")
+
+
+@dataclass(frozen=True, eq=False)
+class Draws:
+    """Everything random in one batch of cells: levels t and t' (B,), and noises (B, n, D) of cell and neighbour."""
+
+    t_B: Tensor
+    prev_t_B: Tensor
+    noise_BnD: Tensor
+    prev_noise_BnD: Tensor
+
+
+@dataclass(frozen=True, eq=False)
+class Cell:
+    """What the denoiser sees: x_t^i at t, the left neighbour at t'. What it should say is the clean segment."""
+
+    x_BnD: Tensor
+    t_B: Tensor
+    prev_BnD: Tensor
+    prev_t_B: Tensor
+
+
+def split(x_BFD: Tensor, lengths_B: Tensor, frames: int) -> tuple[Tensor, Tensor]:
+    """Segments (B, N, n, D) of sequences, zero beyond each one's end, and which of their frames are valid (B, N, n).
+
+    Cut after normalising, so that padding is the mean.
+    """
+    batch, total, width = x_BFD.shape
+    count = -(-total // frames)
+    valid = torch.arange(count * frames, device=x_BFD.device) < lengths_B[:, None]
+    padded = x_BFD.new_zeros(batch, count * frames, width)
+    padded[:, :total] = x_BFD
+    padded = padded * valid[..., None]
+    return padded.view(batch, count, frames, width), valid.view(batch, count, frames)
+
+
+def assemble(segments_BNnD: Tensor, frames: int) -> Tensor:
+    """Sequences (B, frames, D) of segments: the inverse of ``split``."""
+    return segments_BNnD.flatten(1, 2)[:, :frames]
+
+
+def draw(config: GridConfig, schedule: Schedule, shape: tuple[int, int, int], generator: torch.Generator) -> Draws:
+    """Levels and noises of B cells, ``shape`` = (B, n, D): t uniform in 1 … T, t' as the configuration says.
+
+    Drawn on the generator's device.
+    """
+    at = generator.device
+    t_B = torch.randint(1, len(schedule), shape[:1], generator=generator, device=at)
+    share_B = torch.rand(shape[:1], generator=generator, device=at, dtype=torch.float64)
+    noise, other = torch.randn((2, *shape), generator=generator, device=at)
+    prev_t_B = {"below": (share_B * t_B).long(), "previous": t_B - 1, "clean": torch.zeros_like(t_B)}[config.condition]
+    return Draws(t_B, prev_t_B, noise, noise if config.share_noise else other)
+
+
+def corrupt(
+    config: GridConfig,
+    schedule: Schedule,
+    transport: Transport,
+    clean_BnD: Tensor,
+    prev_BnD: Tensor,
+    first_BnD: Tensor | None,
+    index_B: Tensor,
+    pooled_BC: Tensor,
+    prev_pooled_BC: Tensor,
+    draws: Draws,
+) -> Cell:
+    """The inputs of B cells; no gradient reaches the flow.
+
+    Args:
+        clean_BnD: the clean segment i of each row; prev_BnD the one before it (anything finite where i = 0).
+        first_BnD: the clean first segment of each row's sequence, for ``anchor="first"`` only.
+        index_B: i.
+        pooled_BC: pooled text of each row, the flow's context; prev_pooled_BC that of the segment before.
+
+    Raises:
+        InputError: ``anchor="first"`` without first segments.
+    """
+    before_B = (index_B - 1).clamp(min=0)
+    with torch.no_grad():
+        if config.anchor == "first":
+            if first_BnD is None:
+                raise InputError('anchor="first" needs the first segment of every sequence')
+            y, y_prev = first_BnD, first_BnD
+        else:
+            y = transport.pull(clean_BnD, index_B, pooled_BC)
+            y_prev = transport.pull(prev_BnD, before_B, prev_pooled_BC)
+        noisy = add_noise(schedule, y, draws.noise_BnD.to(y), draws.t_B)
+        noisy_prev = add_noise(schedule, y_prev, draws.prev_noise_BnD.to(y), draws.prev_t_B)
+        x = transport.push(noisy, index_B, pooled_BC)
+        prev = transport.push(noisy_prev, before_B, prev_pooled_BC)
+    return Cell(x, draws.t_B, prev, draws.prev_t_B)

@@ -1,0 +1,254 @@
+"""Training a recurrent diffusion model: the denoiser of a segment, and the flow from one segment to the next.
+
+One task for RDM and for what it is compared with: ``flow=None`` with ``grid.condition="clean"`` is the autoregressive
+MD-N, one segment as long as the longest clip is a volume model (RDM-1, MotionDiffuse, Light-RDM-1).
+Source: RDM (arXiv 2406.07169), Section 4.4 and Algorithm 2.
+"""
+
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+import torch
+from torch import Tensor, nn
+
+from moveset.data.corpus import Corpus
+from moveset.diffusion.schedule import linear
+from moveset.models.flow import CouplingFlow, FlowConfig
+from moveset.models.registry import describe
+from moveset.models.segment_denoiser import SegmentDenoiserConfig
+from moveset.models.segment_transformer import SegmentTransformerConfig
+from moveset.motion.features import get_codec
+from moveset.rdm.grid import GridConfig, corrupt, draw
+from moveset.rdm.losses import flow_loss, masked_mse, velocity_loss
+from moveset.rdm.transport import Transport
+from moveset.text.cache import EmbeddingCache
+from moveset.text.encoder import TextEmbedding, get_text_encoder
+from moveset.training.clips import FeatureStore
+from moveset.training.ema import Ema, ema_warmup
+from moveset.training.engine import Loop, Task
+from moveset.training.momo import MomoAdam
+from moveset.training.optim import cosine_lr
+from moveset.training.reading import Disturbance, read_captions, wordings
+from moveset.training.segments import CuttingConfig, SegmentBatch, SegmentSet
+from moveset.training.tasks import Sources
+
+SCHEDULE = linear()
+
+
+@dataclass(frozen=True, kw_only=True)
+class RDMConfig:
+    """What ``RDMTask`` trains and how.
+
+    Args:
+        model: the denoiser of a segment; its ``features`` and ``frames`` are those of the codec and the grid.
+        flow: None leaves the flow out.
+        depth_cap: P, the most applications of the flow; N - 1 is the paper.
+        cutting: which segments are shown.
+        optimizer: "momo" (the paper) or "adamw".
+        constant_lr: no cosine decay.
+        text_drop: share of captions replaced by "", for guidance.
+        weight: of a cell's error: "x0" (1, the paper) or "v" (1/sigma², at most 5, and the mean over levels is 1): more
+            for low noise.
+        root: weight of the four root features, by which a character travels.
+        velocity: weight of the error of frame-to-frame differences.
+        flow_noise: deviation of the noise added to the flow's input.
+        isometry: weight that keeps the flow's scales near one.
+        frozen_flow: share of the steps at the end in which the flow no longer changes.
+    """
+
+    model: SegmentTransformerConfig | SegmentDenoiserConfig = field(default_factory=SegmentTransformerConfig)
+    flow: FlowConfig | None = field(default_factory=FlowConfig)
+    grid: GridConfig = field(default_factory=GridConfig)
+    depth_cap: int = 1
+    codec: str = "native"
+    cutting: CuttingConfig = field(default_factory=CuttingConfig)
+    batch: int = 64
+    optimizer: Literal["adamw", "momo"] = "adamw"
+    lr: float = 7e-4
+    flow_lr: float = 5e-4
+    warmup: int = 200
+    constant_lr: bool = False
+    text_drop: float = 0.1
+    ema: float = 0.999
+    weight: Literal["x0", "v"] = "v"
+    root: float = 5.0
+    velocity: float = 0.0
+    flow_noise: float = 0.02
+    isometry: float = 1e-2
+    frozen_flow: float = 0.25
+    text_encoder: str = "minilm"
+    disturbance: Disturbance = field(default_factory=Disturbance)
+    kind: str = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "kind", describe(self.model)[0])
+
+
+class SegmentData:
+    """Segments and embedded captions of both splits; what is computed once is kept in the cache folder."""
+
+    def __init__(self, sources: Sources, config: RDMConfig, loop: Loop) -> None:
+        self.disturbance, self.device = config.disturbance, loop.device
+        self.seed = loop.config.seed * 64 + loop.rank
+        with loop.fabric.rank_zero_first():
+            self._open(sources, config, loop.rank == 0)
+        self.text = self.text.to(loop.device)
+
+    def _open(self, sources: Sources, config: RDMConfig, progress: bool) -> None:
+        corpus, codec = Corpus.open(sources.corpus), get_codec(config.codec)
+        folder = sources.cache / f"features-{codec.name}"
+        store = FeatureStore.of(corpus, codec, folder, progress)
+        self.codec, self.normalizer = codec, store.normalizer
+        cut = (store, codec, config.grid.frames, config.cutting, folder)
+        self.train = SegmentSet(corpus, "train", *cut, paraphrased=config.disturbance.paraphrased)
+        self.val = SegmentSet(corpus, "val", *cut)
+        said = wordings(self.train.all_captions(), config.disturbance)
+        captions = sorted({*said, *self.val.all_captions()})
+        path = sources.cache / f"text-{config.text_encoder.replace('/', '-').replace(':', '-')}.safetensors"
+        self.text = EmbeddingCache.build(get_text_encoder(config.text_encoder), captions, path)
+
+    def read(self, captions: list[str], disturbed_by: torch.Generator | None = None) -> TextEmbedding:
+        """Token states of captions, and their pooled vectors; roughened if given a generator."""
+        return read_captions(self.text, captions, self.disturbance, disturbed_by)
+
+
+class RDMTask(Task):
+    """Both networks, each with its own loss and optimiser: the denoiser's error does not reach the flow."""
+
+    name = "rdm"
+
+    def __init__(self, config: RDMConfig, sources: Sources, loop: Loop) -> None:
+        self.steps = loop.config.steps
+        self.data = SegmentData(sources, config, loop)
+        self.config = config = _sized(config, self.data)
+        self.denoiser = config.model.build().to(loop.device)
+        self.ema = Ema(self.denoiser, config.ema)
+        self.flow: CouplingFlow | None = None if config.flow is None else config.flow.build().to(loop.device)
+        self.flow_ema = None if self.flow is None else Ema(self.flow, config.ema)
+        self.transport = Transport(self.flow, config.depth_cap)
+        self.draws = loop.generator("draws")
+        self.feature_weight = torch.ones(self.data.codec.dim, device=loop.device)
+        for name in ("root_yaw", "root_velocity", "root_height"):
+            self.feature_weight[self.data.codec.groups[name]] = config.root
+        self.feature_weight *= len(self.feature_weight) / self.feature_weight.sum()
+        self._optimizers = {"denoiser": _optimizer(config, self.denoiser, config.lr)}
+        if self.flow is not None:
+            self._optimizers["flow"] = _optimizer(config, self.flow, config.flow_lr)
+
+    def modules(self) -> dict[str, nn.Module]:
+        return {"denoiser": self.denoiser} | ({} if self.flow is None else {"flow": self.flow})
+
+    def averages(self) -> dict[str, nn.Module]:
+        return {"denoiser_ema": self.ema.module} | ({} if self.flow_ema is None else {"flow_ema": self.flow_ema.module})
+
+    def optimizers(self) -> dict[str, torch.optim.Optimizer]:
+        return self._optimizers
+
+    def learning_rates(self, step: int) -> dict[str, float]:
+        config = self.config
+        rates = {"denoiser": config.lr} | ({} if self.flow is None else {"flow": config.flow_lr})
+        if config.constant_lr:
+            return rates
+        return {name: cosine_lr(step, lr, config.warmup, self.steps) for name, lr in rates.items()}
+
+    def training_step(self, step: int, loop: Loop) -> dict[str, Tensor]:
+        config = self.config
+        batch = self.data.train.batch(config.batch, self.data.seed, step).to(loop.device)
+        report = {}
+        if self.flow is not None and step <= self.steps * (1 - config.frozen_flow):
+            report |= self._train_flow(batch, loop)
+        dropped = torch.rand(config.batch, generator=self.draws) < config.text_drop
+        said = ["" if drop else caption for drop, caption in zip(dropped.tolist(), batch.captions, strict=True)]
+        text = self.data.read(said, self.draws)
+        loss, parts = self._loss(self.denoiser, self.transport, batch, text, self.draws)
+        report |= parts | {"loss": loss.detach(), "gradient_norm": loop.minimise(loss, "denoiser")}
+        self.ema.update(self.denoiser, ema_warmup(step, config.ema))
+        if self.flow is not None and self.flow_ema is not None:
+            self.flow_ema.update(self.flow, ema_warmup(step, config.ema))
+        return report
+
+    def validate(self, step: int, loop: Loop) -> dict[str, float]:
+        """Errors of the averaged networks on 512 segments of val: the denoiser's by level, the flow's, and std(y)."""
+        generator = torch.Generator().manual_seed(0)
+        flow = None if self.flow_ema is None else self.flow_ema.module
+        transport = Transport(flow, self.config.depth_cap)
+        rows: dict[str, list[Tensor]] = {}
+        for k in range(4):
+            batch = self.data.val.batch(128, 0, k).to(loop.device)
+            text = self.data.read(batch.captions)
+            _, parts = self._loss(self.ema.module, transport, batch, text, generator)
+            for name, value in parts.items():
+                rows.setdefault(name, []).append(value)
+        return {name: float(torch.stack(values).mean()) for name, values in rows.items()}
+
+    def _train_flow(self, batch: SegmentBatch, loop: Loop) -> dict[str, Tensor]:
+        later = batch.index > 0
+        if self.flow is None or not bool(later.any()):
+            return {}
+        rows = later.nonzero()[:, 0]
+        pooled = self.data.read([batch.captions[k] for k in rows.tolist()]).pooled
+        context = self.flow.context(pooled, batch.index[rows])
+        noise = torch.randn(len(rows), *batch.clean.shape[1:], generator=self.draws).to(loop.device)
+        noise *= self.config.flow_noise
+        loss, error = flow_loss(
+            self.flow,
+            batch.previous[rows],
+            batch.clean[rows],
+            batch.valid[rows],
+            context,
+            noise,
+            self.config.isometry,
+        )
+        loop.minimise(loss, "flow")
+        return {"flow": error}
+
+    def _loss(
+        self,
+        denoiser: nn.Module,
+        transport: Transport,
+        batch: SegmentBatch,
+        text: TextEmbedding,
+        generator: torch.Generator,
+    ) -> tuple[Tensor, dict[str, Tensor]]:
+        config = self.config
+        draws = draw(config.grid, SCHEDULE, tuple(batch.clean.shape), generator)  # type: ignore[arg-type]
+        draws = replace(draws, **{name: value.to(batch.clean.device) for name, value in vars(draws).items()})
+        # The flow always hears the sentence itself: dropping it for guidance is the denoiser's affair.
+        said, before = (self.data.read(c).pooled for c in (batch.captions, batch.previous_captions))
+        first = batch.first if config.grid.anchor == "first" else None
+        clean = batch.clean
+        cell = corrupt(config.grid, SCHEDULE, transport, clean, batch.previous, first, batch.index, said, before, draws)
+        made = denoiser(
+            cell.x_BnD, cell.t_B, cell.prev_BnD, cell.prev_t_B, batch.index, text.tokens, text.mask, None, batch.valid
+        ).float()
+        scale = self.feature_weight.sqrt()
+        weight_B = _level_weight(config.weight, cell.t_B)
+        root_B = weight_B.sqrt()[:, None, None] * scale
+        loss = masked_mse(made * root_B, clean * root_B, batch.valid)
+        if config.velocity:
+            last, later = batch.previous[:, -1], batch.index > 0
+            loss = loss + config.velocity * velocity_loss(
+                made * root_B, clean * root_B, last * root_B[:, 0], later, batch.valid
+            )
+        error = masked_mse(made.detach(), clean, batch.valid)
+        return loss, {"error": error, "noisy_std": cell.x_BnD.std()}
+
+
+def _level_weight(kind: str, t_B: Tensor) -> Tensor:
+    if kind == "x0":
+        return torch.ones(len(t_B), device=t_B.device)
+    return (1 / SCHEDULE.sigma(t_B).square()).clamp(max=5.0)
+
+
+def _optimizer(config: RDMConfig, module: nn.Module, lr: float) -> torch.optim.Optimizer:
+    if config.optimizer == "momo":
+        return MomoAdam(module.parameters(), lr)
+    return torch.optim.AdamW(module.parameters(), lr, betas=(0.9, 0.99), weight_decay=0.0)
+
+
+def _sized(config: RDMConfig, data: SegmentData) -> RDMConfig:
+    """With the sizes that follow from the codec and the segment filled in."""
+    features, frames = data.codec.dim, config.grid.frames
+    model = replace(config.model, features=features, frames=frames)
+    flow = None if config.flow is None else replace(config.flow, features=features)
+    return replace(config, model=model, flow=flow)

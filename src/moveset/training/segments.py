@@ -1,0 +1,218 @@
+"""The corpus as a recurrent model sees it: a segment, the one before it, and what is being said while it plays.
+
+A clip that shows one thing after another has a sentence for each, so the prompt of a segment is the sentence of the
+part that fills more of it: this is how a stream is steered. *Continuations* (the same content twice, ``data.compose``)
+show what comes when an action ends and its sentence stays.
+
+Shapes: B rows, n frames of a segment, D features.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+from tqdm import tqdm
+
+from moveset.data.compose import plan_continuations
+from moveset.data.corpus import Corpus, compose
+from moveset.data.paraphrase import paraphrase
+from moveset.data.records import ClipRecord, Part, Recipe
+from moveset.data.splits import Split
+from moveset.motion.features import FeatureCodec
+from moveset.training.clips import FeatureStore, clip_weights
+
+_LEAST_VALID = 8
+
+
+@dataclass(frozen=True, kw_only=True)
+class CuttingConfig:
+    """Where segments are cut and what is said to them.
+
+    Args:
+        aligned: only at multiples of n from a clip's first frame, with the true segment index (the paper); otherwise
+            anywhere, and the index is 0, 1 (after a first segment) or 2 (any later one).
+        first_share: share of first segments, when not aligned; most of them start where their clip does.
+        whole_caption: share of segments of clips in two parts that get the sentence for all of it.
+        continuations: clips to add in which an action goes on; 0 for none.
+        continuation_share: share of segments from them.
+        composed_share: share of segments from compositions, among the others.
+    """
+
+    aligned: bool = False
+    first_share: float = 0.2
+    whole_caption: float = 0.2
+    continuations: int = 1200
+    continuation_share: float = 0.2
+    composed_share: float = 0.35
+
+
+@dataclass(frozen=True, eq=False)
+class SegmentBatch:
+    """Clean segments and what belongs to them.
+
+    Args:
+        clean: (B, n, D), zero beyond ``valid`` (B, n).
+        previous: (B, n, D) the segment before, zero for first ones; never partial.
+        first: (B, n, D) the first segment of the clip.
+        index: (B,) segment number.
+        captions: what is said to the segment, and ``previous_captions`` to the one before.
+    """
+
+    clean: Tensor
+    valid: Tensor
+    previous: Tensor
+    first: Tensor
+    index: Tensor
+    captions: list[str]
+    previous_captions: list[str]
+
+    def to(self, device: torch.device | str) -> "SegmentBatch":
+        """The same on another device."""
+        tensors = (self.clean, self.valid, self.previous, self.first, self.index)
+        return SegmentBatch(*(x.to(device) for x in tensors), self.captions, self.previous_captions)
+
+
+@dataclass(frozen=True, eq=False)
+class _Row:
+    """A clip: its frames, and the sentences of each part, which ends at a frame; all of it has its own sentences."""
+
+    features: np.ndarray
+    ends: tuple[int, ...]
+    said: tuple[tuple[str, ...], ...]
+    whole: tuple[str, ...]
+
+
+class SegmentSet:
+    """Segments of one split, drawn by clip.
+
+    Args:
+        frames: n.
+        folder: where continuations are kept once they are made.
+        paraphrased: share of captions that are said otherwise.
+    """
+
+    def __init__(
+        self,
+        corpus: Corpus,
+        split: Split,
+        store: FeatureStore,
+        codec: FeatureCodec,
+        frames: int,
+        cutting: CuttingConfig,
+        folder: Path,
+        paraphrased: float = 0.0,
+    ) -> None:
+        self.frames, self.cutting, self.paraphrased = frames, cutting, paraphrased
+        records = corpus.indices(split)
+        weights = clip_weights(corpus, records, power=0.5, composed_share=cutting.composed_share)
+        self.rows: list[_Row] = []
+        chances: list[float] = []
+        for record, weight in zip(records, weights.tolist(), strict=True):
+            for mirrored in (False, True):
+                clip = store.clips[2 * record + mirrored]
+                features = store.features[clip.start : clip.start + clip.frames]
+                self.rows.append(_row(corpus, corpus.records[record], record, mirrored, features))
+                chances.append(weight / 2)
+        if cutting.continuations:
+            share = cutting.continuation_share
+            made = _continuations(corpus, split, store, codec, cutting.continuations, folder)
+            chances = [(1 - share) * chance for chance in chances] + [share / max(len(made), 1)] * len(made)
+            self.rows += made
+        self.weights = torch.tensor(chances, dtype=torch.float64)
+
+    def all_captions(self) -> list[str]:
+        """Every caption in use."""
+        return sorted({caption for row in self.rows for said in (row.whole, *row.said) for caption in said})
+
+    def batch(self, size: int, seed: int, step: int) -> SegmentBatch:
+        """The batch of a step: a pure function of (seed, step)."""
+        generator = torch.Generator().manual_seed(seed * 1_000_003 + step)
+        chosen = torch.multinomial(self.weights, size, replacement=True, generator=generator).tolist()
+        numbers = torch.rand(size, 7, generator=generator).tolist()
+        n, width = self.frames, self.rows[0].features.shape[1]
+        clean, previous, first = torch.zeros(3, size, n, width)
+        valid, index = torch.zeros(size, n, dtype=torch.bool), torch.zeros(size, dtype=torch.long)
+        captions, before = [], []
+        for k, (row, chance) in enumerate(zip(chosen, numbers, strict=True)):
+            clip = self.rows[row]
+            start, number = self._place(len(clip.features), chance)
+            piece = clip.features[start : start + n]
+            clean[k, : len(piece)] = torch.from_numpy(np.array(piece))
+            valid[k, : len(piece)] = True
+            index[k] = number
+            head = clip.features[:n]
+            first[k, : len(head)] = torch.from_numpy(np.array(head))
+            if number:
+                previous[k] = torch.from_numpy(np.array(clip.features[start - n : start]))
+            captions.append(self._say(clip, start, len(piece), chance[3:]))
+            before.append(self._say(clip, max(start - n, 0), n, chance[3:]) if number else captions[-1])
+        return SegmentBatch(clean, valid, previous, first, index, captions, before)
+
+    def _place(self, total: int, chance: Sequence[float]) -> tuple[int, int]:
+        """First frame and index of a segment of a clip."""
+        n = self.frames
+        if self.cutting.aligned:
+            number = int(chance[0] * -(-total // n))
+            return number * n, number
+        room = total - _LEAST_VALID - n
+        if chance[0] < self.cutting.first_share or room < 0:
+            inside = max(total - n, 0)
+            return (0 if chance[1] < 0.75 else int(chance[2] * (inside + 1))), 0
+        start = n + int(chance[1] * (room + 1))
+        # The segment before is a first one only where the clip begins with it; beyond that the number has no meaning.
+        return start, 1 if start == n else 2
+
+    def _say(self, clip: _Row, start: int, frames: int, chance: Sequence[float]) -> str:
+        middle = start + frames // 2
+        part = next((k for k, end in enumerate(clip.ends) if middle < end), len(clip.ends) - 1)
+        options = clip.whole if chance[0] < self.cutting.whole_caption else clip.said[part]
+        caption = options[int(chance[1] * len(options))]
+        return paraphrase(caption) if chance[2] < self.paraphrased else caption
+
+
+def _row(corpus: Corpus, record: ClipRecord, number: int, mirrored: bool, features: np.ndarray) -> _Row:
+    whole = corpus.captions(number, mirrored)
+    if record.kind != "in_time" or record.recipe is None:
+        return _Row(features, (len(features),), (whole,), whole)
+    said = tuple(corpus.captions(part.clip, part.mirrored != mirrored) for part in record.recipe.parts)
+    return _Row(features, (_seam(record.recipe), len(features)), said, whole)
+
+
+def _seam(recipe: Recipe) -> int:
+    first: Part = recipe.parts[0]
+    return first.stop - first.start - recipe.blend // 2
+
+
+def _continuations(
+    corpus: Corpus, split: Split, store: FeatureStore, codec: FeatureCodec, count: int, folder: Path
+) -> list[_Row]:
+    """Clips in which a content is followed by itself, made once and kept in half precision.
+
+    Kept are their features one after the other, and of each its end, its seam, and the two clips it is made of with
+    whether they are mirrored.
+    """
+    path = folder / f"continuations-{split}-{count}.npz"
+    if not path.is_file():
+        made, table = [], []
+        planned = plan_continuations(corpus, split, count if split == "train" else count // 10)
+        for _, recipe in tqdm(planned, desc="continuations", disable=None):
+            parts = [corpus.motion(part.clip)[part.start : part.stop] for part in recipe.parts]
+            first, second = (m.mirrored() if p.mirrored else m for m, p in zip(parts, recipe.parts, strict=True))
+            encoded = codec.encode(compose("in_time", recipe, first, second))
+            made.append(store.normalizer.normalize(encoded).half().numpy())
+            table.append([len(made[-1]), _seam(recipe), *(n for p in recipe.parts for n in (p.clip, p.mirrored))])
+        features = np.concatenate(made) if made else np.zeros((0, codec.dim), np.float16)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        np.savez(path, features=features, table=np.array(table, np.int64).reshape(-1, 6))
+    with np.load(path) as stored:
+        features, table = stored["features"], stored["table"]
+    rows = []
+    for (frames, seam, *parts), clip in zip(
+        table.tolist(), np.split(features, np.cumsum(table[:, 0])[:-1]), strict=True
+    ):
+        said = tuple(corpus.captions(parts[k], bool(parts[k + 1])) for k in (0, 2))
+        rows.append(_Row(clip, (seam, frames), said, said[0]))
+    return rows
