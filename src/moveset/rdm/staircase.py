@@ -16,7 +16,6 @@ Source: RDM (arXiv 2406.07169), Section 4.3 and Algorithm 1; the parallelogram, 
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import count
 from typing import Literal, get_args
 
 from moveset.errors import InputError
@@ -132,22 +131,20 @@ class Staircase:
             number: of the wave, from 0.
             first: a segment that all finished ones lie before; saves the search for it.
         """
-        cells = []
-        for segment in count(first):
-            if not self.has(segment) or self.begin(segment) > number:
-                return tuple(cells)
+        cells: list[Cell] = []
+        segment = first
+        while self.has(segment) and self.begin(segment) <= number:
             if number < self.end(segment):
                 cells.append((segment, self.entry(segment) + number - self.begin(segment)))
+            segment += 1
+        return tuple(cells)
 
     def wavefront(self) -> Iterator[tuple[Cell, ...]]:
         """All waves; without end for an endless parallelogram."""
-        first = 0
-        for number in count():
-            cells = self.wave(number, first)
-            if not cells:
-                return
-            first = cells[0][0]
+        number, cells = 0, self.wave(0)
+        while cells:
             yield cells
+            number, cells = number + 1, self.wave(number + 1, first=cells[0][0])
 
     def rows(self) -> Iterator[Cell]:
         """All cells one by one, noise level by noise level and from left to right, as published.
