@@ -211,16 +211,21 @@ class Mixed(nn.Module):
         return self.norm(torch.cat((time, self.tell(torch.cat((frames, told), dim=-1))), dim=1))
 
 
-class MaskedGroupNorm(nn.GroupNorm):
-    """Group normalisation whose statistics know the masked-in elements only."""
+class MaskedGroupNorm(nn.Module):
+    """``torch.nn.GroupNorm`` whose statistics know the masked-in elements only."""
+
+    def __init__(self, groups: int, width: int) -> None:
+        super().__init__()
+        self.groups = groups
+        self.weight, self.bias = nn.Parameter(torch.ones(width)), nn.Parameter(torch.zeros(width))
 
     def forward(self, x_BWl: Tensor, mask_Bl: Tensor) -> Tensor:
-        x = x_BWl.unflatten(1, (self.num_groups, -1))
+        x = x_BWl.unflatten(1, (self.groups, -1))
         weight = mask_Bl[:, None, None].to(x.dtype)
         count = weight.sum(dim=(2, 3), keepdim=True) * x.shape[2]
         centred = x - (x * weight).sum(dim=(2, 3), keepdim=True) / count
         variance = (centred.square() * weight).sum(dim=(2, 3), keepdim=True) / count
-        normal = (centred * torch.rsqrt(variance + self.eps)).flatten(1, 2)
+        normal = (centred * torch.rsqrt(variance + 1e-5)).flatten(1, 2)
         return normal * self.weight[:, None] + self.bias[:, None]
 
 
