@@ -3,9 +3,10 @@
 import pytest
 import torch
 from torch import nn
+from torch.nn import functional as fn
 
 from moveset.models.latent_denoiser import LatentDenoiserConfig
-from moveset.models.packed import PackedConv1d, PackedLinear, can_pack, pack
+from moveset.models.packed import PackedConv1d, PackedLinear, PackedTimeConv, can_pack, pack
 from moveset.models.timed_vae import TimedVAEConfig
 
 pytestmark = pytest.mark.skipif(not can_pack("cpu"), reason="this build of torch has no oneDNN")
@@ -16,7 +17,7 @@ pytestmark = pytest.mark.skipif(not can_pack("cpu"), reason="this build of torch
 def test_linear(rows, bias):
     layer = nn.Linear(96, 160, bias=bias)
     x = torch.randn(2, rows, 96)
-    torch.testing.assert_close(PackedLinear(layer)(x), layer(x).detach(), atol=1e-5, rtol=1e-5)
+    torch.testing.assert_close(PackedLinear.of(layer)(x), layer(x).detach(), atol=1e-5, rtol=1e-5)
 
 
 @pytest.mark.parametrize(
@@ -30,27 +31,57 @@ def test_conv(kernel, dilation, stride, groups, time):
     torch.testing.assert_close(PackedConv1d(layer)(x), layer(x).detach(), atol=1e-5, rtol=1e-5)
 
 
-@torch.inference_mode()
-def test_the_shipped_networks_keep_their_output():
-    torch.manual_seed(0)
-    denoiser = LatentDenoiserConfig(width=64, hidden=128, blocks=3, guided=True).build().eval()
-    nn.init.normal_(denoiser.out.weight)  # zero at the start: nothing would be compared
-    nn.init.normal_(denoiser.modulate_out.weight, std=0.1)
-    given = (
-        torch.randn(2, 16, 32),
-        torch.tensor([999, 499]),
-        torch.randn(2, 9, 384),
-        torch.ones(2, 9, dtype=torch.bool),
-    )
-    more = (torch.tensor([3.0, 5.0]), None, torch.tensor([80, 196]))
-    plain = denoiser(*given, *more)
-    assert float(plain.abs().mean()) > 0.1
-    torch.testing.assert_close(pack(denoiser)(*given, *more), plain, atol=1e-4, rtol=1e-4)
+def test_what_follows_a_layer_is_part_of_it():
+    layer, x, other = nn.Linear(96, 160), torch.randn(2, 9, 96), torch.randn(2, 9, 160)
+    plain = layer(x).detach()
+    for post, function in (("gelu", lambda y: fn.gelu(y, approximate="tanh")), ("silu", fn.silu)):
+        torch.testing.assert_close(PackedLinear.of(layer, post)(x), function(plain), atol=1e-5, rtol=1e-5)
+    torch.testing.assert_close(PackedLinear.of(layer).plus(x, other), plain + other, atol=1e-5, rtol=1e-5)
 
-    vae = TimedVAEConfig(width=64, frame_width=32).build().eval()
-    z, lengths = torch.randn(2, 16, 32), torch.tensor([50, 196])
-    plain = vae.decode(z, lengths, 196)
-    torch.testing.assert_close(pack(vae).decode(z, lengths, 196), plain, atol=1e-4, rtol=1e-4)
+
+@pytest.mark.parametrize("kernel", [1, 3, 5])
+@pytest.mark.parametrize("batch", [1, 3])
+def test_convolution_over_time(kernel, batch):
+    layer, gain = nn.Conv1d(32, 48, kernel, padding=kernel // 2), torch.rand(32, 1)
+    x, other = torch.randn(batch, 49, 32), torch.randn(batch, 49, 48)
+    plain = layer((x * gain[:, 0]).transpose(1, 2)).transpose(1, 2).detach()
+    conv = PackedTimeConv(layer, gain)
+    torch.testing.assert_close(conv(x), plain, atol=1e-5, rtol=1e-5)
+    torch.testing.assert_close(conv.plus(x, other), plain + other, atol=1e-5, rtol=1e-5)
+
+
+@pytest.mark.parametrize("batch", [1, 3])
+@pytest.mark.parametrize("guided", [True, False])
+@pytest.mark.parametrize("padded", [True, False])
+@torch.inference_mode()
+def test_the_denoiser_keeps_its_output(batch, guided, padded):
+    torch.manual_seed(0)
+    denoiser = perturbed(LatentDenoiserConfig(width=64, hidden=128, blocks=3, guided=guided).build())
+    mask = torch.arange(9) < torch.tensor([6, 9, 7])[:batch, None] if padded else torch.ones(batch, 9, dtype=torch.bool)
+    given = (torch.randn(batch, 16, 32), torch.tensor([999, 499, 0])[:batch], torch.randn(batch, 9, 384), mask)
+    frames = torch.tensor([80, 196, 20])[:batch]
+    settings = [(torch.tensor([3.0, 5.0, 0.0])[:batch] if guided else None, frames), (None, None)]
+    taps = [[], []]
+    plain = [denoiser(*given, w, taps[0], n) for w, n in settings]
+    assert float(plain[0].abs().mean()) > 0.1
+    packed = pack(denoiser)
+    for expected, (w, n) in zip(plain, settings, strict=True):
+        torch.testing.assert_close(packed(*given, w, taps[1], n), expected, atol=1e-4, rtol=1e-4)
+    torch.testing.assert_close(taps[1], taps[0], atol=1e-4, rtol=1e-4)
+
+
+@pytest.mark.parametrize("lengths", [[196], [50], [190], [97, 97], [50, 196, 21]])
+@torch.inference_mode()
+def test_the_vae_keeps_its_output(lengths):
+    torch.manual_seed(0)
+    vae = perturbed(TimedVAEConfig(width=64, frame_width=32).build())
+    z, lengths_B, frames = torch.randn(len(lengths), 16, 32), torch.tensor(lengths), max(lengths)
+    plain = vae.decode(z, lengths_B, frames)
+    assert float(plain.abs().mean()) > 0.1
+    back = vae.encode(plain, lengths_B)
+    packed = pack(vae)
+    torch.testing.assert_close(packed.decode(z, lengths_B, frames), plain, atol=1e-4, rtol=1e-4)
+    torch.testing.assert_close(packed.encode(plain, lengths_B), back, atol=1e-4, rtol=1e-4)
 
 
 def test_what_others_read_is_left_alone():
@@ -59,3 +90,10 @@ def test_what_others_read_is_left_alone():
     plain = attention(x, x, x)[0].detach()
     torch.testing.assert_close(pack(attention)(x, x, x)[0].detach(), plain)
     assert isinstance(pack(nn.Sequential(nn.Sequential(nn.Linear(2, 2))))[0][0], PackedLinear)
+
+
+def perturbed(model):
+    """Away from its initial weights, many of which are zero: nothing would be compared."""
+    for p in model.parameters():
+        p.add_(0.1 * torch.randn(p.shape))
+    return model.eval()

@@ -220,10 +220,14 @@ _WAVES = 256
 
 def waves(x_B: Tensor) -> Tensor:
     """Sinusoids (B, 256) of a number of the order of 0..1000: [cos, sin], frequencies 10000^(-i/128)."""
-    half = _WAVES // 2
-    frequency = torch.exp(torch.arange(half, device=x_B.device) * (-9.210340371976184 / half))
-    angle = x_B.float()[:, None] * frequency
+    angle = x_B.float()[:, None] * frequencies(x_B.device)
     return torch.cat((angle.cos(), angle.sin()), dim=-1)
+
+
+def frequencies(device: torch.device) -> Tensor:
+    """(128,) of ``waves``."""
+    half = _WAVES // 2
+    return torch.exp(torch.arange(half, device=device) * (-9.210340371976184 / half))
 
 
 register("latent_denoiser", LatentDenoiserConfig)

@@ -77,10 +77,10 @@ class TimedVAE(nn.Module):
         x = self.patch_in(x_BFD.reshape(batch, -1, PATCH * x_BFD.shape[-1]))
         patches = _patches(lengths_B)
         mask = _mask(patches, x.shape[1])
-        x = (x + self.length_in(_place(lengths_B, x.shape[1]))).transpose(1, 2) * mask
+        x = (x + self.length_in(place(lengths_B, x.shape[1]))).transpose(1, 2) * mask
         for block in self.encoder:
             x = block(x, mask)
-        slots = _resample(x.transpose(1, 2), patches, torch.full_like(patches, SLOTS_PER_TOKEN * self.config.tokens))
+        slots = resample(x.transpose(1, 2), patches, torch.full_like(patches, SLOTS_PER_TOKEN * self.config.tokens))
         tokens = self.merge(slots.reshape(batch, self.config.tokens, -1))
         for mixer in self.encoder_mixer:
             tokens = mixer(tokens)
@@ -105,8 +105,8 @@ class TimedVAE(nn.Module):
         patches = _patches(lengths_B)
         count = -(-frames // PATCH)
         mask = _mask(patches, count)
-        x = _resample(slots, torch.full_like(patches, slots.shape[1]), patches, count)
-        x = (x + self.length_out(_place(lengths_B, count))).transpose(1, 2) * mask
+        x = resample(slots, torch.full_like(patches, slots.shape[1]), patches, count)
+        x = (x + self.length_out(place(lengths_B, count))).transpose(1, 2) * mask
         for block in self.decoder:
             x = block(x, mask)
         x = self.patch_out(x.transpose(1, 2)).reshape(batch, count * PATCH, -1)[:, :frames].transpose(1, 2)
@@ -122,6 +122,8 @@ class TimedVAE(nn.Module):
 class ConvBlock(nn.Module):
     """Residual pair of convolutions over time on (B, C, T); masked positions stay zero."""
 
+    EPS = 1e-6
+
     def __init__(self, width: int, kernel: int, out_kernel: int) -> None:
         super().__init__()
         self.gain = nn.Parameter(torch.ones(width, 1))
@@ -132,7 +134,7 @@ class ConvBlock(nn.Module):
 
     def forward(self, x: Tensor, mask: Tensor) -> Tensor:
         """x (B, C, T), mask (B, 1, T)."""
-        scale = torch.rsqrt((x * x).mean(dim=1, keepdim=True) + 1e-6)
+        scale = torch.rsqrt((x * x).mean(dim=1, keepdim=True) + self.EPS)
         hidden = fn.gelu(self.mix(x * scale * self.gain), approximate="tanh") * mask
         return x + self.out(hidden) * mask
 
@@ -165,7 +167,7 @@ def _mask(counts_B: Tensor, size: int) -> Tensor:
     return (torch.arange(size, device=counts_B.device) < counts_B[:, None])[:, None].float()
 
 
-def _place(lengths_B: Tensor, count: int) -> Tensor:
+def place(lengths_B: Tensor, count: int) -> Tensor:
     """Where each patch stands: sinusoids of its relative time, and the clip's length; (B, P, 2W + 2)."""
     patch = torch.arange(count, device=lengths_B.device)
     relative = (patch + 0.5) / _patches(lengths_B)[:, None]
@@ -174,7 +176,7 @@ def _place(lengths_B: Tensor, count: int) -> Tensor:
     return torch.cat((waves.sin(), waves.cos(), length[..., None], length.reciprocal()[..., None]), dim=-1)
 
 
-def _resample(x: Tensor, from_B: Tensor, to_B: Tensor, size: int | None = None) -> Tensor:
+def resample(x: Tensor, from_B: Tensor, to_B: Tensor, size: int | None = None) -> Tensor:
     """Linear interpolation of (B, T, C) over relative time, from ``from_B`` valid steps to ``to_B`` steps."""
     size = int(to_B.max()) if size is None else size
     at = torch.arange(size, device=x.device) + 0.5

@@ -11,6 +11,7 @@ from torch import Tensor, nn
 from moveset.diffusion.schedule import scaled_linear
 from moveset.diffusion.steps import ddim_timesteps
 from moveset.models.latent_denoiser import LatentDenoiser
+from moveset.models.packed_denoiser import PackedDenoiser
 from moveset.pcm.phases import PhaseGrid
 from moveset.pcm.sampler import lcm_timesteps, sample_ddim_cfg, sample_lcm, sample_phased
 from moveset.pipelines.bundle import Bundle
@@ -79,7 +80,7 @@ class Denoise:
 
 
 def _read_once(network: nn.Module, text: TextEmbedding, frames_B: Tensor) -> Bound:
-    if isinstance(network, LatentDenoiser):
+    if isinstance(network, LatentDenoiser | PackedDenoiser):
         keys = network.read(text.tokens, text.mask)
         return lambda z_BND, t_B, w_B: network.denoise(z_BND, t_B, keys, w_B, None, frames_B)
     return lambda z_BND, t_B, w_B: network(z_BND, t_B, text.tokens, text.mask, w_B, None, frames_B)

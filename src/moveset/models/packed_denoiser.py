@@ -1,0 +1,153 @@
+"""``latent_denoiser`` for inference on a processor: the same numbers in half of the operations.
+
+The modulation of all blocks, and the text's keys and values in all of them, are one product each; a modulated norm is
+one operation for one clip; activations and sums are part of the products; queries, keys and values are never copied.
+
+Shapes: as in ``latent_denoiser``; B batch, N latent tokens, d latent width, L text tokens, W width, H heads.
+"""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as fn
+
+from moveset.models.latent_denoiser import Block, LatentDenoiser, frequencies
+from moveset.models.packed import PackedLinear
+
+
+@dataclass(frozen=True, eq=False)
+class PackedText:
+    """A prompt as the blocks read it: keys and values (B, L, 2, H, W/H) for every block, mask, summary (B, W)."""
+
+    pairs: tuple[Tensor, ...]
+    bias: Tensor | None
+    pooled: Tensor
+
+
+class PackedDenoiser(nn.Module):
+    """What ``LatentDenoiser`` does, for inference."""
+
+    def __init__(self, denoiser: LatentDenoiser) -> None:
+        super().__init__()
+        self.config = c = denoiser.config
+        self.text_in = PackedLinear.of(denoiser.text_in[0], "gelu")
+        self.text_out = PackedLinear.of(denoiser.text_in[2])
+        self.text_norm, self.text_position = denoiser.text_norm, denoiser.text_position.detach()
+        self.pool = PackedLinear.of(denoiser.pool)
+        self.text_kv = _stacked([block.text_kv for block in denoiser.blocks])
+        self.latent_in, self.position = PackedLinear.of(denoiser.latent_in), denoiser.position.detach()[None]
+        self.time_in, self.time_out = PackedLinear.of(denoiser.time[0], "silu"), PackedLinear.of(denoiser.time[2])
+        self.length = PackedLinear.of(denoiser.length)
+        self.guidance = PackedLinear.of(denoiser.guidance) if c.guided else None
+        self.frequencies = frequencies(denoiser.position.device)
+        self.modulate = _stacked([denoiser.modulate, denoiser.modulate_out])
+        # A scale is one plus what the network says; so is that of the last norm, whose block has no offset.
+        one = torch.zeros(8, c.width)
+        one[[0, 3, 6]] = 1.0
+        self.offsets = torch.stack([block.offset.detach() for block in denoiser.blocks]) + one[:6]
+        self.offsets_out = one[6:]
+        self.blocks = nn.ModuleList(PackedBlock(block) for block in denoiser.blocks)
+        self.skips = nn.ModuleList(PackedLinear.of(skip) for skip in denoiser.skips)
+        self.out = PackedLinear.of(denoiser.out)
+
+    def read(self, tokens_BLC: Tensor, mask_BL: Tensor) -> PackedText:
+        """The text's keys and values for every block; they depend on neither time nor noise."""
+        batch, length, _ = tokens_BLC.shape
+        text = self.text_norm(self.text_out(self.text_in(tokens_BLC)) + self.text_position[:length])
+        bias = None
+        if bool(mask_BL.all()):
+            summary = text.mean(1)
+        else:
+            keep = mask_BL[..., None].to(text.dtype)
+            summary = (text * keep).sum(1) / keep.sum(1).clamp_min(1.0)
+            seen = torch.cat((mask_BL.new_ones(batch, self.config.tokens), mask_BL), dim=1)
+            bias = torch.zeros(seen.shape, dtype=text.dtype).masked_fill(~seen, -1e4)[:, None, None]
+        heads = self.config.heads
+        pairs = self.text_kv(text).view(batch, length, len(self.blocks), 2, heads, -1).unbind(2)
+        return PackedText(pairs, bias, self.pool(summary))
+
+    def forward(
+        self,
+        z_BND: Tensor,
+        t_B: Tensor,
+        tokens_BLC: Tensor,
+        mask_BL: Tensor,
+        w_B: Tensor | None = None,
+        taps: list[Tensor] | None = None,
+        frames_B: Tensor | None = None,
+    ) -> Tensor:
+        """See ``LatentDenoiser.forward``."""
+        return self.denoise(z_BND, t_B, self.read(tokens_BLC, mask_BL), w_B, taps, frames_B)
+
+    def denoise(
+        self,
+        z_BND: Tensor,
+        t_B: Tensor,
+        text: PackedText,
+        w_B: Tensor | None = None,
+        taps: list[Tensor] | None = None,
+        frames_B: Tensor | None = None,
+    ) -> Tensor:
+        """As ``forward``, for text that was read before."""
+        parts = self._modulation(t_B, text, w_B, frames_B)
+        x = self.latent_in(z_BND) + self.position
+        half = len(self.blocks) // 2
+        remembered: list[Tensor] = []
+        for k, (block, pair) in enumerate(zip(self.blocks, text.pairs, strict=True)):
+            if k >= len(self.blocks) - half:
+                x = self.skips[k - (len(self.blocks) - half)](torch.cat((x, remembered.pop()), dim=-1))
+            x = block(x, parts[6 * k : 6 * k + 6], pair, text.bias)
+            if k < half:
+                remembered.append(x)
+            if taps is not None:
+                taps.append(x)
+        return self.out(_modulated(x, *parts[-2:]))
+
+    def _modulation(
+        self, t_B: Tensor, text: PackedText, w_B: Tensor | None, frames_B: Tensor | None
+    ) -> tuple[Tensor, ...]:
+        """Scale, shift and gate of every norm: six a block and two at the end; (W,) for one clip, else (B, 1, W)."""
+        frames_B = torch.full_like(t_B, 120) if frames_B is None else frames_B
+        numbers = (t_B, frames_B * 4.0, torch.zeros_like(t_B) if w_B is None else w_B * 100.0)
+        angle = torch.stack(numbers)[..., None] * self.frequencies
+        t, frames, w = torch.cat((angle.cos(), angle.sin()), dim=-1)
+        condition = self.length.plus(frames, self.time_out.plus(self.time_in(t), text.pooled))
+        if self.guidance is not None and w_B is not None:
+            condition = self.guidance.plus(w, condition)
+        batch, width = len(t_B), self.config.width
+        shared = self.modulate(fn.silu(condition)).view(batch, 8, width)
+        parts = (shared[:, None, :6] + self.offsets).flatten(1, 2), shared[:, 6:] + self.offsets_out
+        rows = torch.cat(parts, dim=1)
+        return rows[0].unbind(0) if batch == 1 else rows[:, :, None].unbind(1)
+
+
+class PackedBlock(nn.Module):
+    """``Block``; its share of the modulation and the text's keys and values come ready."""
+
+    def __init__(self, block: Block) -> None:
+        super().__init__()
+        self.heads = block.heads
+        self.qkv, self.attended = PackedLinear.of(block.qkv), PackedLinear.of(block.attended)
+        self.feed, self.fed = PackedLinear.of(block.feed, "gelu"), PackedLinear.of(block.fed)
+
+    def forward(self, x: Tensor, parts: tuple[Tensor, ...], text: Tensor, bias: Tensor | None) -> Tensor:
+        """x (B, N, W); parts: scale, shift, gate, twice; text (B, L, 2, H, W/H)."""
+        scale_a, shift_a, gate_a, scale_f, shift_f, gate_f = parts
+        qkv = self.qkv(_modulated(x, scale_a, shift_a)).unflatten(-1, (3, self.heads, -1))
+        keys, values = torch.cat((qkv[:, :, 1:], text), dim=1).permute(2, 0, 3, 1, 4)
+        mixed = fn.scaled_dot_product_attention(qkv[:, :, 0].transpose(1, 2), keys, values, attn_mask=bias)
+        x = torch.addcmul(x, gate_a, self.attended(mixed.transpose(1, 2).flatten(2)))
+        return torch.addcmul(x, gate_f, self.fed(self.feed(_modulated(x, scale_f, shift_f))))
+
+
+def _modulated(x: Tensor, scale: Tensor, shift: Tensor) -> Tensor:
+    """Scaled and shifted after a norm; for one clip by the norm itself."""
+    if scale.ndim == 1:
+        return fn.layer_norm(x, x.shape[-1:], scale, shift)
+    return torch.addcmul(shift, fn.layer_norm(x, x.shape[-1:]), scale)
+
+
+def _stacked(layers: list[nn.Linear]) -> PackedLinear:
+    """Layers of one input as one, their outputs one after the other."""
+    return PackedLinear(torch.cat([layer.weight for layer in layers]), torch.cat([layer.bias for layer in layers]))
