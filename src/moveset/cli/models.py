@@ -33,10 +33,10 @@ def models(*, json: tyro.conf.FlagCreatePairsOff[bool] = False) -> int:
 def describe(name: str, path: Path) -> dict[str, Any]:
     """What a shipped model is and can, as a JSON object."""
     from moveset.pipelines.bundle import DEFAULT_MODEL, Bundle
-    from moveset.pipelines.model_folder import STREAM, VerifiedFolder
+    from moveset.pipelines.model_folder import STREAM, task_of
     from moveset.pipelines.stream_bundle import DEFAULT_STREAM, StreamBundle
 
-    folder = StreamBundle(path) if VerifiedFolder(path).task == STREAM else Bundle(path)
+    folder = StreamBundle(path) if task_of(path) == STREAM else Bundle(path)
     config = folder.config
     return {
         "name": name,
@@ -44,7 +44,11 @@ def describe(name: str, path: Path) -> dict[str, Any]:
         "default": name in (DEFAULT_MODEL, DEFAULT_STREAM),
         "megabytes": round(sum(size for _, size in folder.files.values()) / 1e6, 1),
         "networks": {
-            network: {"kind": spec.kind, "megabytes": round(folder.files[f"{network}.safetensors"][1] / 1e6, 1)}
+            network: {
+                "kind": spec.kind,
+                "megabytes": round(folder.files[f"{network}.safetensors"][1] / 1e6, 1),
+                "base": spec.base,
+            }
             for network, spec in config.models.items()
         },
         "pcm_steps": list(config.steps("pcm")),
@@ -84,5 +88,7 @@ def tell(row: dict[str, Any]) -> None:
         limits = f"up to {row['max_seconds']:g} s a prompt"
     print(f"{row['name']}  {row['megabytes']} MB  {can}  {row['fps']:g} fps  {limits}")
     print("    " + ", ".join(f"{network} {entry['megabytes']} MB" for network, entry in row["networks"].items()))
+    if based := [network for network, entry in row["networks"].items() if entry["base"]]:
+        print(f"    {', '.join(based)}: kept as differences from {row['networks'][based[0]]['base']}")
     for key, value in row["provenance"].items():
         print(f"    {key}: {value}")

@@ -83,6 +83,7 @@ def save_bundle(
     normalizer: Mapping[str, Tensor],
     captions: Sequence[str],
     pooled: Tensor,
+    bases: Mapping[str, str] | None = None,
 ) -> Path:
     """Write a text-to-motion folder; it appears whole or not at all, and replaces an older one of that name.
 
@@ -93,9 +94,10 @@ def save_bundle(
         normalizer: feature_mean, feature_std, latent_mean, latent_std; stored in float32.
         captions: P sentences the model was trained on.
         pooled: (P, C) their pooled text embeddings.
+        bases: by name of a student, the network it was started from ("teacher"): it is stored as differences.
 
     Raises:
         ValueError: weights that half precision cannot hold, or captions that do not fit their embeddings.
         FormatError: a configuration that could not be read again.
     """
-    return save_folder(path, config, modules, normalizer, captions, pooled)
+    return save_folder(path, config, modules, normalizer, captions, pooled, bases)

@@ -1,7 +1,7 @@
 """A model folder: everything one generator needs, as safetensors and JSON, each file guarded by its sha256.
 
 ``config.json``             what the parts are; its ``task`` says what kind of folder it is
-``<network>.safetensors``   weights in half precision
+``<network>.safetensors``   weights in half precision, or as differences from another network's (``stored_weights``)
 ``normalizer.safetensors``  statistics of features (and latents)
 ``prompts.json``            captions of the training data
 ``prompts.safetensors``     ``pooled`` (P, C), their pooled text embeddings
@@ -11,9 +11,6 @@ Only what is asked for is read, and what is read is verified. ``bundle`` and ``s
 """
 
 import hashlib
-import json
-import shutil
-import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cached_property
@@ -21,18 +18,16 @@ from pathlib import Path
 from typing import Any, ClassVar, Generic, Self, TypeVar
 
 import torch
-from safetensors import SafetensorError
-from safetensors.torch import load as load_safetensors
 from safetensors.torch import save as save_safetensors
 from torch import Tensor, nn
 
 from moveset.errors import FormatError, InputError
-from moveset.io.limits import atomic_write, read_limited
 from moveset.models.packed import PACKABLE, can_pack, pack
+from moveset.pipelines.stored_weights import halved, restored, subtracted
+from moveset.pipelines.verified_folder import VerifiedFolder, json_bytes, json_object, write_whole
 from moveset.text.familiarity import KnownPrompts
 
 FORMAT = 1
-MAX_FILE = 512 * 2**20
 TEXT_TO_MOTION = "text-to-motion"
 STREAM = "stream"
 _COMMANDS = {TEXT_TO_MOTION: "moveset generate", STREAM: "moveset stream"}
@@ -40,10 +35,19 @@ _COMMANDS = {TEXT_TO_MOTION: "moveset generate", STREAM: "moveset stream"}
 
 @dataclass(frozen=True, kw_only=True)
 class ModelSpec:
-    """Architecture of one network: what ``models.registry.build_model`` takes."""
+    """One network: what ``models.registry.build_model`` takes, and what its file is to be read with.
+
+    Args:
+        kind: name of the architecture.
+        config: its sizes.
+        base: the network whose weights the file tells the differences from; None if it holds the weights themselves.
+        base_sha256: of that network's file.
+    """
 
     kind: str
     config: Mapping[str, Any]
+    base: str | None = None
+    base_sha256: str | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,6 +85,9 @@ class FolderConfig:
         """Raises ValueError, TypeError or KeyError for numbers that no such model can have."""
         if not 0 < self.fps <= 1000:
             raise ValueError("frame rate out of range")
+        for name, spec in self.models.items():
+            if spec.base is not None and self.models[spec.base].base is not None:
+                raise ValueError(f"the base {spec.base!r} of {name!r} is itself stored as differences")
 
     @classmethod
     def parse(cls, data: bytes, where: Path) -> Self:
@@ -90,7 +97,7 @@ class FolderConfig:
             FormatError: not this format, or a newer version of it.
             InputError: a model of another kind.
         """
-        raw = _json_object(data, where)
+        raw = json_object(data, where)
         version = raw.pop("format", None)
         if version != FORMAT:
             raise FormatError(f"{where} has format {version!r}; this version reads format {FORMAT}")
@@ -114,73 +121,6 @@ class FolderConfig:
 
 
 Config = TypeVar("Config", bound=FolderConfig)
-
-
-class VerifiedFolder:
-    """Files beside a manifest; a byte that is read is a byte that was checked.
-
-    Args:
-        path: the folder.
-
-    Raises:
-        FormatError: no model folder.
-    """
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        if not (path / "manifest.json").is_file():
-            raise FormatError(f"{path} is no model folder: it has no manifest.json; give a folder made by save_bundle")
-
-    @cached_property
-    def files(self) -> dict[str, tuple[str, int]]:
-        """sha256 and size in bytes of every file, by name, as the manifest has them."""
-        where = self.path / "manifest.json"
-        raw = _json_object(read_limited(where, 2**20), where)
-        try:
-            if any(Path(name).name != name for name in raw["files"]):
-                raise ValueError("a file outside the folder")
-            return {name: (str(entry["sha256"]), int(entry["bytes"])) for name, entry in raw["files"].items()}
-        except (TypeError, ValueError, KeyError, AttributeError) as error:
-            raise FormatError(f"{where} is not a manifest; copy the model folder again") from error
-
-    @property
-    def task(self) -> str:
-        """What the folder's model is for, "text-to-motion" or "stream", whatever else its ``config.json`` says."""
-        return str(_json_object(self.read("config.json"), self.path / "config.json").get("task", TEXT_TO_MOTION))
-
-    def read(self, file: str) -> bytes:
-        """The bytes of one file.
-
-        Raises:
-            FormatError: not in the manifest, or damaged.
-            InputError: missing.
-        """
-        if file not in self.files:
-            raise FormatError(f"{self.path} has no {file} in its manifest; copy the model folder again")
-        path = self.path / file
-        data = read_limited(path, MAX_FILE)
-        sha256, size = self.files[file]
-        if len(data) != size or hashlib.sha256(data).hexdigest() != sha256:
-            raise FormatError(
-                f"{path} is damaged: it does not match the sha256 in manifest.json; reinstall moveset or copy it again"
-            )
-        return data
-
-    def tensors(self, file: str) -> dict[str, Tensor]:
-        """The tensors of one safetensors file, verified."""
-        data = self.read(file)
-        try:
-            return load_safetensors(data)
-        except SafetensorError as error:
-            raise FormatError(f"{self.path / file} is not a safetensors file: {error}") from error
-
-    def verify(self) -> int:
-        """Check every file against the manifest; the number of bytes checked.
-
-        Raises:
-            FormatError: naming the first file that is damaged or missing.
-        """
-        return sum(len(self.read(name)) for name in self.files)
 
 
 class ModelFolder(VerifiedFolder, Generic[Config]):
@@ -224,16 +164,27 @@ class ModelFolder(VerifiedFolder, Generic[Config]):
                     f"model {self.config.name!r} has no network {name!r}; it has {', '.join(self.config.models)}"
                 )
             module = _build(spec)
-            state = {key: _single(value) for key, value in self.tensors(f"{name}.safetensors").items()}
+            stored, base = self.tensors(f"{name}.safetensors"), self._base(name, spec)
             try:
-                module.load_state_dict(state, strict=True)
-            except RuntimeError as error:
+                module.load_state_dict(restored(stored, base), strict=True)
+            except (RuntimeError, ValueError) as error:
                 raise FormatError(
                     f"{self.path / name}.safetensors does not fit the architecture in config.json; copy the model again"
                 ) from error
             module = module.eval().requires_grad_(False).to(device)
             self._modules[name] = pack(module) if spec.kind in PACKABLE and can_pack(device) else module
         return self._modules[name]
+
+    def _base(self, name: str, spec: ModelSpec) -> dict[str, Tensor] | None:
+        """The tensors of the network that this one is stored as differences from."""
+        if spec.base is None:
+            return None
+        file = f"{spec.base}.safetensors"
+        if file in self.files and self.files[file][0] != spec.base_sha256:
+            raise FormatError(
+                f"{self.path / name}.safetensors holds differences from another {file}; copy the whole model folder"
+            )
+        return self.tensors(file)
 
     @cached_property
     def normalizer(self) -> dict[str, Tensor]:
@@ -248,7 +199,7 @@ class ModelFolder(VerifiedFolder, Generic[Config]):
     @cached_property
     def captions(self) -> KnownPrompts:
         """Captions the model was trained on, with their pooled embeddings."""
-        captions = _json_object(self.read("prompts.json"), self.path / "prompts.json").get("captions")
+        captions = json_object(self.read("prompts.json"), self.path / "prompts.json").get("captions")
         pooled = self.tensors("prompts.safetensors").get("pooled")
         if not isinstance(captions, list) or pooled is None or len(captions) != len(pooled):
             raise FormatError(
@@ -261,6 +212,12 @@ def shipped() -> dict[str, Path]:
     """Folders of the models that come with the package, by name."""
     root = Path(__file__).parents[1] / "weights"
     return {p.parent.name: p.parent for p in sorted(root.glob("*/manifest.json"))}
+
+
+def task_of(path: Path) -> str:
+    """What a folder's model is for, "text-to-motion" or "stream", whatever else its ``config.json`` says."""
+    config = json_object(VerifiedFolder(path).read("config.json"), path / "config.json")
+    return str(config.get("task", TEXT_TO_MOTION))
 
 
 def find_folder(name_or_path: str | Path) -> Path:
@@ -286,6 +243,7 @@ def save_folder(
     normalizer: Mapping[str, Tensor],
     captions: Sequence[str],
     pooled: Tensor,
+    bases: Mapping[str, str] | None = None,
 ) -> Path:
     """Write a model folder; it appears whole or not at all, and replaces an older one of that name.
 
@@ -296,53 +254,45 @@ def save_folder(
         normalizer: means and standard deviations by name; stored in float32.
         captions: P sentences the model was trained on.
         pooled: (P, C) their pooled text embeddings.
+        bases: by name of a network, the one whose weights it was started from: it is stored as differences from those,
+            in half the room.
 
     Raises:
-        ValueError: weights that half precision cannot hold, or captions that do not fit their embeddings.
+        ValueError: weights that half precision cannot hold, captions that do not fit their embeddings, or a base that
+            is not stored whole.
         FormatError: a configuration that could not be read again.
     """
     from moveset.models.registry import describe
 
     if len(captions) != len(pooled):
         raise ValueError(f"{len(captions)} captions do not fit {len(pooled)} embeddings")
+    bases = bases or {}
+    if wrong := [name for name, base in bases.items() if name not in modules or base not in modules or base in bases]:
+        raise ValueError(f"{wrong[0]!r} cannot be stored as differences from {bases[wrong[0]]!r}: that is not whole")
+    whole = {name: halved(module.state_dict()) for name, module in modules.items() if name not in bases}
+    blobs = {f"{name}.safetensors": save_safetensors(tensors) for name, tensors in whole.items()}
     specs = {}
-    blobs: dict[str, bytes] = {}
     for name, module in modules.items():
         kind, settings = describe(module.config)  # type: ignore[arg-type]
         specs[name] = ModelSpec(kind=kind, config=settings)
-        blobs[f"{name}.safetensors"] = save_safetensors({k: _half(k, v) for k, v in module.state_dict().items()})
+        if name in bases:
+            base = bases[name]
+            sha256 = hashlib.sha256(blobs[f"{base}.safetensors"]).hexdigest()
+            specs[name] = replace(specs[name], base=base, base_sha256=sha256)
+            blobs[f"{name}.safetensors"] = save_safetensors(subtracted(module.state_dict(), whole[base]))
     blobs["normalizer.safetensors"] = save_safetensors({k: v.float().contiguous() for k, v in normalizer.items()})
-    blobs["prompts.json"] = _dump({"captions": list(captions)})
-    blobs["prompts.safetensors"] = save_safetensors({"pooled": _half("pooled", pooled)})
-    blobs["config.json"] = _dump({"format": FORMAT, "task": config.task, **asdict(replace(config, models=specs))})
+    blobs["prompts.json"] = json_bytes({"captions": list(captions)})
+    blobs["prompts.safetensors"] = save_safetensors(halved({"pooled": pooled}))
+    blobs["config.json"] = json_bytes({"format": FORMAT, "task": config.task, **asdict(replace(config, models=specs))})
     type(config).parse(blobs["config.json"], path / "config.json")
-    _write_whole(path, blobs)
+    write_whole(path, blobs)
     return path
-
-
-def _write_whole(path: Path, blobs: Mapping[str, bytes]) -> None:
-    """The files and their manifest as a folder that replaces the one at ``path`` by renaming."""
-    files = {k: {"sha256": hashlib.sha256(v).hexdigest(), "bytes": len(v)} for k, v in sorted(blobs.items())}
-    path.parent.mkdir(parents=True, exist_ok=True)
-    folder = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))
-    try:
-        for name, blob in {**blobs, "manifest.json": _dump({"files": files})}.items():
-            with atomic_write(folder / name) as file:
-                file.write(blob)
-        folder.chmod(0o755)
-        if path.exists():
-            path.rename(folder / ".old")
-        folder.rename(path)
-        shutil.rmtree(path / ".old", ignore_errors=True)
-    except BaseException:
-        shutil.rmtree(folder, ignore_errors=True)
-        raise
 
 
 def _wrong_kind(folder: Path, task: object, wanted: str) -> InputError:
     if task not in _COMMANDS:
         return FormatError(f"model {folder.name!r} has the task {task!r}; this version knows {', '.join(_COMMANDS)}")
-    fitting = [name for name, path in shipped().items() if VerifiedFolder(path).task == wanted]
+    fitting = [name for name, path in shipped().items() if task_of(path) == wanted]
     return InputError(
         f"model {folder.name!r} is a {task} model, for `{_COMMANDS[str(task)]}`; "
         f"a {wanted} model is needed here: {' or '.join(fitting) or 'none is shipped'}"
@@ -353,30 +303,3 @@ def _build(spec: ModelSpec) -> nn.Module:
     from moveset.models.registry import build_model
 
     return build_model(spec.kind, spec.config)
-
-
-def _half(name: str, value: Tensor) -> Tensor:
-    if not value.is_floating_point():
-        return value.contiguous()
-    half = value.detach().cpu().half().contiguous()
-    if not torch.isfinite(half).all():
-        raise ValueError(f"{name} has values that half precision cannot hold")
-    return half
-
-
-def _single(value: Tensor) -> Tensor:
-    return value.float() if value.is_floating_point() else value
-
-
-def _dump(data: Mapping[str, object]) -> bytes:
-    return (json.dumps(data, indent=1, ensure_ascii=False) + "\n").encode()
-
-
-def _json_object(data: bytes, where: Path) -> dict[str, Any]:
-    try:
-        raw = json.loads(data)
-    except (ValueError, RecursionError) as error:
-        raise FormatError(f"{where} is not JSON: {error}; copy the model folder again") from error
-    if not isinstance(raw, dict):
-        raise FormatError(f"{where} is not a JSON object; copy the model folder again")
-    return raw

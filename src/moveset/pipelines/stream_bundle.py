@@ -15,6 +15,7 @@ from typing import ClassVar
 
 from torch import Tensor, nn
 
+from moveset.models import flow, segment_transformer  # noqa: F401  (they register their kinds)
 from moveset.pipelines.model_folder import STREAM, FolderConfig, ModelFolder, save_folder
 
 DEFAULT_STREAM = "rdm-small"
@@ -113,6 +114,7 @@ def save_stream_bundle(
     normalizer: Mapping[str, Tensor],
     captions: Sequence[str],
     pooled: Tensor,
+    bases: Mapping[str, str] | None = None,
 ) -> Path:
     """Write a stream's folder; it appears whole or not at all, and replaces an older one of that name.
 
@@ -123,6 +125,7 @@ def save_stream_bundle(
         normalizer: feature_mean, feature_std (D,); stored in float32.
         captions: P sentences the model was trained on.
         pooled: (P, C) their pooled text embeddings.
+        bases: by name of a student, the network it was started from ("rdm"): it is stored as differences.
 
     Raises:
         ValueError: missing statistics, weights that half precision cannot hold, or captions that do not fit theirs.
@@ -130,4 +133,4 @@ def save_stream_bundle(
     """
     if missing := set(STATISTICS) - set(normalizer):
         raise ValueError(f"the normalizer lacks {sorted(missing)[0]!r}")
-    return save_folder(path, config, modules, normalizer, captions, pooled)
+    return save_folder(path, config, modules, normalizer, captions, pooled, bases)

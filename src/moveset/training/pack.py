@@ -38,6 +38,7 @@ def pack(
     averaged: bool = True,
     decoder: Path | None = None,
     text_encoder: str = "minilm",
+    differences: bool = True,
 ) -> Path:
     """Write the model folder ``out``.
 
@@ -50,6 +51,7 @@ def pack(
         averaged: ship the students' averaged weights instead of the last ones.
         decoder: a run that went on with the VAE's decoder; None ships the VAE as it is.
         text_encoder: what the teacher was trained with.
+        differences: store the students as 8-bit differences from the teacher, which they were started from.
     """
     corpus = Corpus.open(sources.corpus)
     vae = frozen.load(sources.vae, "vae_ema")
@@ -89,7 +91,8 @@ def pack(
         "latent_mean": latents.center,
         "latent_std": latents.scale,
     }
-    return save_bundle(out, config, modules, normalizer, known, known_pooled)
+    bases = dict.fromkeys(students, "teacher") if differences else None
+    return save_bundle(out, config, modules, normalizer, known, known_pooled, bases)
 
 
 def caption_lengths(corpus: Corpus, per_clip: int = 2) -> tuple[list[str], torch.Tensor, torch.Tensor]:
@@ -150,6 +153,9 @@ def main() -> None:
     parser.add_argument("--guidance", type=float, nargs="*", default=[3.0], help="teacher's, then each student's")
     parser.add_argument("--last", action="store_true", help="the students' last weights instead of the averaged ones")
     parser.add_argument("--no-decoder", action="store_true", help="ship the VAE's own decoder, not that of decoder/")
+    parser.add_argument(
+        "--whole", action="store_true", help="the students' weights, not differences from the teacher's"
+    )
     parser.add_argument("--name", default="motionpcm-small")
     parser.add_argument("--out", type=Path, required=True)
     given = parser.parse_args()
@@ -167,6 +173,7 @@ def main() -> None:
             given.out,
             not given.last,
             None if given.no_decoder else given.runs / "decoder",
+            differences=not given.whole,
         )
     )
 

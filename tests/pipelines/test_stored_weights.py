@@ -1,0 +1,106 @@
+"""Weights as they are stored: what a rounding may cost, what is kept exactly, and what is refused."""
+
+import pytest
+import torch
+
+from moveset.pipelines.stored_weights import halved, restored, subtracted
+
+
+@pytest.fixture
+def base():
+    g = torch.Generator().manual_seed(0)
+    return {
+        "matrix": torch.randn(40, 64, generator=g),
+        "kernel": torch.randn(12, 8, 3, generator=g),
+        "bias": torch.randn(40, generator=g),
+        "narrow": torch.randn(30, 4, generator=g),
+        "counts": torch.arange(20).view(2, 10),
+    }
+
+
+@pytest.fixture
+def state(base):
+    g = torch.Generator().manual_seed(1)
+    moved = {k: v + 0.05 * torch.randn(v.shape, generator=g) if v.is_floating_point() else v for k, v in base.items()}
+    return moved | {"new": torch.randn(16, 64, generator=g)}
+
+
+def test_each_entry_is_off_by_half_a_step_at_most(state, base):
+    stored = subtracted(state, halved(base))
+    again = restored(stored, halved(base))
+    assert again.keys() == state.keys()
+    for key in ("matrix", "kernel"):
+        assert stored[f"{key}:difference"].dtype == torch.int8
+        largest = (state[key] - base[key].half().float()).flatten(1).abs().amax(1)
+        step = (largest / 127).view(-1, *[1] * (state[key].ndim - 1))
+        assert ((again[key] - state[key]).abs() <= 0.501 * step).all()
+        # The bound bites: some entries do lie half-way between two steps.
+        assert ((again[key] - state[key]).abs() > 0.4 * step).any()
+
+
+def test_what_is_small_or_new_is_whole(state, base):
+    stored = subtracted(state, halved(base))
+    for key in ("bias", "narrow", "new"):
+        assert torch.equal(stored[key], state[key].half())
+    assert torch.equal(stored["counts"], state["counts"])
+    assert restored(stored, halved(base))["counts"].dtype == torch.int64
+
+
+def test_other_shapes_are_whole(state, base):
+    wider = base | {"matrix": torch.zeros(40, 65)}
+    assert torch.equal(subtracted(state, halved(wider))["matrix"], state["matrix"].half())
+
+
+def test_unlike_tensors_are_whole(state, base):
+    """Eight bits of a difference as large as the tensor itself would be off by more than a percent."""
+    g = torch.Generator().manual_seed(2)
+    stranger = base | {"matrix": torch.randn(40, 64, generator=g)}
+    stored = subtracted(state, halved(stranger))
+    assert torch.equal(stored["matrix"], state["matrix"].half())
+    assert "kernel:difference" in stored
+
+
+def test_the_base_itself_comes_back_exactly(base):
+    stored_base = halved(base)
+    same = {k: v.float() if v.is_floating_point() else v for k, v in stored_base.items()}
+    again = restored(subtracted(same, stored_base), stored_base)
+    assert all(torch.equal(again[key], same[key]) for key in same)
+
+
+def test_the_rounding_of_the_base_does_not_count(base):
+    """Differences of 1e-5 from weights near 1 survive; half precision would lose nearly all of them."""
+    g = torch.Generator().manual_seed(3)
+    stored_base = halved(base)
+    near = {"matrix": stored_base["matrix"].float() + 1e-5 * torch.randn(40, 64, generator=g)}
+    again = restored(subtracted(near, stored_base), stored_base)["matrix"]
+    assert float((again - near["matrix"]).abs().max()) < 5e-7
+    assert float((near["matrix"].half() == stored_base["matrix"]).float().mean()) > 0.8
+
+
+def test_the_same_weights_give_the_same_bits(state, base):
+    one, two = (subtracted(state, halved(base)) for _ in range(2))
+    assert one.keys() == two.keys()
+    assert all(torch.equal(one[key], two[key]) for key in one)
+    first, second = restored(one, halved(base)), restored(two, halved(base))
+    assert all(torch.equal(first[key], second[key]) for key in first)
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf"), 1e6])
+def test_numbers_that_cannot_be_stored_are_refused(state, base, value):
+    state["matrix"][3, 3] = value
+    with pytest.raises(ValueError, match="matrix has values that half precision cannot hold"):
+        subtracted(state, halved(base))
+
+
+def test_differences_need_their_base(state, base):
+    stored, stored_base = subtracted(state, halved(base)), halved(base)
+    with pytest.raises(ValueError, match="'matrix' is a difference from nothing"):
+        restored(stored)
+    with pytest.raises(ValueError, match="'matrix' is a difference from nothing"):
+        restored(stored, {k: v for k, v in stored_base.items() if k != "matrix"})
+    with pytest.raises(ValueError, match="'matrix' is a difference from nothing"):
+        restored({k: v for k, v in stored.items() if k != "matrix:scale"}, stored_base)
+    with pytest.raises(ValueError, match="no difference from a tensor of shape"):
+        restored(stored, stored_base | {"matrix": torch.zeros(64, 40)})
+    with pytest.raises(ValueError, match="no difference from a tensor of shape"):
+        restored(stored | {"matrix:scale": torch.ones(39)}, stored_base)
