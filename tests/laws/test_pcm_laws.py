@@ -19,7 +19,7 @@ from moveset.pcm.consistency import (
     teacher_step,
 )
 from moveset.pcm.losses import pseudo_huber
-from moveset.pcm.phases import PhaseGrid
+from moveset.diffusion.phases import PhaseGrid
 from moveset.pcm.sampler import lcm_timesteps, sample_lcm, sample_phased
 
 SCHEDULE = scaled_linear()

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def train(
-    what: tyro.conf.Positional[Literal["vae", "decoder", "teacher", "lcm", "pcm", "rdm"]],
+    what: tyro.conf.Positional[Literal["vae", "decoder", "teacher", "lcm", "pcm", "rdm", "md", "rdm-student"]],
     *,
     recipe: Literal["small", "paper", "tiny"] = "small",
     resume: tyro.conf.FlagCreatePairsOff[bool] = False,
@@ -45,13 +45,15 @@ def train(
 
     Args:
         what: vae: the autoencoder. decoder: more of its decoder, with its latents kept. teacher: the latent diffusion
-            model. lcm, pcm: students with few steps.
+            model. lcm, pcm: students with few steps. rdm: the recurrent model of endless streams. md: its autoregressive
+            baseline. rdm-student: a recurrent model with few steps.
         recipe: small: what ships. paper: the published sizes. tiny: seconds, to try the machinery.
         resume: Continue from the latest checkpoint in the folder, or start if there is none.
         folder: Where checkpoints and logs go; by default runs/RECIPE/WHAT.
-        corpus: What `moveset data build` wrote.
+        corpus: What `moveset data build` wrote, or a HumanML3D or KIT-ML folder.
         vae: Checkpoint or run folder of the autoencoder; by default runs/RECIPE/vae.
-        teacher: Checkpoint or run folder of the teacher; by default runs/RECIPE/teacher.
+        teacher: Checkpoint or run folder of the teacher; by default runs/RECIPE/teacher, or runs/RECIPE/rdm for
+            rdm-student.
         steps: Steps in all.
         seed: Of everything random.
         device: Where to compute.
@@ -81,7 +83,8 @@ def train(
     chosen = load_recipe(recipe, what)
     engine = replace(chosen.engine, **{name: value for name, value in given.items() if value is not None})
     config = with_settings(chosen.task, set)
-    sources = Sources(corpus=corpus, vae=vae or runs / "vae", teacher=teacher or runs / "teacher", cache=runs / "cache")
+    teacher = teacher or runs / ("rdm" if what == "rdm-student" else "teacher")
+    sources = Sources(corpus=corpus, vae=vae or runs / "vae", teacher=teacher, cache=runs / "cache")
 
     with warnings.catch_warnings():
         warnings.showwarning = _say

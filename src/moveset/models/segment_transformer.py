@@ -12,6 +12,7 @@ Shapes: B rows, n frames, D features, L text tokens, C text width, W model width
 """
 
 from dataclasses import dataclass, replace
+from typing import cast
 
 import torch
 from torch import Tensor, nn
@@ -120,7 +121,7 @@ class SegmentTransformer(nn.Module):
             bias = torch.zeros(context.shape[:2], dtype=torch.float32, device=context.device)
             bias[:, :length].masked_fill_(~mask_BL, -1e4)
         condition = pooled + self.index(index_B.clamp(max=self.config.max_index)) + level
-        return Context(tuple(block.read(context) for block in self.blocks), bias, condition, last)
+        return Context(tuple(cast(Block, block).read(context) for block in self.blocks), bias, condition, last)
 
     def forward(
         self,

@@ -18,9 +18,9 @@ import torch
 from torch import Tensor
 
 from moveset.diffusion.guidance import cfg
+from moveset.diffusion.phases import PhaseGrid
 from moveset.diffusion.schedule import Schedule
 from moveset.diffusion.steps import add_noise, ddim_step, over, predict_z0, renoise
-from moveset.pcm.phases import PhaseGrid
 
 Teacher = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
 Student = Callable[[Tensor, Tensor, Tensor | None], Tensor]

@@ -13,11 +13,11 @@ import torch
 from torch import Tensor
 
 from moveset.diffusion.guidance import cfg
+from moveset.diffusion.phases import PhaseGrid
 from moveset.diffusion.schedule import Schedule
 from moveset.diffusion.steps import add_noise, ddim_step, predict_z0
 from moveset.errors import InputError
 from moveset.pcm.consistency import Student, Teacher, lcm_prediction
-from moveset.pcm.phases import PhaseGrid
 
 
 def sample_ddim_cfg(

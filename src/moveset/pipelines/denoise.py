@@ -8,11 +8,11 @@ from collections.abc import Callable, Sequence
 import torch
 from torch import Tensor, nn
 
+from moveset.diffusion.phases import PhaseGrid
 from moveset.diffusion.schedule import scaled_linear
 from moveset.diffusion.steps import ddim_timesteps
 from moveset.models.latent_denoiser import LatentDenoiser
 from moveset.models.packed_denoiser import PackedDenoiser
-from moveset.pcm.phases import PhaseGrid
 from moveset.pcm.sampler import lcm_timesteps, sample_ddim_cfg, sample_lcm, sample_phased
 from moveset.pipelines.bundle import Bundle
 from moveset.pipelines.request import Method

@@ -1,11 +1,14 @@
 """What ships: the same methods at sizes that two processor cores train in hours and run in milliseconds."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 from moveset.models.flow import FlowConfig
+from moveset.rdm.grid import GridConfig
 from moveset.training.distill import DistillationConfig
 from moveset.training.engine import EngineConfig
 from moveset.training.rdm import RDMConfig
+from moveset.training.rdm_student import RDMStudentConfig
 from moveset.training.reading import Disturbance
 from moveset.training.tasks import Recipe
 from moveset.training.teacher import TeacherConfig
@@ -88,6 +91,17 @@ def rdm() -> Recipe:
     )
 
 
+def md() -> Recipe:
+    """MD-7: each segment from noise, told the finished one before; no flow, no noisy recurrence."""
+    chosen = rdm()
+    return replace(chosen, task=replace(chosen.task, flow=None, grid=GridConfig(condition="clean")))
+
+
+def rdm_student() -> Recipe:
+    """RDM-7 in one evaluation a segment; ``--set phases=2`` and ``--set phases=4`` for more."""
+    return Recipe(task=RDMStudentConfig(disturbance=DISTURBANCE), engine=_students())
+
+
 # The published range [5, 15] is far too strong here: the teacher says what validation prompts say in 78, 83 and 80 % of
 # clips at w = 1, 2 and 3.
 GUIDANCE = (1.0, 4.0)
@@ -107,4 +121,6 @@ TRAINING: dict[str, Callable[[], Recipe]] = {
     "lcm": lcm,
     "pcm": pcm,
     "rdm": rdm,
+    "md": md,
+    "rdm-student": rdm_student,
 }

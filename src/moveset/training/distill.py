@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 import torch
 from torch import Tensor, nn
 
+from moveset.diffusion.phases import PhaseGrid
 from moveset.diffusion.schedule import scaled_linear
 from moveset.diffusion.steps import add_noise, ddim_timesteps
 from moveset.models.discriminator import DiscriminatorConfig, LatentDiscriminator
@@ -26,7 +27,6 @@ from moveset.pcm.consistency import (
     phased_target,
 )
 from moveset.pcm.losses import hinge_discriminator, hinge_generator, pseudo_huber
-from moveset.pcm.phases import PhaseGrid
 from moveset.pcm.sampler import lcm_timesteps, sample_ddim_cfg, sample_lcm, sample_phased
 from moveset.text.encoder import TextEmbedding, stack
 from moveset.training import frozen

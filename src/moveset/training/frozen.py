@@ -7,7 +7,15 @@ from typing import Any
 import torch
 from torch import nn
 
-from moveset.models import latent_denoiser, timed_vae, token_denoiser, token_vae  # noqa: F401  (they register their kinds)
+from moveset.models import (  # noqa: F401  (they register their kinds)
+    flow,
+    latent_denoiser,
+    segment_denoiser,
+    segment_transformer,
+    timed_vae,
+    token_denoiser,
+    token_vae,
+)
 from moveset.models.registry import build_model
 from moveset.training import checkpoint
 
@@ -33,8 +41,12 @@ class Frozen:
     path: Path
 
 
-def load(path: Path, name: str, device: torch.device | str = "cpu") -> Frozen:
+def load(path: Path, name: str, device: torch.device | str = "cpu", part: str = "") -> Frozen:
     """The network saved as ``NAME.safetensors`` in a run folder's latest checkpoint, or in the checkpoint given.
+
+    Args:
+        part: for a task's second network, its kind: the sizes are then the task's field of the first word of ``name``
+            ("flow_ema" of kind "coupling_flow" is described by ``flow``).
 
     Raises:
         InputError: there is no checkpoint, or it holds no such network.
@@ -42,7 +54,7 @@ def load(path: Path, name: str, device: torch.device | str = "cpu") -> Frozen:
     """
     step = checkpoint.resolve(path)
     task = checkpoint.read_document(step, "config")["config"]
-    kind, config = task["kind"], task["model"]
+    kind, config = (part, task[name.split("_")[0]]) if part else (task["kind"], task["model"])
     module: nn.Module = build_model(kind, config)
     checkpoint.load_module(module, step, name)
     digest = checkpoint.verify(step)["files"][f"{name}.safetensors"]["sha256"]

@@ -6,7 +6,7 @@ Source: RDM (arXiv 2406.07169), Section 4.4 and Algorithm 2.
 """
 
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Literal, cast
 
 import torch
 from torch import Tensor, nn
@@ -17,7 +17,7 @@ from moveset.models.flow import CouplingFlow, FlowConfig
 from moveset.models.registry import describe
 from moveset.models.segment_denoiser import SegmentDenoiserConfig
 from moveset.models.segment_transformer import SegmentTransformerConfig
-from moveset.motion.features import get_codec
+from moveset.motion.features import FeatureCodec, get_codec
 from moveset.rdm.grid import GridConfig, corrupt, draw
 from moveset.rdm.losses import flow_loss, masked_mse, velocity_loss
 from moveset.rdm.transport import Transport
@@ -91,10 +91,10 @@ class SegmentData:
         self.disturbance, self.device = config.disturbance, loop.device
         self.seed = loop.config.seed * 64 + loop.rank
         with loop.fabric.rank_zero_first():
-            self._open(sources, config, loop.rank == 0)
-        self.text = self.text.to(loop.device)
+            text = self._open(sources, config, loop.rank == 0)
+        self.text = text.to(loop.device)
 
-    def _open(self, sources: Sources, config: RDMConfig, progress: bool) -> None:
+    def _open(self, sources: Sources, config: RDMConfig, progress: bool) -> EmbeddingCache:
         corpus, codec = Corpus.open(sources.corpus), get_codec(config.codec)
         folder = sources.cache / f"features-{codec.name}"
         store = FeatureStore.of(corpus, codec, folder, progress)
@@ -105,7 +105,7 @@ class SegmentData:
         said = wordings(self.train.all_captions(), config.disturbance)
         captions = sorted({*said, *self.val.all_captions()})
         path = sources.cache / f"text-{config.text_encoder.replace('/', '-').replace(':', '-')}.safetensors"
-        self.text = EmbeddingCache.build(get_text_encoder(config.text_encoder), captions, path)
+        return EmbeddingCache.build(get_text_encoder(config.text_encoder), captions, path)
 
     def read(self, captions: list[str], disturbed_by: torch.Generator | None = None) -> TextEmbedding:
         """Token states of captions, and their pooled vectors; roughened if given a generator."""
@@ -127,10 +127,7 @@ class RDMTask(Task):
         self.flow_ema = None if self.flow is None else Ema(self.flow, config.ema)
         self.transport = Transport(self.flow, config.depth_cap)
         self.draws = loop.generator("draws")
-        self.feature_weight = torch.ones(self.data.codec.dim, device=loop.device)
-        for name in ("root_yaw", "root_velocity", "root_height"):
-            self.feature_weight[self.data.codec.groups[name]] = config.root
-        self.feature_weight *= len(self.feature_weight) / self.feature_weight.sum()
+        self.feature_weight = feature_weights(self.data.codec, config.root).to(loop.device)
         self._optimizers = {"denoiser": _optimizer(config, self.denoiser, config.lr)}
         if self.flow is not None:
             self._optimizers["flow"] = _optimizer(config, self.flow, config.flow_lr)
@@ -154,7 +151,7 @@ class RDMTask(Task):
     def training_step(self, step: int, loop: Loop) -> dict[str, Tensor]:
         config = self.config
         batch = self.data.train.batch(config.batch, self.data.seed, step).to(loop.device)
-        report = {}
+        report: dict[str, Tensor] = {}
         if self.flow is not None and step <= self.steps * (1 - config.frozen_flow):
             report |= self._train_flow(batch, loop)
         dropped = torch.rand(config.batch, generator=self.draws) < config.text_drop
@@ -171,7 +168,7 @@ class RDMTask(Task):
         """Errors of the averaged networks on 512 segments of val: the denoiser's by level, the flow's, and std(y)."""
         generator = torch.Generator().manual_seed(0)
         flow = None if self.flow_ema is None else self.flow_ema.module
-        transport = Transport(flow, self.config.depth_cap)
+        transport = Transport(cast(CouplingFlow | None, flow), self.config.depth_cap)
         rows: dict[str, list[Tensor]] = {}
         for k in range(4):
             batch = self.data.val.batch(128, 0, k).to(loop.device)
@@ -232,6 +229,14 @@ class RDMTask(Task):
             )
         error = masked_mse(made.detach(), clean, batch.valid)
         return loss, {"error": error, "noisy_std": cell.x_BnD.std()}
+
+
+def feature_weights(codec: FeatureCodec, root: float) -> Tensor:
+    """Weights (D,) of mean 1 in which the root's features count ``root`` times as much as others."""
+    weights = torch.ones(codec.dim)
+    for name in ("root_yaw", "root_velocity", "root_height"):
+        weights[codec.groups[name]] = root
+    return weights * len(weights) / weights.sum()
 
 
 def _level_weight(kind: str, t_B: Tensor) -> Tensor:

@@ -71,8 +71,15 @@ class SegmentBatch:
 
     def to(self, device: torch.device | str) -> "SegmentBatch":
         """The same on another device."""
-        tensors = (self.clean, self.valid, self.previous, self.first, self.index)
-        return SegmentBatch(*(x.to(device) for x in tensors), self.captions, self.previous_captions)
+        return SegmentBatch(
+            self.clean.to(device),
+            self.valid.to(device),
+            self.previous.to(device),
+            self.first.to(device),
+            self.index.to(device),
+            self.captions,
+            self.previous_captions,
+        )
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,6 +22,8 @@ TASKS = {
     "lcm": "moveset.training.distill:LCMTask",
     "pcm": "moveset.training.distill:PCMTask",
     "rdm": "moveset.training.rdm:RDMTask",
+    "md": "moveset.training.rdm:RDMTask",
+    "rdm-student": "moveset.training.rdm_student:RDMStudentTask",
 }
 RECIPES = ("small", "paper", "tiny")
 

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from moveset.errors import InputError
-from moveset.pcm.phases import PhaseGrid
+from moveset.diffusion.phases import PhaseGrid
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,250 @@
+"""Distilling a recurrent diffusion model into one, two or four evaluations a segment: the two papers joined.
+
+Segments are denoised one after the other, each told its finished predecessor. Teacher, guidance, averaged target and
+discriminator are as in ``training.distill``; the mathematics is in ``rdm.distillation``.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+
+import torch
+from torch import Tensor, nn
+
+from moveset.diffusion.guidance import cfg
+from moveset.diffusion.phases import PhaseGrid
+from moveset.diffusion.steps import add_noise, denoise_step, over, renoise
+from moveset.models.discriminator import DiscriminatorConfig
+from moveset.models.registry import describe
+from moveset.models.segment_transformer import SegmentTransformerConfig
+from moveset.pcm.consistency import Draws, draw
+from moveset.pcm.losses import hinge_discriminator, hinge_generator
+from moveset.rdm.distillation import clean_target, jump
+from moveset.rdm.staircase import levels
+from moveset.rdm.transport import Transport
+from moveset.text.encoder import TextEmbedding, stack
+from moveset.training import frozen
+from moveset.training.ema import Ema
+from moveset.training.engine import Loop, Task
+from moveset.training.optim import cosine_lr
+from moveset.training.rdm import SCHEDULE, RDMConfig, SegmentData, feature_weights
+from moveset.training.reading import Disturbance
+from moveset.training.segments import CuttingConfig, SegmentBatch
+from moveset.training.tasks import Sources
+
+_Call = Callable[[Tensor, Tensor, Tensor], Tensor]
+
+
+@dataclass(frozen=True, kw_only=True)
+class RDMStudentConfig:
+    """What a few-step student is and how it learns; the learning rate is a cosine over the run.
+
+    Args:
+        points: solver points N of the grid.
+        phases: M, evaluations of a segment.
+        guidance: range of the guidance scale w that the student is trained for.
+        huber: c of the pseudo-Huber distance.
+        adversarial: weight of the discriminator's verdict; 0 leaves the discriminator out.
+        ema: decay of the target network.
+        root: weight of the four root features, as in the teacher's training.
+        codec, frames: filled in from the teacher's.
+        model: the student's architecture; filled in from the teacher's.
+    """
+
+    points: int = 10
+    phases: int = 1
+    guidance: tuple[float, float] = (0.0, 3.0)
+    huber: float = 0.5
+    adversarial: float = 0.1
+    ema: float = 0.95
+    batch: int = 64
+    lr: float = 3e-4
+    warmup: int = 100
+    discriminator_lr: float = 1e-3
+    root: float = 5.0
+    text_encoder: str = "minilm"
+    cutting: CuttingConfig = field(default_factory=CuttingConfig)
+    disturbance: Disturbance = field(default_factory=Disturbance)
+    codec: str = ""
+    frames: int = 0
+    model: SegmentTransformerConfig | None = None
+    kind: str = field(init=False, default="")
+
+    def __post_init__(self) -> None:
+        if self.model is not None:
+            object.__setattr__(self, "kind", describe(self.model)[0])
+
+
+class RDMStudentTask(Task):
+    """Consistency inside each of M phases, a discriminator on the frozen teacher's features."""
+
+    name = "rdm-student"
+
+    def __init__(self, config: RDMStudentConfig, sources: Sources, loop: Loop) -> None:
+        self.steps = loop.config.steps
+        teacher = frozen.load(sources.teacher, "denoiser_ema", loop.device)
+        self.teacher = teacher.module
+        flow = None
+        if teacher.task["flow"] is not None:
+            flow = frozen.load(sources.teacher, "flow_ema", loop.device, part="coupling_flow").module
+        self.transport = Transport(flow, teacher.task["depth_cap"])
+        grid = RDMConfig().grid
+        shared = RDMConfig(
+            grid=replace(grid, frames=teacher.task["grid"]["frames"]),
+            codec=teacher.task["codec"],
+            cutting=config.cutting,
+            disturbance=config.disturbance,
+            text_encoder=config.text_encoder,
+        )
+        self.data = SegmentData(sources, shared, loop)
+        self.student = self.teacher.student().requires_grad_(True)
+        self.config = replace(config, model=self.student.config, codec=shared.codec, frames=shared.grid.frames)
+        self.ema = Ema(self.student, config.ema)
+        self.grid = PhaseGrid(config.points, config.phases)
+        self.draws = loop.generator("draws")
+        self.optimizer = torch.optim.AdamW(self.student.parameters(), config.lr, betas=(0.9, 0.999), weight_decay=0.0)
+        sizes = DiscriminatorConfig(width=self.student.config.width, taps=self.student.config.blocks)
+        self.heads = sizes.build().to(loop.device)
+        self.heads_optimizer = torch.optim.AdamW(
+            self.heads.parameters(), config.discriminator_lr, betas=(0.0, 0.999), weight_decay=0.0
+        )
+        self.scale = feature_weights(self.data.codec, config.root).sqrt().to(loop.device)
+        self._reference: Tensor | None = None
+
+    def modules(self) -> dict[str, nn.Module]:
+        return {"student": self.student} | ({"discriminator": self.heads} if self.config.adversarial else {})
+
+    def averages(self) -> dict[str, nn.Module]:
+        return {"student_ema": self.ema.module}
+
+    def optimizers(self) -> dict[str, torch.optim.Optimizer]:
+        both: dict[str, torch.optim.Optimizer] = {"student": self.optimizer, "discriminator": self.heads_optimizer}
+        return both if self.config.adversarial else {"student": self.optimizer}
+
+    def learning_rates(self, step: int) -> dict[str, float]:
+        return {"student": cosine_lr(step, self.config.lr, self.config.warmup, self.steps)}
+
+    def training_step(self, step: int, loop: Loop) -> dict[str, Tensor]:
+        config = self.config
+        batch = self.data.train.batch(config.batch, self.data.seed, step).to(loop.device)
+        text = self.data.read(batch.captions, self.draws)
+        draws = draw(self.grid, batch.clean, config.guidance, self.draws)
+        bound = _Bound(batch, text, self.data.read([""] * config.batch), self.transport, self.teacher)
+        t_B, edge_B = self.grid.time(draws.point_B), self.grid.lower(draws.point_B)
+        z = add_noise(SCHEDULE, bound.pull(batch.clean), draws.noise_BND, t_B)
+        target, share_B = clean_target(
+            SCHEDULE, self.grid, bound.guided, bound.by(self.ema.module), bound.push, bound.pull, z, draws.point_B,
+            draws.w_B,
+        )  # fmt: skip
+        made = bound.by(self.student)(bound.push(z), t_B, draws.w_B)
+        loss = _distance(made, target, over(share_B, made) * self.scale, batch.valid, config.huber)
+        report = {"consistency": loss.detach()}
+        if config.adversarial:
+            fooled, seen = self._judge(bound, batch, draws, z, made, t_B, edge_B, loop)
+            loss = loss + config.adversarial * fooled
+            report |= seen
+        report["gradient_norm"] = loop.minimise(loss, "student")
+        self.ema.update(self.student)
+        return report | {"loss": loss.detach()}
+
+    def validate(self, step: int, loop: Loop) -> dict[str, float]:
+        """Mean squared distance to the teacher's 25 guided steps from the same noise, on captions of val."""
+        batch = self.data.val.batch(64, 0, 0).to(loop.device)
+        text, w = self.data.read(batch.captions), torch.full((64,), sum(self.config.guidance) / 2).to(loop.device)
+        bound = _Bound(batch, text, self.data.read([""] * 64), self.transport, self.teacher)
+        noise = torch.randn(batch.clean.shape, generator=torch.Generator().manual_seed(0)).to(loop.device)
+        if self._reference is None:
+            self._reference = bound.sample(bound.guided, noise, levels(25), w)
+        edges = self.grid.edges[::-1]
+        valid = batch.valid[..., None]
+        report = {}
+        for name, network in (("student", self.student), ("ema", self.ema.module)):
+            made = bound.sample(bound.by(network), noise, edges, w)
+            report[f"{name}_gap"] = float(
+                ((made - self._reference).square() * valid).sum() / valid.sum() / made.shape[-1]
+            )
+        return report | {"teacher_std": float(self._reference.std()), "student_std": float(made.std())}
+
+    def _judge(
+        self, bound: "_Bound", batch: SegmentBatch, draws: Draws, z: Tensor, made: Tensor, t_B: Tensor, edge_B: Tensor,
+        loop: Loop,
+    ) -> tuple[Tensor, dict[str, Tensor]]:  # fmt: skip
+        """How little the discriminator is fooled, after its own step; fake and real are noised to the judged time."""
+        landed = jump(SCHEDULE, z, bound.pull(made), t_B, edge_B)
+        fake = bound.push(renoise(SCHEDULE, landed, edge_B, draws.judged_B, draws.fake_noise_BND))
+        seen = bound.features(fake, draws.judged_B)
+        with torch.no_grad():
+            real = bound.push(add_noise(SCHEDULE, bound.pull(batch.clean), draws.real_noise_BND, draws.judged_B))
+            real_seen = bound.features(real, draws.judged_B)
+        real_logits, fake_logits = self.heads(real_seen), self.heads([x.detach() for x in seen])
+        verdict = hinge_discriminator(real_logits, fake_logits)
+        loop.minimise(verdict, "discriminator")
+        report = {
+            "discriminator": verdict.detach(),
+            "real_logit": real_logits.mean().detach(),
+            "fake_logit": fake_logits.mean().detach(),
+        }
+        return hinge_generator(self.heads(seen)), report
+
+
+class _Bound:
+    """Networks and flow with a batch's text, previous segments and indices bound; the previous segment is clean."""
+
+    def __init__(
+        self, batch: SegmentBatch, text: TextEmbedding, empty: TextEmbedding, transport: Transport, teacher: nn.Module
+    ) -> None:
+        self.batch, self.text, self.transport, self.teacher = batch, text, transport, teacher
+        self.both = stack([text, empty])
+        self.clean_level = torch.zeros_like(batch.index)
+
+    def push(self, y: Tensor) -> Tensor:
+        """x of y."""
+        return self.transport.push(y, self.batch.index, self.text.pooled)
+
+    def pull(self, x: Tensor) -> Tensor:
+        """y of x."""
+        return self.transport.pull(x, self.batch.index, self.text.pooled)
+
+    def guided(self, x: Tensor, t_B: Tensor, w_B: Tensor) -> Tensor:
+        """The teacher's clean segment under classifier-free guidance, by one batch of both."""
+        b = self.batch
+        told = (b.previous.repeat(2, 1, 1), self.clean_level.repeat(2), b.index.repeat(2))
+        made = self.teacher(
+            x.repeat(2, 1, 1), t_B.repeat(2), *told, self.both.tokens, self.both.mask, None, b.valid.repeat(2, 1)
+        )
+        told, untold = made.float().chunk(2)
+        return cfg(told, untold, w_B)
+
+    def by(self, network: nn.Module) -> _Call:
+        """A student."""
+
+        def call(x: Tensor, t_B: Tensor, w_B: Tensor) -> Tensor:
+            b = self.batch
+            made: Tensor = network(
+                x, t_B, b.previous, self.clean_level, b.index, self.text.tokens, self.text.mask, w_B, b.valid
+            )
+            return made.float()
+
+        return call
+
+    def features(self, x: Tensor, t_B: Tensor) -> list[Tensor]:
+        """What the frozen teacher's blocks make of x."""
+        taps: list[Tensor] = []
+        b, text = self.batch, self.text
+        self.teacher(x, t_B, b.previous, self.clean_level, b.index, text.tokens, text.mask, None, b.valid, taps)
+        return taps
+
+    def sample(self, network: _Call, noise: Tensor, times: tuple[int, ...], w_B: Tensor) -> Tensor:
+        """Clean segments from noise, deterministically over these levels."""
+        y = noise
+        for t, s in pairwise(times):
+            t_B, s_B = (torch.full((len(y),), at, device=y.device) for at in (t, s))
+            y = denoise_step(SCHEDULE, y, self.pull(network(self.push(y), t_B, w_B)), t_B, s_B)
+        return self.push(y)
+
+
+def _distance(made: Tensor, target: Tensor, weight: Tensor, valid_Bn: Tensor, c: float) -> Tensor:
+    """Pseudo-Huber distance over valid frames (``pcm.losses.pseudo_huber``)."""
+    square = ((made - target) * weight).square()
+    each = (square / (torch.sqrt(square + c * c) + c)).mean(dim=-1)
+    return (each * valid_Bn).sum() / valid_Bn.sum().clamp_min(1)
