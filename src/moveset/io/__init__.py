@@ -78,11 +78,20 @@ def save(motion: "Motion", path: str | Path, *, metadata: Mapping[str, str | int
     else:
         _save_picture(motion, path, suffix, notes)
     if notes and (suffix in (".bvh", ".npy") or _is_amass(path)):
-        from moveset.io.limits import atomic_write
-
-        with atomic_write(_beside(path)) as file:
-            file.write((json.dumps(notes, ensure_ascii=False, indent=1) + "\n").encode())
+        save_beside(notes, path)
     return path
+
+
+def save_beside(metadata: Mapping[str, str | int | float | None], path: Path) -> None:
+    """Write metadata into the file beside a motion that has no place for it.
+
+    Raises:
+        InputError: the folder cannot be written to.
+    """
+    from moveset.io.limits import atomic_write
+
+    with atomic_write(_beside(path)) as file:
+        file.write((json.dumps(metadata, ensure_ascii=False, indent=1) + "\n").encode())
 
 
 def read_metadata(path: str | Path) -> dict[str, Any]:

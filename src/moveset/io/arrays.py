@@ -25,7 +25,7 @@ from moveset.motion.clip import Motion
 from moveset.motion.positions import solve_rotations
 from moveset.motion.retarget import retarget
 from moveset.motion.rigs import as_skeleton
-from moveset.motion.skeleton import HML22
+from moveset.motion.skeleton import HML22, Skeleton
 
 MAX_NPZ_BYTES = 512 * 2**20
 _MEMBERS = 64
@@ -42,19 +42,25 @@ def write_npz(motion: Motion, path: str | Path, *, metadata: Mapping[str, object
     Raises:
         InputError: the path cannot be written to.
     """
-    skeleton = motion.skeleton
     with atomic_write(path) as file:
         np.savez(
             file,
             rotations=motion.rotations.numpy().astype(np.float32),
             root=motion.root.numpy().astype(np.float32),
-            fps=np.float64(motion.fps),
-            skeleton=np.array(skeleton.name),
-            joints=np.array(skeleton.joints),
-            parents=np.array(skeleton.parents, dtype=np.int32),
-            offsets=skeleton.offsets.numpy().astype(np.float32),
-            metadata=np.array(json.dumps(dict(metadata or {}))),
+            **still_arrays(motion.skeleton, motion.fps, metadata or {}),
         )
+
+
+def still_arrays(skeleton: Skeleton, fps: float, metadata: Mapping[str, object]) -> dict[str, Any]:
+    """What a native npz holds besides rotations and root."""
+    return {
+        "fps": np.array(fps, dtype=np.float64),
+        "skeleton": np.array(skeleton.name),
+        "joints": np.array(skeleton.joints),
+        "parents": np.array(skeleton.parents, dtype=np.int32),
+        "offsets": skeleton.offsets.numpy().astype(np.float32),
+        "metadata": np.array(json.dumps(dict(metadata))),
+    }
 
 
 def write_amass(motion: Motion, path: str | Path) -> None:

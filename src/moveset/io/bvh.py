@@ -16,7 +16,7 @@ from moveset.motion import rotations
 from moveset.motion.clip import Motion
 from moveset.motion.skeleton import HML22, Skeleton
 
-__all__ = ["BvhFile", "LocalFrames", "bvh_motion", "likely_scale", "local_frames", "read_bvh", "write_bvh"]
+__all__ = ["BvhFile", "BvhText", "LocalFrames", "bvh_motion", "likely_scale", "local_frames", "read_bvh", "write_bvh"]
 
 CENTIMETRES = 0.01
 _REACH = 2.0
@@ -151,31 +151,59 @@ def write_bvh(motion: Motion, path: str | Path, *, scale: float = 1.0 / CENTIMET
             not above 0, or ``order`` does not name the three axes once each.
     """
     path = Path(path)
-    if not 0 < scale < 1e6:
-        raise InputError(f"scale {scale} is not in (0, 1000000); give units per metre, such as 100 for centimetres")
-    if sorted(order) != ["X", "Y", "Z"]:
-        raise InputError(f"rotation order {order!r} does not name X, Y and Z once each; give one such as 'ZXY'")
-    joints_over = len(motion.skeleton) > MAX_JOINTS or len(motion.skeleton.levels) > MAX_DEPTH
-    if joints_over or len(motion) > MAX_FRAMES or len(motion) * len(motion.skeleton) > MAX_POSES:
+    text = BvhText(motion.skeleton, motion.fps, scale=scale, order=order)
+    if len(motion) > MAX_FRAMES or len(motion) * len(motion.skeleton) > MAX_POSES:
         raise InputError(
-            f"{len(motion)} frames of {len(motion.skeleton)} joints in {len(motion.skeleton.levels)} levels exceed "
-            f"what is read back ({MAX_FRAMES}, {MAX_JOINTS}, {MAX_DEPTH}, {MAX_POSES} poses); write shorter pieces"
+            f"{len(motion)} frames of {len(motion.skeleton)} joints exceed what is read back ({MAX_FRAMES} frames, "
+            f"{MAX_POSES} poses); write shorter pieces"
         )
-    header, joints = _hierarchy_text(motion.skeleton, scale, order)
-    quats = rotations.normalize(motion.rotations[:, joints].double())
-    angles = continuous_euler(rotations.to_matrix(quats).numpy(), order)
-    values = np.concatenate((motion.root.double().numpy() * scale, angles.reshape(len(motion), -1)), axis=1)
-    row = " ".join(["%.6f"] * values.shape[1])
-    lines = [*header, "MOTION", f"Frames: {len(motion)}", f"Frame Time: {1.0 / motion.fps:.9f}"]
-    lines += [row % tuple(frame) for frame in values.tolist()]
     with atomic_write(path) as file:
-        file.write(("\n".join(lines) + "\n").encode())
+        file.write(text.head(str(len(motion))) + text.rows(motion))
     return path
 
 
-def continuous_euler(matrices: np.ndarray, order: str) -> np.ndarray:
+class BvhText:
+    """The text of a BVH file, frames as they come: each piece's angles continue those of the piece before.
+
+    Raises:
+        InputError: the skeleton is over the limits that BVH files are read with, ``scale`` is not above 0, or ``order``
+            does not name the three axes once each.
+    """
+
+    def __init__(self, skeleton: Skeleton, fps: float, *, scale: float = 1.0 / CENTIMETRES, order: str = "ZXY") -> None:
+        if not 0 < scale < 1e6:
+            raise InputError(f"scale {scale} is not in (0, 1000000); give units per metre, such as 100 for centimetres")
+        if sorted(order) != ["X", "Y", "Z"]:
+            raise InputError(f"rotation order {order!r} does not name X, Y and Z once each; give one such as 'ZXY'")
+        if len(skeleton) > MAX_JOINTS or len(skeleton.levels) > MAX_DEPTH:
+            raise InputError(
+                f"{len(skeleton)} joints in {len(skeleton.levels)} levels exceed what is read back "
+                f"({MAX_JOINTS}, {MAX_DEPTH}); simplify the skeleton"
+            )
+        self._lines, self._joints = _hierarchy_text(skeleton, scale, order)
+        self._fps, self._scale, self._order = fps, scale, order
+        self._before: np.ndarray | None = None
+
+    def head(self, frames: str) -> bytes:
+        """Everything before the rows; ``frames`` is their number, padded if wanted."""
+        return "\n".join(
+            [*self._lines, "MOTION", f"Frames: {frames}", f"Frame Time: {1.0 / self._fps:.9f}", ""]
+        ).encode()
+
+    def rows(self, motion: Motion) -> bytes:
+        """A line for each frame."""
+        quats = rotations.normalize(motion.rotations[:, self._joints].double())
+        angles = continuous_euler(rotations.to_matrix(quats).numpy(), self._order, self._before)
+        self._before = angles[-1].copy()
+        root = motion.root.double().numpy() * self._scale
+        values = np.concatenate((root, angles.reshape(len(motion), -1)), axis=1)
+        row = " ".join(["%.6f"] * values.shape[1]) + "\n"
+        return "".join([row % tuple(frame) for frame in values.tolist()]).encode()
+
+
+def continuous_euler(matrices: np.ndarray, order: str, before: np.ndarray | None = None) -> np.ndarray:
     """Intrinsic Euler angles in degrees (F, J, 3) of rotation matrices (F, J, 3, 3), each as near as possible to the
-    frame before.
+    frame before; the first to ``before`` (J, 3) if there is one.
 
     Every rotation has two sets of angles, (a, b, c) and (a + 180, 180 - b, c + 180), and any number of full turns.
     """
@@ -191,12 +219,14 @@ def continuous_euler(matrices: np.ndarray, order: str) -> np.ndarray:
     )
     angles: np.ndarray = np.degrees(np.stack((first, middle, last), axis=-1))
     other = np.stack((angles[..., 0] + 180.0, 180.0 - angles[..., 1], angles[..., 2] + 180.0), axis=-1)
-    for f in range(1, len(angles)):
-        before = angles[f - 1]
+    for f in range(len(angles)):
+        if before is None:
+            before = angles[f]
+            continue
         near = angles[f] + 360.0 * np.round((before - angles[f]) / 360.0)
         far = other[f] + 360.0 * np.round((before - other[f]) / 360.0)
         turn_back = np.abs(far - before).sum(-1) < np.abs(near - before).sum(-1)
-        angles[f] = np.where(turn_back[:, None], far, near)
+        before = angles[f] = np.where(turn_back[:, None], far, near)
     return angles
 
 

@@ -1,5 +1,10 @@
-"""GLB (glTF 2.0): writing a skinned body with its animation; ``gltf_reader`` reads. F frames, J joints."""
+"""GLB (glTF 2.0): writing a skinned body with its animation; ``gltf_reader`` reads. F frames, J joints.
 
+The tracks of the animation end the file, so that they can be streamed: F times, F rotations of every joint in turn,
+F root positions, all float32. Everything before them follows from the skeleton and F alone: ``glb_head``.
+"""
+
+import struct
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -10,6 +15,7 @@ from moveset.io.body_mesh import Mesh, body_meshes
 from moveset.io.limits import atomic_write
 from moveset.motion import rotations
 from moveset.motion.clip import Motion
+from moveset.motion.skeleton import Skeleton
 
 # glTF colours are linear: about the tones of the pictures.
 _COLOURS = {
@@ -19,16 +25,18 @@ _COLOURS = {
     "face": (0.04, 0.05, 0.07),
 }
 _FLOAT, _BYTE, _SHORT = 5126, 5121, 5123
+_WIDTHS = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}
 _VERTICES, _INDICES = 34962, 34963
 
 
 class _Builder:
-    """Collects accessors and their bytes."""
+    """Collects accessors, the bytes of those that are given, and the size of all."""
 
     def __init__(self) -> None:
         self.accessors: list[dict[str, Any]] = []
         self.views: list[dict[str, Any]] = []
         self.data = bytearray()
+        self.size = 0
 
     def view(self, values: np.ndarray, target: int | None = None) -> int:
         self.data += b"\0" * (-len(self.data) % 4)
@@ -36,7 +44,18 @@ class _Builder:
         view: dict[str, Any] = {"buffer": 0, "byteOffset": len(self.data), "byteLength": len(raw)}
         self.views.append(view | ({"target": target} if target else {}))
         self.data += raw
+        self.size = len(self.data)
         return len(self.views) - 1
+
+    def track(self, count: int, kind: str, **more: list[float]) -> int:
+        """Add one float32 accessor whose bytes follow all that are given, to be written by whoever has them."""
+        self.size += -self.size % 4
+        size = 4 * _WIDTHS[kind] * count
+        self.views.append({"buffer": 0, "byteOffset": self.size, "byteLength": size})
+        self.size += size
+        accessor = {"bufferView": len(self.views) - 1, "componentType": _FLOAT, "count": count, "type": kind}
+        self.accessors.append(accessor | more)
+        return len(self.accessors) - 1
 
     def accessor(
         self,
@@ -68,9 +87,25 @@ def write_glb(motion: Motion, path: str | Path, *, metadata: Mapping[str, object
     Raises:
         InputError: the path cannot be written to.
     """
+    # Neighbouring keys in one hemisphere: not every player takes the short way by itself.
+    turns = rotations.unroll(motion.rotations).numpy().astype(np.float32)
+    with atomic_write(path) as file:
+        file.write(glb_head(motion.skeleton, motion.fps, len(motion), metadata or {}))
+        file.write(key_times(0, len(motion), motion.fps).tobytes())
+        file.write(np.ascontiguousarray(turns.transpose(1, 0, 2)).tobytes())
+        file.write(motion.root.numpy().astype(np.float32).tobytes())
+
+
+def key_times(first: int, count: int, fps: float) -> np.ndarray:
+    """Times of some frames in seconds, float32."""
+    return (np.arange(first, first + count) / fps).astype(np.float32)
+
+
+def glb_head(skeleton: Skeleton, fps: float, frames: int, metadata: Mapping[str, object]) -> bytes:
+    """The bytes of a GLB file up to its tracks, of which ``frames * (16 + 16 J)`` bytes must follow."""
     import pygltflib
 
-    skeleton, out = motion.skeleton, _Builder()
+    out = _Builder()
     rest = skeleton.rest_positions.numpy()
     stand = np.array((0.0, -float(rest[:, 1].min()), 0.0), dtype=np.float32)
     nodes = [
@@ -100,7 +135,8 @@ def write_glb(motion: Motion, path: str | Path, *, metadata: Mapping[str, object
             }
         )
         primitives.append(_primitive(out, mesh, stand) | {"material": len(materials) - 1})
-    extras = {**(metadata or {}), "fps": motion.fps, "skeleton": skeleton.name}
+    animation = _animation(out, len(skeleton), frames, fps, str(metadata.get("prompt", "motion"))[:60])
+    extras = {**metadata, "fps": fps, "skeleton": skeleton.name}
     document = pygltflib.GLTF2.from_dict(
         {
             "asset": {"version": "2.0", "generator": "moveset", "extras": {"moveset": extras}},
@@ -110,15 +146,22 @@ def write_glb(motion: Motion, path: str | Path, *, metadata: Mapping[str, object
             "meshes": [{"name": "Body", "primitives": primitives}],
             "skins": [skin],
             "materials": materials,
-            "animations": [_animation(out, motion, str((metadata or {}).get("prompt", "motion"))[:60])],
+            "animations": [animation],
             "accessors": out.accessors,
             "bufferViews": out.views,
-            "buffers": [{"byteLength": len(out.data)}],
+            "buffers": [{"byteLength": out.size}],
         }
     )
-    document.set_binary_blob(bytes(out.data))
-    with atomic_write(path) as file:
-        file.write(b"".join(document.save_to_bytes()))
+    tree = document.gltf_to_json(separators=(",", ":"), indent=None).encode()
+    tree += b" " * (-len(tree) % 4)
+    given = bytes(out.data) + b"\0" * (-len(out.data) % 4)
+    return b"".join(
+        (
+            struct.pack("<4sII", b"glTF", 2, 12 + 8 + len(tree) + 8 + out.size),
+            struct.pack("<I4s", len(tree), b"JSON") + tree,
+            struct.pack("<I4s", out.size, b"BIN\0") + given,
+        )
+    )
 
 
 def _primitive(out: _Builder, mesh: Mesh, stand: np.ndarray) -> dict[str, Any]:
@@ -143,13 +186,11 @@ def _primitive(out: _Builder, mesh: Mesh, stand: np.ndarray) -> dict[str, Any]:
     }
 
 
-def _animation(out: _Builder, motion: Motion, name: str) -> dict[str, Any]:
-    times = (np.arange(len(motion)) / motion.fps).astype(np.float32)
-    clock = out.accessor(times, "SCALAR", bounds=True)
-    # Neighbouring keys in one hemisphere: not every player takes the short way by itself.
-    turns = rotations.unroll(motion.rotations).numpy()
-    outputs = [(j, "rotation", out.accessor(turns[:, j], "VEC4")) for j in range(len(motion.skeleton))]
-    outputs.append((0, "translation", out.accessor(motion.root.numpy(), "VEC3")))
+def _animation(out: _Builder, joints: int, frames: int, fps: float, name: str) -> dict[str, Any]:
+    ends = key_times(0, 1, fps).tolist(), key_times(frames - 1, 1, fps).tolist()
+    clock = out.track(frames, "SCALAR", min=ends[0], max=ends[1])
+    outputs = [(j, "rotation", out.track(frames, "VEC4")) for j in range(joints)]
+    outputs.append((0, "translation", out.track(frames, "VEC3")))
     return {
         "name": name or "motion",
         "samplers": [{"input": clock, "output": o, "interpolation": "LINEAR"} for _, _, o in outputs],

@@ -1,0 +1,99 @@
+"""A take as BVH: rows are appended as they come, and the number of frames, in a field of fixed width, follows them."""
+
+import os
+from pathlib import Path
+
+from moveset.errors import FormatError
+from moveset.io.bvh import BvhText
+from moveset.io.growing import GrowingFile, claim, part_of
+from moveset.io.limits import MAX_BYTES, MAX_LINE
+from moveset.motion.clip import Motion
+from moveset.motion.skeleton import Skeleton
+
+_COUNT = "{:<10}"  # blanks behind a number are no part of it for any reader
+_WIDEST = 16  # bytes of a value and the blank or line end behind it, up to ten million
+_HEAD_LINES = 10_000
+_BLOCK = 2**20
+
+
+class BvhTake:
+    """Grows ``path.part``, which is a valid BVH file itself between two calls.
+
+    Raises:
+        InputError: a skeleton that BVH cannot hold, or a path that cannot be written to.
+        OSError: no space.
+    """
+
+    def __init__(self, path: Path, skeleton: Skeleton, fps: float) -> None:
+        self.path = path
+        self._text = BvhText(skeleton, fps)
+        head = self._text.head(_COUNT.format(0))
+        self._count_at = head.rindex(b"\nFrames: ") + len("\nFrames: ")
+        self._widest = _WIDEST * (3 + 3 * len(skeleton))
+        self._file = GrowingFile(path, head)
+
+    @property
+    def part(self) -> Path:
+        return self._file.part
+
+    @property
+    def frames(self) -> int:
+        return self._file.frames
+
+    @property
+    def room(self) -> int:
+        """Frames that fit the longest file that is read back, if each were as long as can be."""
+        return (MAX_BYTES - self._file.size) // self._widest
+
+    def append(self, motion: Motion) -> None:
+        """Raises OSError on a full disk, having kept the frames that fitted."""
+        self._file.grow(self._text.rows(motion).splitlines(keepends=True))
+        self._file.write(self._count_at, _COUNT.format(self.frames).encode())
+
+    def finish(self) -> None:
+        """Become ``path``, or nothing if there are no frames."""
+        if not self.frames:
+            self._file.remove()
+            return
+        self._file.write(self._count_at, _COUNT.format(self.frames).encode())
+        self._file.cut()
+        self._file.close()
+        os.replace(self.part, self.path)
+
+    def close(self) -> None:
+        self._file.close()
+
+
+def recover_bvh(path: Path) -> int:
+    """Cut ``path.part`` after its last whole frame, make it ``path``, and return the number of its frames.
+
+    Raises:
+        InputError: it is still being written.
+        FormatError: it holds no whole frame, or is no take.
+        OSError: it cannot be read or written.
+    """
+    part = part_of(path)
+    with part.open("r+b") as file:
+        claim(file.fileno(), part)
+        count_at = -1
+        for _ in range(_HEAD_LINES):
+            line = file.readline(MAX_LINE)
+            if line.startswith(b"Frames: ") and len(line) == len(f"Frames: {_COUNT.format(0)}\n"):
+                count_at = file.tell() - len(line) + len("Frames: ")
+            if line.startswith(b"Frame Time: ") or not line:
+                break
+        end = start = file.tell()
+        frames = 0
+        while block := file.read(_BLOCK):
+            if (last := block.rfind(b"\n")) >= 0:
+                end = start + last + 1
+            frames, start = frames + block.count(b"\n"), start + len(block)
+        if count_at < 0 or not frames:
+            raise FormatError(f"{part} holds no whole frame of a take; delete it")
+        file.seek(count_at)
+        file.write(_COUNT.format(frames).encode())
+        file.truncate(end)
+        file.flush()
+        os.fsync(file.fileno())
+    os.replace(part, path)
+    return frames
