@@ -86,7 +86,7 @@ def rdm() -> Recipe:
             disturbance=DISTURBANCE,
         ),
         engine=EngineConfig(
-            steps=6500, save_every=500, validate_every=500, grad_clip=1.0, precision="bf16-mixed", threads=1
+            steps=5000, save_every=500, validate_every=500, grad_clip=1.0, precision="bf16-mixed", threads=1
         ),
     )
 
