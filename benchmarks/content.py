@@ -9,6 +9,8 @@ held-out wordings, one for every labelled test take, of that take's length, all 
 import argparse
 import json
 import time
+from dataclasses import asdict
+from itertools import combinations
 from pathlib import Path
 
 import torch
@@ -19,6 +21,7 @@ from moveset.data.corpus import Corpus
 from moveset.evaluation.content_classifier import ContentClassifier
 from moveset.evaluation.content_training import clip_features, content_class, labelled_clips, pad
 from moveset.evaluation.frechet import frechet_distance
+from moveset.evaluation.paired import paired_difference
 from moveset.evaluation.physical import jerk, skating
 from moveset.motion.clip import Motion
 from moveset.motion.features import get_codec
@@ -29,8 +32,8 @@ from moveset.pipelines.text_to_motion import TextToMotion
 
 def prompts_of(
     corpus: Corpus, splits: list[str], classes: set[str], copies: int, wording: str
-) -> list[tuple[str, str, int]]:
-    """(content class, sentence, frames) for every judged take of the splits, ``copies`` sentences each."""
+) -> list[tuple[str, str, int, str]]:
+    """(content class, sentence, frames, take) for every judged take of the splits, ``copies`` sentences each."""
     out = []
     for split in splits:
         for k in corpus.indices(split, composed=False):
@@ -38,7 +41,8 @@ def prompts_of(
             if content_class(label) not in classes or frames < 24:
                 continue
             wordings = heldout_captions(label) if wording == "held-out" else train_captions(label)
-            out += [(content_class(label), wordings[(k + 3 * c) % len(wordings)], frames) for c in range(copies)]
+            name = corpus.records[k].name
+            out += [(content_class(label), wordings[(k + 3 * c) % len(wordings)], frames, name) for c in range(copies)]
     return out
 
 
@@ -63,6 +67,7 @@ def report(classifier: ContentClassifier, motions: list[Motion], labels: list[st
         "jerk": float(torch.stack([jerk(j, 20.0) for j in joints]).mean()),
         "skating": float(torch.stack([skating(j, 20.0) for j in joints]).mean()),
         "diversity": float(torch.stack(spread).mean()),
+        "hits": right.int().tolist(),
         "per_class": {c: [round(float(r.mean()), 3), len(r)] for c, r in per_class.items()},
     }
     if real is not None:
@@ -98,34 +103,55 @@ def main() -> None:
     clips = [c for split in given.splits for c in labelled_clips(corpus, split) if c.label in classifier.labels]
     real_features = clip_features(classifier, [c.joints for c in clips]).double()
     wanted = prompts_of(corpus, given.splits, set(classifier.labels), given.copies, given.wording)
-    requests = [Request((text,), (frames,), seed) for seed, (_, text, frames) in enumerate(wanted)]
-    labels = [label for label, _, _ in wanted]
+    requests = [Request((text,), (frames,), seed) for seed, (_, text, frames, _) in enumerate(wanted)]
+    labels, takes = [label for label, *_ in wanted], [take for *_, take in wanted]
     t2m = TextToMotion(Bundle.find(given.model), "cpu")
     real_motions = [corpus.motion(k) for s in given.splits for k in corpus.indices(s, composed=False)]
     known = [content_class(corpus.contents(k)[0]) for s in given.splits for k in corpus.indices(s, composed=False)]
     keep = [k for k, c in enumerate(known) if c in classifier.labels and len(real_motions[k]) >= 24]
     rows = {"real": report(classifier, [real_motions[k] for k in keep], [known[k] for k in keep], None)}
-    print("real", {k: v for k, v in rows["real"].items() if k != "per_class"}, len(keep), "takes", flush=True)
+    print(
+        "real",
+        {k: v for k, v in rows["real"].items() if k not in ("per_class", "hits")},
+        len(keep),
+        "takes",
+        flush=True,
+    )
     made_again = [reconstructed(t2m.bundle, real_motions[k]) for k in keep]
     rows["reconstructed"] = report(classifier, made_again, [known[k] for k in keep], real_features)
-    print("reconstructed", {k: v for k, v in rows["reconstructed"].items() if k != "per_class"}, flush=True)
+    print(
+        "reconstructed", {k: v for k, v in rows["reconstructed"].items() if k not in ("per_class", "hits")}, flush=True
+    )
+    hits: dict[str, list[int]] = {}
+    order = sorted(range(len(requests)), key=lambda k: requests[k].frames[0] or 0)
     for network in given.networks:
         solver, _, steps = network.partition("-")
         for w in given.guidance or [t2m.bundle.config.guidance[network]]:
             method = Method(solver, network, int(steps or 50), w)
             start = time.perf_counter()
-            order = sorted(range(len(requests)), key=lambda k: requests[k].frames[0] or 0)
             made = t2m.generate([requests[k] for k in order], method, batch=64, foot_lock=True)
             for kind in ("raw", "motions"):
                 name = f"{network} w={w:g}" + (" foot lock" if kind == "motions" else "")
                 motions = [getattr(g, kind)[0] for g in made]
                 rows[name] = report(classifier, motions, [labels[k] for k in order], real_features)
                 rows[name]["seconds"] = round(time.perf_counter() - start, 1)
-                print(name, {k: v for k, v in rows[name].items() if k != "per_class"}, flush=True)
+                print(name, {k: v for k, v in rows[name].items() if k not in ("per_class", "hits")}, flush=True)
+                if kind == "motions":
+                    hits[f"{network} w={w:g}"] = rows[name]["hits"]
+    comparisons = {}
+    for one, other in combinations(hits, 2):
+        found = paired_difference(hits[one], hits[other], [takes[k] for k in order])
+        comparisons[f"{one} - {other}"] = {k: round(100 * v, 2) for k, v in asdict(found).items()}
+        print(f"{one} - {other}: {100 * found.mean:+.2f} points [{100 * found.low:+.2f}, {100 * found.high:+.2f}]")
+    for row in rows.values():
+        row.pop("hits")
     if given.out:
         given.out.parent.mkdir(parents=True, exist_ok=True)
         given.out.write_text(
-            json.dumps({"splits": given.splits, "clips": len(requests), "rows": rows}, indent=1) + "\n"
+            json.dumps(
+                {"splits": given.splits, "clips": len(requests), "rows": rows, "comparisons": comparisons}, indent=1
+            )
+            + "\n"
         )
 
 
