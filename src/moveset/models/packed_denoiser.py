@@ -34,12 +34,11 @@ class PackedDenoiser(nn.Module):
         self.text_in = PackedLinear.of(denoiser.text_in[0], "gelu")
         self.text_out = PackedLinear.of(denoiser.text_in[2])
         self.text_norm, self.text_position = denoiser.text_norm, denoiser.text_position.detach()
-        self.pool = PackedLinear.of(denoiser.pool)
+        # A single row is read fastest as it is.
+        self.pool, self.time, self.length = denoiser.pool, denoiser.time, denoiser.length
+        self.guidance = denoiser.guidance if c.guided else None
         self.text_kv = _stacked([block.text_kv for block in denoiser.blocks])
         self.latent_in, self.position = PackedLinear.of(denoiser.latent_in), denoiser.position.detach()[None]
-        self.time_in, self.time_out = PackedLinear.of(denoiser.time[0], "silu"), PackedLinear.of(denoiser.time[2])
-        self.length = PackedLinear.of(denoiser.length)
-        self.guidance = PackedLinear.of(denoiser.guidance) if c.guided else None
         self.frequencies = frequencies(denoiser.position.device)
         self.modulate = _stacked([denoiser.modulate, denoiser.modulate_out])
         # A scale is one plus what the network says; so is that of the last norm, whose block has no offset.
@@ -112,9 +111,9 @@ class PackedDenoiser(nn.Module):
         numbers = (t_B, frames_B * 4.0, torch.zeros_like(t_B) if w_B is None else w_B * 100.0)
         angle = torch.stack(numbers)[..., None] * self.frequencies
         t, frames, w = torch.cat((angle.cos(), angle.sin()), dim=-1)
-        condition = self.length.plus(frames, self.time_out.plus(self.time_in(t), text.pooled))
+        condition = self.time(t) + self.length(frames) + text.pooled
         if self.guidance is not None and w_B is not None:
-            condition = self.guidance.plus(w, condition)
+            condition = condition + self.guidance(w)
         batch, width = len(t_B), self.config.width
         shared = self.modulate(fn.silu(condition)).view(batch, 8, width)
         parts = (shared[:, None, :6] + self.offsets).flatten(1, 2), shared[:, 6:] + self.offsets_out

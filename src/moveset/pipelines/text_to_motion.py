@@ -220,8 +220,8 @@ class TextToMotion:
         """Motions of ``frames[k]`` frames of normalised latents (B, N, d), and their planted feet (F, 4)."""
         n = {name: value.to(self.device) for name, value in self.bundle.normalizer.items()}
         lengths = torch.tensor(frames, device=self.device)
-        x_BFD = vae.decode(z_BND * n["latent_std"] + n["latent_mean"], lengths, max(frames))
-        x_BFD = (x_BFD * n["feature_std"] + n["feature_mean"]).cpu()
+        x_BFD = vae.decode(torch.addcmul(n["latent_mean"], z_BND, n["latent_std"]), lengths, max(frames))
+        x_BFD = torch.addcmul(n["feature_mean"], x_BFD, n["feature_std"]).cpu()
         codec = get_codec(self.bundle.config.codec)
         planted_BF4 = x_BFD[..., codec.groups["contacts"]] > CONTACT
         rows = zip(x_BFD, planted_BF4, frames, strict=True)

@@ -56,6 +56,13 @@ class _Linear:
         y = linear(x, self.weight, self.bias)
         return gelu(y) if then_gelu else y
 
+    def plus(self, x: Tensor, other: Tensor) -> Tensor:
+        """The linear map of ``x``, plus ``other``: one operation where packed."""
+        if self.packed:
+            y: Tensor = torch.ops.mkldnn._linear_pointwise.binary(x, other, self.weight, self.bias, "add")
+            return y
+        return other + linear(x, self.weight, self.bias)
+
 
 def _can_pack(device: torch.device) -> bool:
     """Whether this build of torch holds oneDNN and the device can use it (x86 and most ARM Linux: yes; macOS: no)."""
@@ -161,9 +168,9 @@ class MiniLM:
         x = self._norm(self._words[ids_BL] + self._positions[:length])
         for layer in self._layers:
             qkv = layer.qkv(x).view(batch, length, 3, _HEADS, _DIM // _HEADS).permute(2, 0, 3, 1, 4)
-            y = scaled_dot_product_attention(qkv[0], qkv[1], qkv[2], attn_mask=keys)
-            x = layer.attention_norm(x + layer.out(y.transpose(1, 2).reshape(batch, length, _DIM)))
-            x = layer.output_norm(x + layer.down(layer.up(x, then_gelu=True)))
+            y = scaled_dot_product_attention(*qkv.unbind(0), attn_mask=keys)
+            x = layer.attention_norm(layer.out.plus(y.transpose(1, 2).reshape(batch, length, _DIM), x))
+            x = layer.output_norm(layer.down.plus(layer.up(x, then_gelu=True), x))
         return x
 
 
