@@ -2,7 +2,7 @@
 
 >>> import moveset
 >>> sorted(moveset.__all__)
-['Generation', 'Motion', 'Skeleton', 'TextToMotion', 'load', 'save']
+['Generation', 'Motion', 'MotionStream', 'Skeleton', 'TextToMotion', 'load', 'save']
 """
 
 from importlib import import_module
@@ -12,14 +12,16 @@ if TYPE_CHECKING:
     from moveset.io import load, save
     from moveset.motion.clip import Motion
     from moveset.motion.skeleton import Skeleton
+    from moveset.pipelines.motion_stream import MotionStream
     from moveset.pipelines.text_to_motion import Generation, TextToMotion
 
 __version__ = "0.1.0"
-__all__ = ["Generation", "Motion", "Skeleton", "TextToMotion", "load", "save"]
+__all__ = ["Generation", "Motion", "MotionStream", "Skeleton", "TextToMotion", "load", "save"]
 
 _HOME = {
     "Generation": "moveset.pipelines.text_to_motion",
     "Motion": "moveset.motion.clip",
+    "MotionStream": "moveset.pipelines.motion_stream",
     "Skeleton": "moveset.motion.skeleton",
     "TextToMotion": "moveset.pipelines.text_to_motion",
     "load": "moveset.io",

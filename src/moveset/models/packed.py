@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 
 # Kinds whose modules only call their layers; others read a layer's weights, which cannot be done once they are packed.
-PACKABLE = ("latent_denoiser", "timed_vae", "length_predictor")
+PACKABLE = ("latent_denoiser", "timed_vae", "length_predictor", "segment_transformer")
 
 _TYPICAL_ROWS = 16  # latent tokens of one clip; other sizes work too, this one is laid out best
 

@@ -48,18 +48,32 @@ def lock_feet(motion: Motion, strength: float = 1.0, contacts: Tensor | None = N
         return motion
     joints = motion.joints.double()
     planted = stances(joints, motion.fps, motion.skeleton, contacts)
-    turned = motion.global_rotations.double().clone()
-    for side, (hip, knee, ankle) in enumerate(legs):
+    shifts = []
+    for side in range(len(legs)):
         pair = list(motion.skeleton.feet[2 * side : 2 * side + 2])
         shift = _pinned(joints[:, pair], planted[:, 2 * side : 2 * side + 2], max(round(_BLEND * motion.fps), 2))
-        shift = shift + _lift(joints[:, pair, 1].amin(dim=1), motion.fps)
+        shifts.append(strength * (shift + _lift(joints[:, pair, 1].amin(dim=1), motion.fps)))
+    locked = move_feet(motion, torch.stack(shifts, dim=1))
+    return Motion(locked.rotations.float(), motion.root, motion.fps, motion.skeleton)
+
+
+def move_feet(motion: Motion, shifts: Tensor) -> Motion:
+    """The left and the right foot moved by ``shifts`` (F, 2, 3) metres; legs follow by two-bone IK, in float64.
+
+    Feet keep their orientation, nothing above the hips moves, and what a leg cannot reach it comes near.
+
+    Raises:
+        InputError: a skeleton without known knees.
+    """
+    joints, turned = motion.joints.double(), motion.global_rotations.double().clone()
+    for side, (hip, knee, ankle) in enumerate(_legs(motion.skeleton)):
         hinge = rotations.rotate(turned[:, hip], turned.new_tensor(HINGES[motion.skeleton.name][_name(motion, knee)]))
-        target = _within_reach(joints[:, [hip, knee, ankle]], joints[:, ankle] + strength * shift)
+        target = _within_reach(joints[:, [hip, knee, ankle]], joints[:, ankle] + shifts[:, side])
         turned[:, hip], turned[:, knee] = two_bone(
             turned[:, hip], turned[:, knee], joints[:, hip], joints[:, knee], joints[:, ankle], target, hinge
         )
-    local = global_to_local(turned, motion.skeleton)
-    return Motion(rotations.unroll(rotations.normalize(local)).float(), motion.root, motion.fps, motion.skeleton)
+    local = rotations.unroll(rotations.normalize(global_to_local(turned, motion.skeleton)))
+    return Motion(local, motion.root, motion.fps, motion.skeleton)
 
 
 def smooth(motion: Motion, seconds: float) -> Motion:

@@ -13,7 +13,7 @@ MAX_NUM = 1000
 MAX_GUIDANCE = 30.0
 MAX_TEACHER_STEPS = 500
 TEACHER_STEPS = 50
-_SEEDS = 2**63
+SEEDS = 2**63
 
 
 @dataclass(frozen=True)
@@ -60,11 +60,11 @@ def check_request(
             f"{len(prompts)} prompts were given; give 1 to {MAX_PROMPTS}, such as 'a person walks forward'"
         )
     for text in prompts:
-        _check_prompt(text)
+        check_prompt(text)
     if not 1 <= num <= MAX_NUM:
         raise InputError(f"num {num} is not in 1 to {MAX_NUM}; run again with another seed for more")
-    if not 0 <= seed <= _SEEDS - num:
-        raise InputError(f"seed {seed} is not in 0 to {_SEEDS - num}; give a smaller whole number")
+    if not 0 <= seed <= SEEDS - num:
+        raise InputError(f"seed {seed} is not in 0 to {SEEDS - num}; give a smaller whole number")
     given = (seconds,) * len(prompts) if seconds is None or isinstance(seconds, int | float) else tuple(seconds)
     if len(given) == 1:
         given *= len(prompts)
@@ -117,7 +117,12 @@ def check_method(
     return Method(solver, network, steps, float(guidance))
 
 
-def _check_prompt(text: str) -> None:
+def check_prompt(text: str) -> None:
+    """Refuse a prompt that says nothing, says too much, or is no text.
+
+    Raises:
+        InputError: an empty or very long prompt, or control characters.
+    """
     if not text.strip():
         raise InputError("the prompt is empty; describe a motion, such as 'a person walks forward and waves'")
     if len(text) > MAX_PROMPT:

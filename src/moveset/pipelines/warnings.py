@@ -1,12 +1,14 @@
 """What a user should know about a prompt: that it is unlike the training captions, or longer than can be read."""
 
+from typing import Any
+
 from torch import Tensor
 
-from moveset.pipelines.bundle import Bundle
+from moveset.pipelines.model_folder import ModelFolder
 from moveset.text.encoder import TextEncoder
 
 
-def unfamiliar(bundle: Bundle, prompts: tuple[str, ...], pooled: Tensor) -> list[str]:
+def unfamiliar(bundle: ModelFolder[Any], prompts: tuple[str, ...], pooled: Tensor) -> list[str]:
     """One warning for every prompt whose best cosine to the training captions is below ``config.far_prompt``.
 
     Args:

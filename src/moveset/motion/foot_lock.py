@@ -1,0 +1,133 @@
+"""Foot locking for motion that never ends: ``cleanup.lock_feet`` without a look ahead, piece by piece.
+
+A foot is pinned where it lands, with whatever shift it still has from its last stance, so that nothing jumps; when it
+leaves, its shift dies away. A foot that stays planted while the body drifts off is let go before its leg is stretched.
+F frames of a piece.
+"""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from math import exp
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from moveset.errors import InputError
+from moveset.motion.cleanup import move_feet
+from moveset.motion.clip import Motion
+from moveset.motion.contacts import stances
+from moveset.motion.inertia import decay
+from moveset.motion.skeleton import Skeleton
+
+_BLEND = 0.25  # seconds in which a foot leaves its locked place
+_RISE = 0.1  # seconds in which a foot that was lifted onto the floor comes down to where it should be
+_SLACK = 0.15  # metres from its locked place at which a foot is let go
+_HISTORY = 4  # frames of contacts that decide with the next ones whether a foot stands
+
+_Point = tuple[float, float]
+
+
+@dataclass
+class _Foot:
+    """One foot between two frames: horizontal numbers in metres."""
+
+    pivot: int = -1  # 0 ankle, 1 toe, -1 free
+    pin: _Point = (0.0, 0.0)
+    shift: _Point = (0.0, 0.0)
+    before: _Point = (0.0, 0.0)  # the shift one frame earlier
+    fading: list[_Point] = field(default_factory=list)  # shifts of the next frames of a free foot
+    joints: tuple[_Point, _Point] = ((0.0, 0.0), (0.0, 0.0))  # ankle and toe, unshifted, in the last frame
+    lift: float = 0.0
+
+
+class FootLock:
+    """Locks the feet of pieces of one motion, each of which goes on from the one before.
+
+    Args:
+        skeleton: with feet and known knees (hml22, kit21).
+        fps: frames per second.
+    """
+
+    def __init__(self, skeleton: Skeleton, fps: float) -> None:
+        self.skeleton, self.fps = skeleton, fps
+        self._blend = max(round(_BLEND * fps), 2)
+        self._feet = [_Foot(), _Foot()]
+        self._contacts: list[list[bool]] = []
+
+    def __call__(self, piece: Motion, contacts: Tensor) -> Motion:
+        """The next piece with its feet locked, float64.
+
+        Args:
+            contacts: (F, 4) bool planted left ankle, left toe, right ankle, right toe.
+
+        Raises:
+            InputError: contacts of another shape, or a skeleton without known knees.
+        """
+        if tuple(contacts.shape) != (len(piece), 4):
+            raise InputError(f"contacts must be (F, 4) = ({len(piece)}, 4), got {tuple(contacts.shape)}")
+        joints = piece.joints.double()
+        known = self._contacts + contacts.tolist()
+        standing = stances(joints, self.fps, self.skeleton, torch.tensor(known))[len(self._contacts) :].tolist()
+        self._contacts = known[-_HISTORY:]
+        shifts = torch.zeros(len(piece), 2, 3, dtype=torch.float64)
+        for side, foot in enumerate(self._feet):
+            pair = list(self.skeleton.feet[2 * side : 2 * side + 2])
+            places = joints[:, pair][..., [0, 2]].tolist()
+            lowest = joints[:, pair, 1].amin(dim=1).tolist()
+            rows = []
+            for (ankle, toe), low, row in zip(places, lowest, standing, strict=True):
+                planted = row[2 * side : 2 * side + 2]
+                shift = self._step(foot, (tuple(ankle), tuple(toe)), 1 if planted[1] else 0 if planted[0] else -1)
+                foot.lift = max(-low, foot.lift * exp(-1.0 / (_RISE * self.fps)))
+                rows.append((shift[0], foot.lift, shift[1]))
+            shifts[:, side] = torch.tensor(rows, dtype=torch.float64)
+        return move_feet(piece, shifts)
+
+    def state(self) -> dict[str, Any]:
+        """Everything that the next piece depends on, as numbers and lists that survive JSON exactly."""
+        return {"feet": [asdict(foot) for foot in self._feet], "contacts": self._contacts}
+
+    @classmethod
+    def from_state(cls, skeleton: Skeleton, fps: float, state: Mapping[str, Any]) -> "FootLock":
+        """A lock that goes on where the one whose ``state()`` this is stood."""
+        lock = cls(skeleton, fps)
+        lock._feet = [_Foot(**foot) for foot in state["feet"]]
+        lock._contacts = state["contacts"]
+        return lock
+
+    def _step(self, foot: _Foot, joints: tuple[_Point, _Point], pivot: int) -> _Point:
+        """The horizontal shift of the next frame."""
+        if pivot >= 0 and foot.pivot >= 0:
+            if pivot != foot.pivot:  # it rolls: the new pivot stays where it was in the last frame
+                foot.pin = _plus(foot.joints[pivot], foot.shift)
+            shift = _minus(foot.pin, joints[pivot])
+            if shift[0] ** 2 + shift[1] ** 2 > _SLACK**2:
+                pivot, shift = -1, self._let_go(foot)
+        elif foot.pivot >= 0:
+            shift = self._let_go(foot)
+        else:
+            shift = foot.fading.pop(0) if foot.fading else (0.0, 0.0)
+            # One that was let go for slack is not pinned again before it is back in place.
+            if pivot >= 0 and shift[0] ** 2 + shift[1] ** 2 < (0.5 * _SLACK) ** 2:
+                foot.pin, foot.fading = _plus(joints[pivot], shift), []
+            else:
+                pivot = -1
+        foot.pivot, foot.before, foot.shift, foot.joints = pivot, foot.shift, shift, joints
+        return shift
+
+    def _let_go(self, foot: _Foot) -> _Point:
+        at = torch.arange(1, self._blend, dtype=torch.float64)
+        offset = torch.tensor(foot.shift, dtype=torch.float64)
+        speed = torch.tensor(_minus(foot.shift, foot.before), dtype=torch.float64)
+        path = decay(offset, speed, float(self._blend), at).tolist()
+        foot.fading = [(x, z) for x, z in path]
+        return foot.fading.pop(0)
+
+
+def _plus(a: _Point, b: _Point) -> _Point:
+    return a[0] + b[0], a[1] + b[1]
+
+
+def _minus(a: _Point, b: _Point) -> _Point:
+    return a[0] - b[0], a[1] - b[1]

@@ -1,0 +1,371 @@
+"""``MotionStream``: motion without end, a segment at a time, told by a prompt that may change at any moment.
+
+A prompt belongs to a segment from the moment that segment enters the sampler; a new one takes effect with the next to
+enter. Memory is constant: what is held are the segments in work, one finished one, and a few encoded prompts.
+
+Shapes: n frames of a segment, D features; in the sampler always one item.
+"""
+
+import threading
+import time
+from collections import deque
+from collections.abc import Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Self, cast
+
+import torch
+from torch import Tensor
+
+from moveset.errors import FormatError, InputError
+from moveset.models.flow import CouplingFlow
+from moveset.motion.clip import Motion
+from moveset.motion.features import get_codec
+from moveset.motion.foot_lock import FootLock
+from moveset.motion.incremental import IncrementalDecoder
+from moveset.motion.native import NativeCodec
+from moveset.pipelines.device import pick_device
+from moveset.pipelines.prompt_memory import PromptMemory
+from moveset.pipelines.seed_motion import SeedMotion
+from moveset.pipelines.segment_denoise import SegmentDenoise
+from moveset.pipelines.stream_bundle import DEFAULT_STREAM, FLOW, StreamBundle
+from moveset.pipelines.stream_settings import (
+    BLEND_SECONDS,
+    StreamRequest,
+    StreamSettings,
+    Timeline,
+    check_stream,
+    get_schedule,
+    held,
+)
+from moveset.pipelines.stream_state import Snapshot
+from moveset.pipelines.text_to_motion import CONTACT
+from moveset.pipelines.warnings import too_long, unfamiliar
+from moveset.rdm.sampler import Stream, StreamState, stream
+from moveset.rdm.transport import Transport
+from moveset.text.encoder import TextEncoder, get_text_encoder
+
+_WARM_UP = 3  # segments made and thrown away before the first
+
+
+@dataclass(frozen=True, eq=False)
+class Segment:
+    """A piece of the motion.
+
+    Args:
+        number: from 0.
+        first_frame: number of its first frame in the stream.
+        frames: n.
+        prompt: what it was told.
+        motion: world rotations and path, going on from the segment before; float64, so that long walks stay smooth.
+        latency_ms: what making it took, with the encoding of new prompts since the segment before.
+        network_evaluations: since the segment before; guidance by two evaluations counts both.
+    """
+
+    number: int
+    first_frame: int
+    frames: int
+    prompt: str
+    motion: Motion
+    latency_ms: float
+    network_evaluations: int
+
+
+class MotionStream(Iterator[Segment]):
+    """An endless motion; an iterator of its segments.
+
+    >>> from moveset import MotionStream
+    >>> stream = MotionStream.from_pretrained(prompt="a person walks forward", seed=7)  # doctest: +SKIP
+    >>> first = next(stream).motion  # doctest: +SKIP
+    >>> stream.prompt("a person waves with the left hand")  # doctest: +SKIP
+    28
+
+    Args:
+        bundle: the model.
+        request: what happens, from which seed, by which settings: ``check_stream``.
+        seed_motion: a clip that the stream goes on from, of at least one segment; it is retargeted and resampled.
+        device: where to compute.
+        encoder: the model's text encoder, if it is there already.
+
+    Raises:
+        InputError: no such device, or a seed motion that cannot be used.
+        FormatError: a damaged model.
+    """
+
+    def __init__(
+        self,
+        bundle: StreamBundle,
+        request: StreamRequest,
+        *,
+        seed_motion: Motion | None = None,
+        device: torch.device | str = "auto",
+        encoder: TextEncoder | None = None,
+    ) -> None:
+        codec = get_codec(bundle.config.codec)
+        if not isinstance(codec, NativeCodec):
+            raise FormatError(f"model {bundle.config.name!r} has the codec {codec.name!r}; a stream needs 'native'")
+        self.bundle, self.codec, self.device = bundle, codec, pick_device(str(device))
+        self.encoder = encoder or get_text_encoder(bundle.config.text_encoder, device=self.device)
+        self._texts = PromptMemory(self.encoder)
+        normalizer = bundle.normalizer
+        self._mean, self._std = (normalizer[name].to(self.device) for name in ("feature_mean", "feature_std"))
+        self._seed, self._timeline = request.seed, request.timeline
+        seed = None if seed_motion is None else SeedMotion.of(seed_motion, codec, bundle.config.segment)
+        self._begin(request.settings, seed)
+
+    @classmethod
+    def from_pretrained(
+        cls,
+        name_or_path: str | Path = DEFAULT_STREAM,
+        prompt: str | Sequence[str] | None = None,
+        *,
+        seconds: float | Sequence[float] | None = None,
+        loop: bool = False,
+        seed: int = 0,
+        seed_motion: Motion | None = None,
+        network: str | None = None,
+        steps: int | None = None,
+        start: int | None = None,
+        lag: int | None = None,
+        eta: float | None = None,
+        guidance: float | None = None,
+        buffer: int = 0,
+        foot_lock: bool = True,
+        blend_seconds: float = BLEND_SECONDS,
+        device: torch.device | str = "auto",
+    ) -> "MotionStream":
+        """A stream of a shipped model by name, or of a model folder.
+
+        Args:
+            name_or_path: the model.
+            seed_motion: a clip that the stream goes on from.
+            device: where to compute.
+            others: ``stream_settings.check_stream``.
+
+        Raises:
+            InputError: no such model, or anything out of range.
+            FormatError: a damaged model folder.
+        """
+        bundle = StreamBundle.find(name_or_path)
+        request = check_stream(
+            bundle.config, prompt, seconds, loop=loop, seed=seed, network=network, steps=steps, start=start, lag=lag,
+            eta=eta, guidance=guidance, buffer=buffer, foot_lock=foot_lock, blend_seconds=blend_seconds,
+        )  # fmt: skip
+        return cls(bundle, request, seed_motion=seed_motion, device=device)
+
+    def __next__(self) -> Segment:
+        if self._pool is None:
+            return self._waiting.popleft() if self._waiting else self._make()
+        # One segment more than the buffer holds: the one that is about to be taken.
+        while len(self._ahead) + len(self._waiting) <= self.settings.buffer:
+            self._ahead.append(self._pool.submit(self._make))
+        return self._waiting.popleft() if self._waiting else self._ahead.popleft().result()
+
+    def prompt(self, text: str) -> int:
+        """Go on with another prompt, until the next call; what was left of a timeline is dropped.
+
+        Returns:
+            The first frame that it has an effect on: that of the next segment to enter the sampler.
+
+        Raises:
+            InputError: an empty or absurd prompt.
+        """
+        timeline = held(text)
+        start = time.perf_counter()
+        self._texts(text)
+        with self._lock:
+            self._timeline = timeline
+            self._reading += time.perf_counter() - start
+            return (self._sampler.progress.entered - self._given) * self.bundle.config.segment
+
+    @property
+    def settings(self) -> StreamSettings:
+        """How segments are made."""
+        return self._settings
+
+    @property
+    def timeline(self) -> Timeline:
+        """Which segment has which prompt."""
+        return self._timeline
+
+    @property
+    def seed(self) -> int:
+        """What the noise was drawn from."""
+        return self._seed
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What the user should know about the prompts of the timeline, or about the last one given."""
+        prompts = tuple(dict.fromkeys(self._timeline.prompts))
+        pooled = torch.cat([self._texts(prompt).pooled for prompt in prompts])
+        return (*too_long(self.encoder, prompts), *unfamiliar(self.bundle, prompts, pooled))
+
+    def state(self) -> Snapshot:
+        """Everything that the next segments depend on, also those that were made ahead of the reader."""
+        for made in self._ahead:
+            made.result()
+        with self._lock:
+            progress = self._sampler.progress
+            waiting = [*self._waiting, *(made.result() for made in self._ahead)]
+            numbers = {
+                "model": self.bundle.config.name,
+                "weights": self._weights(self._settings),
+                "settings": dict(vars(self._settings)),
+                "seed": self._seed,
+                "timeline": dict(vars(self._timeline)),
+                "given": self._given,
+                "prompts": {str(j): self._prompts[j] for j in progress.active},
+                "sampler": progress.numbers(),
+                "decoder": self._decoder.state(),
+                "feet": self._feet.state(),
+                "waiting": [{k: v for k, v in vars(made).items() if k != "motion"} for made in waiting],
+            }
+            tensors = {f"sampler.{name}": x for name, x in progress.tensors().items()}
+            for k, made in enumerate(waiting):
+                tensors |= {f"waiting.{k}.rotations": made.motion.rotations, f"waiting.{k}.root": made.motion.root}
+            return Snapshot(numbers, tensors)
+
+    def restore(self, snapshot: Snapshot) -> Self:
+        """Go on where the stream whose ``state()`` this is stood, by its settings (but with this one's buffer).
+
+        Raises:
+            InputError: the state of another model.
+            FormatError: a state that does not describe a stream.
+        """
+        numbers, name = snapshot.numbers, self.bundle.config.name
+        if numbers.get("model") != name:
+            raise InputError(
+                f"this is the state of a stream of {numbers.get('model')!r}; open that model, not {name!r}"
+            )
+        try:
+            settings = replace(StreamSettings(**numbers["settings"]), buffer=self._settings.buffer)
+            if numbers["weights"] != self._weights(settings):
+                raise InputError(f"this state was made with other weights of {name!r}; open the model it was made with")
+            line = numbers["timeline"]
+            self._begin(settings, None)
+            self._seed = numbers["seed"]
+            self._timeline = Timeline(tuple(line["prompts"]), tuple(line["starts"]), line["end"], line["loop"])
+            found = {k.removeprefix("sampler."): x for k, x in snapshot.tensors.items() if k.startswith("sampler.")}
+            found = {k: x.to(self.device) for k, x in found.items()}
+            self._go_on(StreamState.restore(numbers["sampler"], found), int(numbers["given"]))
+            self._prompts = {int(segment): prompt for segment, prompt in numbers["prompts"].items()}
+            for segment, prompt in self._prompts.items():
+                self._denoise.enter(segment, self._texts(prompt))
+            self._decoder = IncrementalDecoder.from_state(self.codec, numbers["decoder"])
+            self._feet = FootLock.from_state(self.codec.skeleton, self.codec.fps, numbers["feet"])
+            for k, made in enumerate(numbers["waiting"]):
+                turned, root = (snapshot.tensors[f"waiting.{k}.{part}"] for part in ("rotations", "root"))
+                motion = Motion(turned, root, self.codec.fps, self.codec.skeleton)
+                self._waiting.append(Segment(motion=motion, **made))
+        except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
+            raise FormatError(f"this state does not describe a stream: {error}") from error
+        return self
+
+    def save_state(self, path: str | Path) -> Path:
+        """Write ``state()`` to a file.
+
+        Raises:
+            InputError: a path that cannot be written to.
+        """
+        return self.state().save(path)
+
+    def load_state(self, path: str | Path) -> Self:
+        """``restore`` from a file.
+
+        Raises:
+            InputError: a file that cannot be read, or the state of another model.
+            FormatError: a damaged file.
+        """
+        return self.restore(Snapshot.load(path))
+
+    def _begin(self, settings: StreamSettings, seed: SeedMotion | None) -> None:
+        """Everything anew, by these settings."""
+        config = self.bundle.config
+        self._settings = settings
+        self._reading = 0.0
+        self._lock = threading.Lock()
+        self._pool = ThreadPoolExecutor(1) if settings.buffer else None
+        self._ahead: deque[Future[Segment]] = deque()
+        self._waiting: deque[Segment] = deque()
+        self._network = self.bundle.module(settings.network, self.device)
+        flow = self.bundle.module(FLOW, self.device) if self._uses_flow(settings) else None
+        self._transport = Transport(cast(CouplingFlow | None, flow), max(config.depth_cap, 1))
+        self._warm_up()
+        self._fresh()
+        if seed is not None:
+            self._decoder = IncrementalDecoder.from_state(
+                self.codec, {**self._decoder.state(), "heading": seed.heading, "x": seed.x, "z": seed.z}
+            )
+            self._feet(self._decoder(seed.features), seed.features[:, self.codec.groups["contacts"]] > CONTACT)
+            left = (seed.features.to(self.device) - self._mean) / self._std
+            self._go_on(seed.state(left[None], settings, self._seed, config), 1)
+
+    def _fresh(self) -> None:
+        self._decoder = IncrementalDecoder(self.codec, self._settings.blend_seconds)
+        self._feet = FootLock(self.codec.skeleton, self.codec.fps)
+        self._go_on(None, 0)
+
+    def _go_on(self, state: StreamState | None, given: int) -> None:
+        """A sampler from this state on, of which the first ``given`` segments are none of the stream's own."""
+        config, settings = self.bundle.config, self._settings
+        self._given, self._told = given, 0
+        self._prompts: dict[int, str] = {}
+        self._denoise = SegmentDenoise(
+            self._network,
+            guided=bool(config.models[settings.network].config.get("guided")),
+            guidance=settings.guidance,
+            empty=self._texts(""),
+            clean_left=settings.clean_left,
+            seeded=given > 0,
+            device=self.device,
+        )
+        self._sampler: Stream = stream(
+            self._denoise, self._transport, get_schedule(config), settings.levels(config), settings.staircase(),
+            (self._seed,), (config.segment, self.codec.dim), self._enter, eta=settings.eta, state=state,
+            device=self.device,
+        )  # fmt: skip
+
+    def _warm_up(self) -> None:
+        """A few segments of one step that nobody sees: a network's first calls take many times as long as later ones."""
+        settings, timeline = self._settings, self._timeline
+        self._settings, self._timeline = replace(settings, steps=1, start=1, lag=1), held(self.bundle.config.idle)
+        self._fresh()
+        for _ in range(_WARM_UP):
+            self._make()
+        self._settings, self._timeline = settings, timeline
+
+    def _make(self) -> Segment:
+        """The next segment."""
+        with self._lock:
+            start = time.perf_counter()
+            with torch.inference_mode():
+                features = next(self._sampler)[0] * self._std + self._mean
+            # Outside, so that what users get are ordinary tensors.
+            features = features.cpu().clone()
+            motion = self._decoder(features)
+            if self._settings.foot_lock:
+                motion = self._feet(motion, features[:, self.codec.groups["contacts"]] > CONTACT)
+            finished = self._sampler.progress.finished - 1
+            self._denoise.leave(finished)
+            number, frames = finished - self._given, len(features)
+            evaluations, self._told = self._denoise.evaluations - self._told, self._denoise.evaluations
+            spent, self._reading = time.perf_counter() - start + self._reading, 0.0
+            return Segment(
+                number, number * frames, frames, self._prompts.pop(finished), motion, round(spent * 1e3, 3), evaluations
+            )
+
+    def _enter(self, segment: int) -> Tensor | None:
+        """Called by the sampler when a segment enters: its prompt, which stays."""
+        prompt = self._prompts[segment] = self._timeline.at(segment - self._given)
+        pooled = self._denoise.enter(segment, self._texts(prompt))
+        return None if self._transport.flow is None else pooled
+
+    def _weights(self, settings: StreamSettings) -> dict[str, Any]:
+        """The sha256 of the networks that make segments."""
+        names = (settings.network, FLOW) if self._uses_flow(settings) else (settings.network,)
+        return {name: self.bundle.files[f"{name}.safetensors"][0] for name in names}
+
+    def _uses_flow(self, settings: StreamSettings) -> bool:
+        # The baseline was trained without a flow.
+        return FLOW in self.bundle.config.models and settings.network != "md"

@@ -1,0 +1,97 @@
+"""One denoiser of a stream's folder, with the prompt of every segment in work bound to it.
+
+Shapes: B rows (one a segment in work), n frames of a segment, D features, L text tokens, C text width.
+"""
+
+from collections.abc import Sequence
+from typing import Protocol, cast, runtime_checkable
+
+import torch
+from torch import Tensor, nn
+
+from moveset.diffusion.guidance import cfg
+from moveset.text.encoder import TextEmbedding, stack
+
+
+@runtime_checkable
+class _Reader(Protocol):
+    """A denoiser that reads text and previous segment apart from denoising."""
+
+    def read(
+        self, tokens_BLC: Tensor, mask_BL: Tensor, prev_BnD: Tensor, prev_t_B: Tensor, index_B: Tensor
+    ) -> object: ...
+
+    def denoise(self, x_BnD: Tensor, t_B: Tensor, context: object, w_B: Tensor | None) -> Tensor: ...
+
+
+class SegmentDenoise:
+    """What ``rdm.sampler`` calls: clean segments of noisy ones; counts the network's evaluations.
+
+    Args:
+        network: the denoiser.
+        guided: whether it takes the guidance scale as an input; the others are evaluated with and without text.
+        guidance: scale w.
+        empty: the empty prompt, for guidance by two evaluations.
+        clean_left: every segment is told its finished predecessor, so text and predecessor are read once for all steps.
+        seeded: segment 0 is a given motion, so the one after it is told a clean predecessor at every step.
+        device: where to compute.
+    """
+
+    def __init__(
+        self,
+        network: nn.Module,
+        *,
+        guided: bool,
+        guidance: float,
+        empty: TextEmbedding,
+        clean_left: bool,
+        seeded: bool,
+        device: torch.device,
+    ) -> None:
+        self._network, self._guided, self._guidance = network, guided, guidance
+        self._twice = bool(guidance) and not guided
+        self._empty, self._seeded, self._device = empty.to(device), seeded, device
+        self._once = clean_left and isinstance(network, _Reader)
+        self._texts: dict[int, TextEmbedding] = {}
+        self._context: tuple[int, object] | None = None
+        self.evaluations = 0
+
+    def enter(self, segment: int, text: TextEmbedding) -> Tensor:
+        """Bind the prompt of a segment; its sentence embedding (1, C)."""
+        self._texts[segment] = text.to(self._device)
+        return self._texts[segment].pooled
+
+    def leave(self, segment: int) -> None:
+        """Forget a finished segment."""
+        self._texts.pop(segment, None)
+
+    def __call__(
+        self, x_BnD: Tensor, t_B: Tensor, prev_BnD: Tensor, prev_t_B: Tensor, index_B: Tensor, segments: Sequence[int]
+    ) -> Tensor:
+        """Clean segments (B, n, D)."""
+        rows = len(x_BnD) * (2 if self._twice else 1)
+        self.evaluations += rows
+        if self._seeded and 1 in segments:
+            # The sampler's plan has the given motion still in work, at the level of its place in the staircase.
+            prev_t_B = prev_t_B * torch.tensor([segment != 1 for segment in segments], device=self._device)
+        if self._twice:
+            x_BnD, prev_BnD = (z.repeat(2, 1, 1) for z in (x_BnD, prev_BnD))
+            t_B, prev_t_B, index_B = (z.repeat(2) for z in (t_B, prev_t_B, index_B))
+        w_B = torch.full((rows,), self._guidance, device=self._device) if self._guided else None
+        if self._once:
+            network = cast(_Reader, self._network)
+            if self._context is None or self._context[0] != segments[0]:
+                text = self._text(segments)
+                read = network.read(text.tokens, text.mask, prev_BnD, prev_t_B, index_B)
+                self._context = (segments[0], read)
+            made = network.denoise(x_BnD, t_B, self._context[1], w_B)
+        else:
+            text = self._text(segments)
+            made = self._network(x_BnD, t_B, prev_BnD, prev_t_B, index_B, text.tokens, text.mask, w_B)
+        return cfg(*made.chunk(2), self._guidance) if self._twice else made
+
+    def _text(self, segments: Sequence[int]) -> TextEmbedding:
+        texts = [self._texts[segment] for segment in segments]
+        if self._twice:
+            texts += [self._empty] * len(texts)
+        return texts[0] if len(texts) == 1 else stack(texts)

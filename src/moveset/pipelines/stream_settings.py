@@ -1,0 +1,261 @@
+"""What may be asked of a stream, checked before anything is computed. One sentence a refusal: value, limit, remedy."""
+
+import math
+from bisect import bisect_right
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from moveset.diffusion.phases import PhaseGrid
+from moveset.diffusion.schedule import Schedule, cosine, linear
+from moveset.errors import InputError
+from moveset.pipelines.request import MAX_GUIDANCE, MAX_PROMPTS, SEEDS, check_prompt
+from moveset.pipelines.stream_bundle import FLOW, StreamConfig
+from moveset.rdm.staircase import Staircase, levels
+
+SEGMENTS = 4  # of a prompt that is followed by another and was given no duration
+MAX_SECONDS = 86_400.0
+MAX_BUFFER = 64
+BLEND_SECONDS = 0.3
+
+
+@dataclass(frozen=True)
+class StreamSettings:
+    """How segments are made.
+
+    Args:
+        network: the denoiser's name in the folder.
+        steps: K, sampler steps of a segment.
+        start: R, how many of them a segment that follows another takes.
+        lag: steps that a segment stays behind the one before it; K waits for the finished one.
+        eta: share of fresh noise in every step, 0 (DDIM) to 1 (DDPM).
+        guidance: scale w.
+        buffer: segments made ahead of the reader.
+        foot_lock: hold planted feet in place.
+        blend_seconds: within which a jump from one segment to the next dies away; 0 leaves it.
+    """
+
+    network: str
+    steps: int
+    start: int
+    lag: int
+    eta: float
+    guidance: float
+    buffer: int = 0
+    foot_lock: bool = True
+    blend_seconds: float = BLEND_SECONDS
+
+    @property
+    def clean_left(self) -> bool:
+        """Whether every segment is told its finished predecessor."""
+        return self.lag == self.steps
+
+    def staircase(self) -> Staircase:
+        """The plan, without end."""
+        return Staircase(self.steps, None, self.start, lag=self.lag)
+
+    def levels(self, config: StreamConfig) -> tuple[int, ...]:
+        """The K + 1 noise levels: a student's are the edges of its phases."""
+        if _is_student(self.network):
+            return PhaseGrid(config.points, self.steps, config.timesteps).edges[::-1]
+        return levels(self.steps, config.timesteps)
+
+
+@dataclass(frozen=True)
+class Timeline:
+    """Which prompt a segment has.
+
+    Args:
+        prompts: in order of time.
+        starts: number of the segment with which each begins; the first is 0.
+        end: segments in all; after them the last prompt is held.
+        loop: begin again instead.
+    """
+
+    prompts: tuple[str, ...]
+    starts: tuple[int, ...]
+    end: int
+    loop: bool = False
+
+    def at(self, segment: int) -> str:
+        """The prompt of a segment.
+
+        >>> line = Timeline(("walk", "bow"), (0, 3), 4)
+        >>> [line.at(k) for k in (2, 3, 9)]
+        ['walk', 'bow', 'bow']
+        """
+        return self.prompts[bisect_right(self.starts, segment % self.end if self.loop else segment) - 1]
+
+    def segments(self) -> tuple[int, ...]:
+        """How many segments each prompt has."""
+        return tuple(stop - start for start, stop in zip(self.starts, (*self.starts[1:], self.end), strict=True))
+
+
+@dataclass(frozen=True)
+class StreamRequest:
+    """A checked request: what happens when, from which noise, and how it is made.
+
+    ``seconds`` is the duration of the timeline as it was asked for; the timeline has it rounded to segments.
+    """
+
+    timeline: Timeline
+    seed: int
+    settings: StreamSettings
+    seconds: float
+
+
+def check_stream(
+    config: StreamConfig,
+    prompt: str | Sequence[str] | None = None,
+    seconds: float | Sequence[float] | None = None,
+    *,
+    loop: bool = False,
+    seed: int = 0,
+    network: str | None = None,
+    steps: int | None = None,
+    start: int | None = None,
+    lag: int | None = None,
+    eta: float | None = None,
+    guidance: float | None = None,
+    buffer: int = 0,
+    foot_lock: bool = True,
+    blend_seconds: float = BLEND_SECONDS,
+) -> StreamRequest:
+    """A request of a stream.
+
+    Args:
+        config: the model's limits and defaults.
+        prompt: a sentence, or several that follow one another; None is the model's idle prompt.
+        seconds: of each prompt: one number for all or one a prompt. Prompts change between two segments, so durations
+            are rounded to whole segments, together rather than each, and every prompt gets at least one.
+        loop: begin again after the last prompt, which is held otherwise.
+        seed: the same seed gives the same motion.
+        network: a denoiser of the folder; by default the model's choice.
+        steps: K, for networks that are no students; without ``network`` it may also name a student by its steps.
+        start: R, for networks that see a noisy predecessor.
+        lag: for the same.
+        eta: 0 to 1, for networks that are no students.
+        guidance: w; by default the model's choice for this network.
+        buffer: segments made ahead of the reader, in a thread of their own; 0 makes them when they are asked for.
+        foot_lock: hold planted feet in place.
+        blend_seconds: seam smoothing.
+
+    Raises:
+        InputError: anything out of range.
+    """
+    timeline, duration = _timeline(config, prompt, seconds, loop)
+    if not 0 <= seed < SEEDS:
+        raise InputError(f"seed {seed} is not in 0 to {SEEDS - 1}; give a smaller whole number")
+    if not 0 <= buffer <= MAX_BUFFER:
+        raise InputError(f"a buffer of {buffer} segments is not in 0 to {MAX_BUFFER}; 1 or 2 is plenty")
+    if not 0.0 <= blend_seconds < math.inf:
+        raise InputError(f"cannot blend over {blend_seconds} s; give a duration such as {BLEND_SECONDS}, or 0 for none")
+    network = _network(config, network, steps)
+    plan = _plan(config, network, steps, start, lag, eta)
+    w = config.guidance.get(network, 0.0) if guidance is None else guidance
+    if not 0.0 <= w <= MAX_GUIDANCE:
+        raise InputError(f"guidance {w:g} is not in 0 to {MAX_GUIDANCE:g}; this model's own choice is "
+                         f"{config.guidance.get(network, 0.0):g}")  # fmt: skip
+    settings = StreamSettings(network, *plan, float(w), buffer, foot_lock, float(blend_seconds))
+    return StreamRequest(timeline, seed, settings, duration)
+
+
+def get_schedule(config: StreamConfig) -> Schedule:
+    """The noise schedule that the folder's networks were trained on."""
+    return {"linear": linear, "cosine": cosine}[config.schedule](config.timesteps)
+
+
+def held(prompt: str) -> Timeline:
+    """One prompt for ever.
+
+    Raises:
+        InputError: an empty or absurd prompt.
+    """
+    check_prompt(prompt)
+    return Timeline((prompt,), (0,), 1)
+
+
+def _timeline(
+    config: StreamConfig, prompt: str | Sequence[str] | None, seconds: float | Sequence[float] | None, loop: bool
+) -> tuple[Timeline, float]:
+    prompt = config.idle if prompt is None else prompt
+    prompts = (prompt,) if isinstance(prompt, str) else tuple(prompt)
+    if not 1 <= len(prompts) <= MAX_PROMPTS:
+        raise InputError(
+            f"{len(prompts)} prompts were given; give 1 to {MAX_PROMPTS}, such as 'a person walks forward'"
+        )
+    for text in prompts:
+        check_prompt(text)
+    each = config.segment / config.fps
+    if seconds is None:
+        given: tuple[float, ...] = (SEGMENTS * each,) * len(prompts)
+    else:
+        given = (float(seconds),) if isinstance(seconds, int | float) else tuple(map(float, seconds))
+    if len(given) == 1:
+        given *= len(prompts)
+    if len(given) != len(prompts):
+        raise InputError(f"{len(given)} durations do not fit {len(prompts)} prompts; give one for all or one for each")
+    for s in given:
+        if not 0.0 < s <= MAX_SECONDS:
+            raise InputError(f"{s:g} seconds are not in 0 to {MAX_SECONDS:g} for a prompt; give a duration such as 3")
+    bounds, spent = [0], 0.0
+    for s in given:
+        spent += s
+        bounds.append(max(bounds[-1] + 1, round(spent / each)))
+    return Timeline(prompts, tuple(bounds[:-1]), bounds[-1], loop), spent
+
+
+def _is_student(network: str) -> bool:
+    return network.startswith("pcm-")
+
+
+def _network(config: StreamConfig, network: str | None, steps: int | None) -> str:
+    if network is None and steps is not None and _is_student(config.network):
+        network = f"pcm-{steps}"
+        if network not in config.denoisers:
+            others = [name for name in config.denoisers if not _is_student(name)]
+            choice = ", ".join(map(str, config.steps("pcm")))
+            also = f", or network {' or '.join(map(repr, others))}" if others else ""
+            raise InputError(f"model {config.name!r} has no student for {steps} steps; choose {choice}{also}")
+    network = config.network if network is None else network
+    if network not in config.denoisers:
+        raise InputError(f"unknown network {network!r}; model {config.name!r} has {', '.join(config.denoisers)}")
+    return network
+
+
+def _plan(
+    config: StreamConfig, network: str, steps: int | None, start: int | None, lag: int | None, eta: float | None
+) -> tuple[int, int, int, float]:
+    """K, R, lag and eta of a network: students and "md" are told the finished segment before, "rdm" a noisy one."""
+    if _is_student(network):
+        count = int(network.removeprefix("pcm-"))
+        if steps not in (None, count) or eta:
+            said = f"eta {eta}" if eta else f"{steps} steps"
+            raise InputError(f"{said} does not go with network {network!r}, which takes {count} steps without noise; "
+                             "leave it out or choose another network")  # fmt: skip
+        steps, default_eta = count, 0.0
+    else:
+        steps, default_eta = config.sampler_steps if steps is None else steps, config.eta
+    if not 1 <= steps <= config.timesteps:
+        raise InputError(
+            f"{steps} steps are not in 1 to {config.timesteps}; {config.sampler_steps} is this model's own"
+        )
+    if network == "rdm":
+        # The model's own staircase, at another number of steps the one of the same shape.
+        scale = steps / config.sampler_steps
+        start = min(steps, math.ceil(config.start * scale)) if start is None else start
+        lag = min(steps, math.ceil(config.lag * scale)) if lag is None else lag
+        least = 0 if FLOW in config.models else 1  # without a flow, segments that are never denoised repeat the first
+        if not least <= start <= steps or not 1 <= lag <= steps:
+            raise InputError(f"start {start} is not in {least} to {steps} steps, or lag {lag} not in 1 to {steps}; "
+                             "leave them out for the model's own")  # fmt: skip
+    elif start not in (None, steps) or lag not in (None, steps):
+        raise InputError(f"network {network!r} makes one segment after the other, so start and lag are its {steps} "
+                         "steps; leave them out or choose network 'rdm'")  # fmt: skip
+    else:
+        start = lag = steps
+    eta = default_eta if eta is None else float(eta)
+    if not 0.0 <= eta <= 1.0:
+        raise InputError(
+            f"eta {eta:g} is not in 0 (no fresh noise) to 1; leave it out for the model's own {config.eta:g}"
+        )
+    return steps, start, lag, eta

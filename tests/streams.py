@@ -1,0 +1,44 @@
+"""A stream's model folder with random weights, small enough to make in every test: all plumbing, no skill."""
+
+from pathlib import Path
+
+import torch
+
+from moveset.models.flow import FlowConfig
+from moveset.models.segment_transformer import SegmentTransformerConfig
+from moveset.pipelines.stream_bundle import StreamConfig, save_stream_bundle
+from moveset.text.encoder import get_text_encoder
+from tests.bundles import CAPTIONS, standing_features
+
+FRAMES = 28
+
+
+def tiny_stream(path: Path, *, seed: int = 0) -> Path:
+    """Write the folder: "rdm", "md", "pcm-1", "pcm-2" and "flow", over a standing person that wobbles a little."""
+    features = standing_features()
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(seed)
+        sizes = {"features": len(features), "frames": FRAMES, "width": 32, "heads": 2, "hidden": 32, "blocks": 1}
+        modules = {name: SegmentTransformerConfig(**sizes).build() for name in ("rdm", "md")}
+        modules |= {f"pcm-{k}": SegmentTransformerConfig(**sizes, guided=True).build() for k in (1, 2)}
+        modules["flow"] = FlowConfig(
+            features=len(features), blocks=2, hidden=8, text_context=4, index_context=4
+        ).build()
+        for name, module in modules.items():
+            # Fresh networks say nothing of text, guidance or predecessor, and a fresh flow is the identity.
+            for key, weight in module.named_parameters():
+                if (key.endswith("weight") and not weight.any()) or key.startswith("text"):
+                    torch.nn.init.normal_(weight, std=0.1 if name == "flow" else 0.3)
+    config = StreamConfig(
+        name=path.name,
+        network="pcm-1",
+        sampler_steps=6,
+        start=3,
+        lag=1,
+        guidance={"rdm": 0.0, "md": 0.0, "pcm-1": 1.5, "pcm-2": 1.5},
+        far_prompt=0.4,
+        provenance={"data": "none: random weights for tests"},
+    )
+    normalizer = {"feature_mean": features, "feature_std": torch.full_like(features, 0.02)}
+    pooled = get_text_encoder("minilm").encode(list(CAPTIONS)).pooled
+    return save_stream_bundle(path, config, modules, normalizer, CAPTIONS, pooled)
