@@ -177,8 +177,7 @@ class Loop:
         with torch.autocast(self.device.type, enabled=False):
             loss.backward(inputs=wanted)
         # Gradients of several calls add up, and so must the losses that they belong to.
-        before = self._losses.get(optimizer)
-        self._losses[optimizer] = loss.detach() if before is None else before + loss.detach()
+        self._losses[optimizer] = loss.detach() + self._losses.get(optimizer, 0.0)
 
     def step(self, optimizer: str) -> Tensor:
         """Averages gradients over processes, clips, steps, clears. Returns the gradient's norm before clipping.
@@ -191,10 +190,8 @@ class Loop:
             self._average(parameters)
         norm = nn.utils.clip_grad_norm_(parameters, self.config.grad_clip or float("inf"))
         loss = self._losses.pop(optimizer, None)
-        if getattr(stepped, "wants_loss", False):
-            cast(Any, stepped).step(loss)
-        else:
-            stepped.step()
+        arguments: list[Any] = [loss] if getattr(stepped, "wants_loss", False) else []
+        stepped.step(*arguments)
         stepped.zero_grad(set_to_none=True)
         return norm
 

@@ -145,7 +145,7 @@ class MomoAdam(torch.optim.Optimizer):
         return state
 
 
-def _inner(left: list[Tensor], right: list[Tensor]) -> Tensor:
+def _inner(left: list[Tensor], right: list[Tensor] | tuple[Tensor, ...]) -> Tensor:
     """Inner product () of two lists of tensors."""
     return torch.stack([product.sum() for product in torch._foreach_mul(left, right)]).sum()
 
