@@ -25,6 +25,7 @@ class Layout:
 
     Args:
         name: "humanml3d" or "kit".
+        codec: what ``motion.features.get_codec`` knows its features by.
         joints: J.
         features: D.
         fps: frames per second.
@@ -32,6 +33,7 @@ class Layout:
     """
 
     name: str
+    codec: str
     joints: int
     features: int
     fps: float
@@ -43,8 +45,8 @@ class Layout:
     text_fps = 20
 
 
-HUMANML3D = Layout("humanml3d", joints=22, features=263, fps=20.0, shortest=40)
-KIT = Layout("kit", joints=21, features=251, fps=12.5, shortest=24)
+HUMANML3D = Layout("humanml3d", "hml", joints=22, features=263, fps=20.0, shortest=40)
+KIT = Layout("kit", "kit", joints=21, features=251, fps=12.5, shortest=24)
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""What the networks read: features of every clip and of its mirror image in one memory-mapped file, and batches of it.
+"""What the networks read: features of every clip in one memory-mapped file, and batches of it.
 
 Batches are a pure function of (seed, step): there is no sampler state to save, so a resumed run sees what an
 uninterrupted one would have seen. Shapes: B batch, F frames, D features.
@@ -9,6 +9,7 @@ import os
 import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -16,66 +17,60 @@ import torch
 from torch import Tensor
 from tqdm import tqdm
 
+from moveset.data.augment import MAX_FRAMES
 from moveset.data.corpus import Corpus
-from moveset.errors import FormatError
+from moveset.errors import FormatError, InputError
 from moveset.motion.features import FeatureCodec, Normalizer
+from moveset.training.clip_source import ClipSource, as_clips
+from moveset.training.clip_source import clip_weights as clip_weights
 
 _VERSION = 1
 
 
 @dataclass(frozen=True)
 class Clip:
-    """One row of the index: where the frames of a clip of the corpus, or of its mirror image, lie."""
+    """One row of the index: where the frames of a clip lie."""
 
-    record: int
-    mirrored: bool
     start: int
     frames: int
 
 
 class FeatureStore:
-    """Normalised features of a corpus: clip 2i is record i, clip 2i + 1 its mirror image."""
+    """Normalised features of all clips of a source, by its numbers: clip 2i of a corpus is record i, clip 2i + 1 its
+    mirror image."""
 
     def __init__(self, folder: Path) -> None:
         index = json.loads((folder / "index.json").read_text())
         if index["version"] != _VERSION:
             raise FormatError(f"{folder} was written by another version; delete it and it will be made again")
-        self.clips = [Clip(k // 2, k % 2 == 1, start, frames) for k, (start, frames) in enumerate(index["clips"])]
+        self.clips = [Clip(start, frames) for start, frames in index["clips"]]
         self.features = np.load(folder / "features.npy", mmap_mode="r")
         mean, std = (torch.tensor(index[name]) for name in ("mean", "std"))
         self.normalizer = Normalizer(mean, std)
 
     @classmethod
-    def of(cls, corpus: Corpus, codec: FeatureCodec, folder: Path, progress: bool = False) -> "FeatureStore":
-        """Open the store in ``folder``, making it first where it is missing (statistics from plain training takes)."""
-        if (folder / "index.json").is_file():
-            return cls(folder)
-        building = folder.with_name(f".{folder.name}.{os.getpid()}")
-        building.mkdir(parents=True)
-        try:
-            encoded: list[np.ndarray] = []
-            for k in tqdm(range(len(corpus)), desc="features", disable=None if progress else True):
-                encoded += [codec.encode(corpus.motion(k, mirrored)).numpy() for mirrored in (False, True)]
-            fitted = [
-                torch.from_numpy(encoded[2 * k + m]) for k in corpus.indices("train", composed=False) for m in (0, 1)
-            ]
-            normalizer = Normalizer.fit(fitted, codec.groups)
-            frames = [len(clip) for clip in encoded]
-            starts = np.concatenate(([0], np.cumsum(frames)))
-            out = np.lib.format.open_memmap(
-                building / "features.npy", mode="w+", dtype=np.float32, shape=(int(starts[-1]), codec.dim)
+    def of(
+        cls, source: Corpus | ClipSource, codec: FeatureCodec, folder: Path, progress: bool = False
+    ) -> "FeatureStore":
+        """Open the store in ``folder``, making it first where it is missing.
+
+        Raises:
+            InputError: the store there holds another source's clips, or the source cannot be read.
+        """
+        source = as_clips(source)
+        if not (folder / "index.json").is_file():
+            _make(source, codec, folder, progress)
+        store = cls(folder)
+        if len(store.clips) != len(source):
+            raise InputError(
+                f"{folder} holds {len(store.clips)} clips and the corpus has {len(source)}: it was made from another "
+                "one; delete it to make it anew, or train in another folder"
             )
-            mean, std = normalizer.mean.numpy(), normalizer.std.numpy()
-            for start, clip in zip(starts, encoded, strict=False):
-                out[start : start + len(clip)] = (clip - mean) / std
-            out.flush()
-            rows = [[int(start), count] for start, count in zip(starts, frames, strict=False)]
-            index = {"version": _VERSION, "clips": rows, "mean": mean.tolist(), "std": std.tolist()}
-            (building / "index.json").write_text(json.dumps(index))
-            building.rename(folder)
-        finally:
-            shutil.rmtree(building, ignore_errors=True)
-        return cls(folder)
+        return store
+
+    def whole(self, clip: int) -> "Crop":
+        """All of a clip, or its first 196 frames."""
+        return Crop(clip, 0, min(self.clips[clip].frames, MAX_FRAMES))
 
     def batch(self, crops: Sequence["Crop"]) -> tuple[Tensor, Tensor]:
         """Features (B, F, D), zero beyond each clip's end, and lengths (B,)."""
@@ -94,20 +89,6 @@ class Crop:
     clip: int
     offset: int
     frames: int
-
-
-def clip_weights(corpus: Corpus, records: Sequence[int], power: float, composed_share: float) -> Tensor:
-    """Sampling weights of records: each content by count^(1 - power), composed clips together ``composed_share``."""
-    chosen = [corpus.records[k] for k in records]
-    counts: dict[tuple[str, ...], int] = {}
-    for record in chosen:
-        counts[record.contents] = counts.get(record.contents, 0) + 1
-    weights = torch.tensor([counts[record.contents] ** -power for record in chosen], dtype=torch.float64)
-    composed = torch.tensor([record.kind != "take" for record in chosen])
-    for part, share in ((composed, composed_share), (~composed, 1.0 - composed_share)):
-        if part.any():
-            weights[part] *= share / weights[part].sum()
-    return weights
 
 
 class CropSampler:
@@ -151,8 +132,39 @@ class CropSampler:
             total = self.store.clips[clip].frames
             least = min(total, max(self.shortest[1], int(self.shortest[0] * total)))
             frames = total if whole < self.whole else least + int(size * (total - least + 1))
-            frames = min(frames, total)
+            frames = min(frames, total, MAX_FRAMES)
             crops.append(Crop(clip, int(at * (total - frames + 1)), frames))
         crops.sort(key=lambda crop: crop.frames)
         start = int(order[step % self.pool]) * self.batch
         return crops[start : start + self.batch]
+
+
+def _make(source: ClipSource, codec: FeatureCodec, folder: Path, progress: bool) -> None:
+    """Writes a store, which appears whole or not at all."""
+    building = folder.with_name(f".{folder.name}.{os.getpid()}")
+    building.mkdir(parents=True)
+    try:
+        # By way of the disk: the features of a large data set may not fit in memory.
+        frames = []
+        with open(building / "raw", "wb") as file:
+            for clip in tqdm(range(len(source)), desc="features", disable=None if progress else True):
+                encoded = source.features(clip, codec).float().numpy()
+                file.write(encoded.tobytes())
+                frames.append(len(encoded))
+        ends = np.cumsum([0, *frames])
+        shape = (int(ends[-1]), codec.dim)
+        raw = np.memmap(building / "raw", np.float32, "r", shape=shape)
+        normalizer = source.normalizer(codec, lambda clip: torch.tensor(raw[ends[clip] : ends[clip + 1]]))
+        mean, std = normalizer.mean.numpy(), normalizer.std.numpy()
+        out = np.lib.format.open_memmap(building / "features.npy", mode="w+", dtype=np.float32, shape=shape)
+        for start, stop in pairwise(ends):
+            out[start:stop] = (raw[start:stop] - mean) / std
+        out.flush()
+        del raw
+        (building / "raw").unlink()
+        rows = [[int(start), count] for start, count in zip(ends, frames, strict=False)]
+        index = {"version": _VERSION, "clips": rows, "mean": mean.tolist(), "std": std.tolist()}
+        (building / "index.json").write_text(json.dumps(index))
+        building.rename(folder)
+    finally:
+        shutil.rmtree(building, ignore_errors=True)

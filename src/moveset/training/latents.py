@@ -16,8 +16,10 @@ from tqdm import tqdm
 
 from moveset.data.corpus import Corpus
 from moveset.data.paraphrase import paraphrase
+from moveset.data.splits import Split
 from moveset.io.limits import atomic_write
-from moveset.training.clips import Crop, FeatureStore, clip_weights
+from moveset.training.clip_source import ClipSource, as_clips
+from moveset.training.clips import Crop, FeatureStore
 
 
 class Encoder(Protocol):
@@ -47,29 +49,28 @@ class LatentSet:
         mean: (M, N, d) posterior means.
         std: (M, N, d) posterior standard deviations.
         frames: (M,) clip lengths.
-        clip: (M,) indices into the feature store (2 * record + mirrored).
+        clip: (M,) numbers of clips in the source and the feature store.
         paraphrased: share of captions in a batch that are said otherwise.
     """
 
     paraphrased = 0.0
 
-    def __init__(self, corpus: Corpus, split: str, tensors: dict[str, Tensor]) -> None:
+    def __init__(self, source: Corpus | ClipSource, split: Split, tensors: dict[str, Tensor]) -> None:
+        source = as_clips(source)
         self.mean, self.std = tensors["mean"].float(), tensors["std"].float()
         self.frames, self.clip = tensors["frames"], tensors["clip"]
         self.center, self.scale = tensors["center"], tensors["scale"]
-        records = corpus.indices(split)
-        weight = dict(zip(records, clip_weights(corpus, records, power=0.5, composed_share=0.4).tolist(), strict=True))
-        copies = torch.bincount(self.clip, minlength=2 * len(corpus)).double()
-        self.weights = torch.tensor([weight[int(c) // 2] for c in self.clip], dtype=torch.float64) / copies[self.clip]
-        self._captions: dict[int, tuple[str, ...]] = {}
-        for clip in set(self.clip.tolist()):
-            self._captions[clip] = corpus.captions(clip // 2, clip % 2 == 1)
+        clips = source.clips(split)
+        weight = dict(zip(clips, source.weights(clips, power=0.5, composed_share=0.4).tolist(), strict=True))
+        copies = torch.bincount(self.clip, minlength=len(source)).double()
+        self.weights = torch.tensor([weight[int(c)] for c in self.clip], dtype=torch.float64) / copies[self.clip]
+        self._captions = {clip: source.captions(clip) for clip in set(self.clip.tolist())}
 
     @classmethod
     def of(
         cls,
-        corpus: Corpus,
-        split: str,
+        source: Corpus | ClipSource,
+        split: Split,
         store: FeatureStore,
         vae: Encoder,
         path: Path,
@@ -77,13 +78,14 @@ class LatentSet:
         batch: int = 64,
     ) -> "LatentSet":
         """Open ``path``, encoding the split first where it is missing."""
+        source = as_clips(source)
         if not path.is_file():
-            tensors = _encode(_entries(corpus, corpus.indices(split), store, windows), store, vae, batch)
+            tensors = _encode(_entries(source, source.clips(split), store, windows), store, vae, batch)
             from safetensors.torch import save
 
             with atomic_write(path) as file:
                 file.write(save(tensors))
-        return cls(corpus, split, load_file(path))
+        return cls(source, split, load_file(path))
 
     def __len__(self) -> int:
         return len(self.clip)
@@ -112,20 +114,19 @@ class LatentSet:
         return LatentBatch(z0, self.frames[entries], captions)
 
 
-def _entries(corpus: Corpus, records: Sequence[int], store: FeatureStore, windows: int) -> list[Crop]:
-    """Every clip and its mirror image whole, and ``windows`` windows of 70-100 % of the plain ones."""
+def _entries(source: ClipSource, clips: Sequence[int], store: FeatureStore, windows: int) -> list[Crop]:
+    """Every clip whole, and ``windows`` windows of 70-100 % of those that may be divided."""
     generator = torch.Generator().manual_seed(0)
     crops = []
-    for record in records:
-        for clip in (2 * record, 2 * record + 1):
-            total = store.clips[clip].frames
-            crops.append(Crop(clip, 0, total))
-            # A window of a sequence or of a short take may miss what its caption says.
-            if corpus.records[record].kind != "take" or total < 48:
-                continue
-            for share, place in torch.rand(windows, 2, generator=generator).tolist():
-                frames = int(total * (0.7 + 0.3 * share))
-                crops.append(Crop(clip, int(place * (total - frames + 1)), frames))
+    for clip in clips:
+        crops.append(store.whole(clip))
+        total = store.clips[clip].frames
+        # A window of a short clip may miss what its caption says.
+        if not source.divisible(clip) or total < 48:
+            continue
+        for share, place in torch.rand(windows, 2, generator=generator).tolist():
+            frames = int(total * (0.7 + 0.3 * share))
+            crops.append(Crop(clip, int(place * (total - frames + 1)), frames))
     return crops
 
 

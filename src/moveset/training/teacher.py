@@ -6,7 +6,6 @@ from pathlib import Path
 import torch
 from torch import Tensor, nn
 
-from moveset.data.corpus import Corpus
 from moveset.diffusion.schedule import scaled_linear
 from moveset.diffusion.steps import add_noise
 from moveset.models.latent_denoiser import LatentDenoiserConfig
@@ -16,6 +15,7 @@ from moveset.motion.features import get_codec
 from moveset.text.cache import EmbeddingCache
 from moveset.text.encoder import TextEmbedding, get_text_encoder
 from moveset.training import frozen
+from moveset.training.clip_source import open_clips
 from moveset.training.clips import FeatureStore
 from moveset.training.ema import Ema, ema_warmup
 from moveset.training.engine import Loop, Task
@@ -57,12 +57,12 @@ class LatentData:
         self.seed, self.device = loop.config.seed * 64 + loop.rank, loop.device
 
     def _open(self, sources: Sources, text_encoder: str, progress: bool) -> None:
-        corpus, vae, codec = Corpus.open(sources.corpus), self.vae, self.vae.task["codec"]
-        store = FeatureStore.of(corpus, get_codec(codec), sources.cache / f"features-{codec}", progress)
+        clips, vae, codec = open_clips(sources.corpus), self.vae, self.vae.task["codec"]
+        store = FeatureStore.of(clips, get_codec(codec), sources.cache / f"features-{codec}", progress)
         latents = sources.cache / f"latents-{vae.digest[:12]}"
-        self.train = LatentSet.of(corpus, "train", store, vae.module, Path(f"{latents}-train.safetensors"))
+        self.train = LatentSet.of(clips, "train", store, vae.module, Path(f"{latents}-train.safetensors"))
         self.train.paraphrased = self.disturbance.paraphrased
-        self.val = LatentSet.of(corpus, "val", store, vae.module, Path(f"{latents}-val.safetensors"), windows=0)
+        self.val = LatentSet.of(clips, "val", store, vae.module, Path(f"{latents}-val.safetensors"), windows=0)
         captions = sorted({*self.train.all_captions(), *self.val.all_captions()})
         path = sources.cache / f"text-{text_encoder.replace('/', '-').replace(':', '-')}.safetensors"
         self.text = EmbeddingCache.build(get_text_encoder(text_encoder), captions, path)

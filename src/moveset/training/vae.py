@@ -6,7 +6,6 @@ from typing import Literal, Protocol, cast
 import torch
 from torch import Tensor, nn
 
-from moveset.data.corpus import Corpus
 from moveset.evaluation.physical import jerk, skating
 from moveset.models.registry import describe
 from moveset.models.timed_vae import TimedVAEConfig
@@ -14,7 +13,8 @@ from moveset.models.token_vae import TokenVAEConfig
 from moveset.motion.features import FeatureCodec, get_codec
 from moveset.motion.native import NativeCodec
 from moveset.training import frozen
-from moveset.training.clips import Crop, CropSampler, FeatureStore, clip_weights
+from moveset.training.clip_source import open_clips
+from moveset.training.clips import Crop, CropSampler, FeatureStore
 from moveset.training.ema import Ema, ema_warmup
 from moveset.training.engine import Loop, Task
 from moveset.training.optim import cosine_lr
@@ -74,12 +74,12 @@ class VAETask(Task):
 
     def __init__(self, config: VAETrainingConfig, sources: Sources, loop: Loop) -> None:
         self.config, self.steps = config, loop.config.steps
-        corpus = Corpus.open(sources.corpus)
+        source = open_clips(sources.corpus)
         self.codec = get_codec(config.codec)
         # Whoever comes first makes the cache; the other processes open it.
         with loop.fabric.rank_zero_first():
             self.store = FeatureStore.of(
-                corpus, self.codec, sources.cache / f"features-{config.codec}", progress=loop.rank == 0
+                source, self.codec, sources.cache / f"features-{config.codec}", progress=loop.rank == 0
             )
         self.vae = config.model.build().to(loop.device)
         self.ema = Ema(self.vae, config.ema)
@@ -87,13 +87,12 @@ class VAETask(Task):
         self.optimizer = torch.optim.AdamW(
             self.vae.parameters(), config.lr, betas=(0.9, 0.99), weight_decay=config.weight_decay
         )
-        records = corpus.indices("train")
-        weights = clip_weights(corpus, records, power=config.balance, composed_share=config.composed_share)
-        clips = [2 * record + mirrored for record in records for mirrored in (0, 1)]
+        clips = source.clips("train")
+        weights = source.weights(clips, power=config.balance, composed_share=config.composed_share)
         seed = loop.config.seed * 64 + loop.rank
-        self.sampler = CropSampler(self.store, clips, weights.repeat_interleave(2), config.batch, seed)
-        held_out = [2 * record for record in corpus.indices("val", composed=False)]
-        self.held_out = sorted((Crop(c, 0, self.store.clips[c].frames) for c in held_out), key=lambda c: c.frames)
+        self.sampler = CropSampler(self.store, clips, weights, config.batch, seed)
+        held_out = (self.store.whole(clip) for clip in source.clips("val", plain=True))
+        self.held_out = sorted(held_out, key=lambda crop: crop.frames)
 
     def modules(self) -> dict[str, nn.Module]:
         return {"vae": self.vae}
