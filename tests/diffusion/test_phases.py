@@ -5,8 +5,8 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from moveset.errors import InputError
 from moveset.diffusion.phases import PhaseGrid
+from moveset.errors import InputError
 
 
 @pytest.mark.parametrize(

@@ -4,9 +4,10 @@ Same task as ``segment_denoiser`` (RDM, Section 4), made cheap for a processor w
 text tokens and the frames of the previous segment enter as extra keys and values, computed once where neither changes;
 time, levels and text modulate the blocks.
 
-The clean segment is predicted as alpha_t x_t + sigma_t F(x_t, …): the network only has to say what the best linear
-guess for unit-variance data misses. Without it fine detail at low noise would have to pass a width below the number of
-features (the preconditioning of Karras et al. 2022, arXiv 2206.00364, for a variance-preserving schedule).
+The network says the clean segment itself. A skip from the noisy input (the preconditioning of Karras et al. 2022, arXiv
+2206.00364) would spare it the copying at low noise, but what it then fails to take off the input stays in the output as
+jitter. For the same reason it is trained on noise with the spectrum of motion (``diffusion.coloured``), which belongs
+to the network: ``colour``.
 
 Shapes: B rows, n frames, D features, L text tokens, C text width, W model width.
 """
@@ -18,12 +19,11 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as fn
 
-from moveset.diffusion.schedule import linear
+from moveset.diffusion.coloured import colour
 from moveset.models.latent_denoiser import Block, waves
 from moveset.models.registry import register, require_range
 
 _WAVES = 256
-_SCHEDULE = linear()
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -72,6 +72,8 @@ class SegmentTransformer(nn.Module):
     def __init__(self, config: SegmentTransformerConfig) -> None:
         super().__init__()
         self.config = c = config
+        # The spectrum of the noise that the network knows; flat: white noise.
+        self.register_buffer("spectrum", torch.ones(c.frames, c.features))
         self.frame_in = nn.Linear(c.features, c.width)
         self.position = nn.Parameter(torch.randn(c.frames, c.width) * 0.02)
         self.previous_in = nn.Linear(c.features, c.width)
@@ -102,6 +104,10 @@ class SegmentTransformer(nn.Module):
         for layer in (self.modulate_out, self.out):
             nn.init.zeros_(layer.weight)
             nn.init.zeros_(layer.bias)
+
+    def colour(self, noise_BnD: Tensor) -> Tensor:
+        """Standard normal noise (B, n, D) as this network was trained on it."""
+        return colour(noise_BnD, cast(Tensor, self.spectrum))
 
     def read(self, tokens_BLC: Tensor, mask_BL: Tensor, prev_BnD: Tensor, prev_t_B: Tensor, index_B: Tensor) -> Context:
         """Text and previous segment, for any number of calls in which neither they nor their level change."""
@@ -172,11 +178,9 @@ class SegmentTransformer(nn.Module):
             if taps is not None:
                 taps.append(x)
         scale, shift = self.modulate_out(condition)[:, None].chunk(2, dim=-1)
-        alpha, sigma = (table[:, None, None] for table in (_SCHEDULE.alpha(t_B), _SCHEDULE.sigma(t_B)))
         # In bfloat16 the last product would quantise joint angles to a fraction of a degree: visible as jitter.
         with torch.autocast(x.device.type, enabled=False):
-            missed = self.out(self.norm_out(x.float()) * (1 + scale.float()) + shift.float())
-            return alpha * x_BnD.float() + sigma * missed
+            return cast(Tensor, self.out(self.norm_out(x.float()) * (1 + scale.float()) + shift.float()))
 
     def student(self) -> "SegmentTransformer":
         """A copy with a guidance embedding that changes nothing yet: the start of distillation."""

@@ -137,12 +137,14 @@ def _denoise(
     shape: tuple[int, int],
     eta: float,
     device: torch.device | str,
+    colour: Callable[[Tensor], Tensor] | None = None,
 ) -> Tensor:
     """One piece from noise to clean."""
-    z_BnD = noise_of_items(seeds, number, START, shape).to(device)
+    dye = colour or (lambda noise: noise)
+    z_BnD = dye(noise_of_items(seeds, number, START, shape).to(device))
     for k, (t, s) in enumerate(pairwise(levels)):
         t_B, s_B = _rows(t, seeds, device), _rows(s, seeds, device)
-        noise = noise_of_items(seeds, number, k, shape).to(device) if eta else None
+        noise = dye(noise_of_items(seeds, number, k, shape).to(device)) if eta else None
         z_BnD = denoise_step(schedule, z_BnD, clean(z_BnD, t_B).to(z_BnD.dtype), t_B, s_B, eta, noise)
     return z_BnD
 

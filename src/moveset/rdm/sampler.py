@@ -44,6 +44,7 @@ class Settings:
             Without fresh noise in the steps, shared noise keeps the segments correlated.
         entry: what a segment that enters later begins with: a copy of its left neighbour's state in y-space, or the
             neighbour's current clean estimate with fresh noise.
+        colour: what turns standard normal noise (B, n, D) into the noise that the network was trained on, if anything.
 
     Raises:
         InputError: levels that do not fit the staircase or the schedule, or an option out of range.
@@ -55,6 +56,7 @@ class Settings:
     eta: float = 0.0
     init_noise: InitNoise = "independent"
     entry: Entry = "copy"
+    colour: Callable[[Tensor], Tensor] | None = None
 
     def __post_init__(self) -> None:
         if len(self.levels) != self.staircase.steps + 1:
@@ -222,13 +224,12 @@ class Stream(Iterator[Tensor]):
         text = self._enter_text(segment)
         now.pooled.append(torch.zeros(len(self._seeds), 0, device=self._device) if text is None else text)
         if segment == 0 or (at == 0 and settings.init_noise == "independent"):
-            y = noise_of_items(self._seeds, segment, START, self._shape).to(self._device)
+            y = self._drawn(segment, START)
         else:
             assert now.waiting is not None
             y = now.waiting
             if at and settings.entry == "refreshed":
-                fresh = noise_of_items(self._seeds, segment, ENTRY, self._shape).to(y)
-                y = add_noise(settings.schedule, y, fresh, self._levels([at]))
+                y = add_noise(settings.schedule, y, self._drawn(segment, ENTRY), self._levels([at]))
         now.steps.append(at)
         now.y.append(y)
         now.waiting = None
@@ -275,12 +276,14 @@ class Stream(Iterator[Tensor]):
     def _noise(self, segments: Sequence[int], steps: Sequence[int]) -> Tensor | None:
         if not self._settings.eta:
             return None
-        zeros = torch.zeros(len(self._seeds), *self._shape)  # the step to a clean level has no noise
-        drawn = [
-            noise_of_items(self._seeds, j, k, self._shape) if k + 1 < self._plan.steps else zeros
-            for j, k in zip(segments, steps, strict=True)
-        ]
-        return torch.cat(drawn).to(self._device)
+        # The step to a clean level has no noise.
+        zeros = torch.zeros(len(self._seeds), *self._shape, device=self._device)
+        drawn = [self._drawn(j, k) if k + 1 < self._plan.steps else zeros for j, k in zip(segments, steps, strict=True)]
+        return torch.cat(drawn)
+
+    def _drawn(self, segment: int, step: int) -> Tensor:
+        noise = noise_of_items(self._seeds, segment, step, self._shape).to(self._device)
+        return noise if self._settings.colour is None else self._settings.colour(noise)
 
 
 def stream(
@@ -296,6 +299,7 @@ def stream(
     eta: float = 0.0,
     init_noise: InitNoise = "independent",
     entry: Entry = "copy",
+    colour: Callable[[Tensor], Tensor] | None = None,
     state: StreamState | None = None,
     device: torch.device | str = "cpu",
 ) -> Stream:
@@ -311,7 +315,7 @@ def stream(
         shape: (n, D) of a segment.
         enter: called with the number of each segment just before its first evaluation; returns its text's sentence
             embeddings (B, C) for the flow, None where there is no flow.
-        eta, init_noise, entry: see ``Settings``.
+        eta, init_noise, entry, colour: see ``Settings``.
         state: where an earlier stream of the same settings and seeds was left.
         device: where to compute; noise is always drawn on the CPU.
 
@@ -319,7 +323,13 @@ def stream(
         InputError: settings that do not fit together.
     """
     settings = Settings(
-        schedule=schedule, levels=levels, staircase=staircase, eta=eta, init_noise=init_noise, entry=entry
+        schedule=schedule,
+        levels=levels,
+        staircase=staircase,
+        eta=eta,
+        init_noise=init_noise,
+        entry=entry,
+        colour=colour,
     )
     return Stream(denoiser, transport, settings, seeds, shape, enter, state, device)
 
@@ -337,6 +347,7 @@ def sample(
     eta: float = 0.0,
     init_noise: InitNoise = "independent",
     entry: Entry = "copy",
+    colour: Callable[[Tensor], Tensor] | None = None,
     order: Order = "wavefront",
     device: torch.device | str = "cpu",
 ) -> Tensor:
@@ -356,7 +367,7 @@ def sample(
     run = stream(
         denoiser, transport, schedule, levels, staircase, seeds, shape,
         (lambda segment: None) if pooled is None else pooled.__getitem__,
-        eta=eta, init_noise=init_noise, entry=entry, device=device,
+        eta=eta, init_noise=init_noise, entry=entry, colour=colour, device=device,
     )  # fmt: skip
     done = []
     if order == "rows":

@@ -128,7 +128,7 @@ class RDMStudentTask(Task):
         config = self.config
         batch = self.data.train.batch(config.batch, self.data.seed, step).to(loop.device)
         text = self.data.read(batch.captions, self.draws)
-        draws = draw(self.grid, batch.clean, config.guidance, self.draws)
+        draws = self._coloured(draw(self.grid, batch.clean, config.guidance, self.draws))
         bound = _Bound(batch, text, self.data.read([""] * config.batch), self.transport, self.teacher)
         t_B, edge_B = self.grid.time(draws.point_B), self.grid.lower(draws.point_B)
         z = add_noise(SCHEDULE, bound.pull(batch.clean), draws.noise_BND, t_B)
@@ -153,6 +153,7 @@ class RDMStudentTask(Task):
         text, w = self.data.read(batch.captions), torch.full((64,), sum(self.config.guidance) / 2).to(loop.device)
         bound = _Bound(batch, text, self.data.read([""] * 64), self.transport, self.teacher)
         noise = torch.randn(batch.clean.shape, generator=torch.Generator().manual_seed(0)).to(loop.device)
+        noise = self.teacher.colour(noise)
         if self._reference is None:
             self._reference = bound.sample(bound.guided, noise, levels(25), w)
         edges = self.grid.edges[::-1]
@@ -164,6 +165,10 @@ class RDMStudentTask(Task):
                 ((made - self._reference).square() * valid).sum() / valid.sum() / made.shape[-1]
             )
         return report | {"teacher_std": float(self._reference.std()), "student_std": float(made.std())}
+
+    def _coloured(self, draws: Draws) -> Draws:
+        noises = ("noise_BND", "fake_noise_BND", "real_noise_BND")
+        return replace(draws, **{name: self.teacher.colour(getattr(draws, name)) for name in noises})
 
     def _judge(
         self, bound: "_Bound", batch: SegmentBatch, draws: Draws, z: Tensor, made: Tensor, t_B: Tensor, edge_B: Tensor,
