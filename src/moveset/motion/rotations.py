@@ -188,8 +188,8 @@ def _outer_table(dtype: torch.dtype, device: torch.device) -> tuple[Tensor, Tens
             first, *entries = term.split()
             for a, b in {(i, j), (j, i)}:
                 constant[a, b] = float(first)
-                for sign, row, column in entries:
-                    table[a, b, int(column), int(row)] = float(sign + "1")
+                for entry in entries:
+                    table[a, b, int(entry[2]), int(entry[1])] = float(entry[0] + "1")
         return table.view(16, 9).to(device), constant.view(16, 1).to(device)
 
 
