@@ -1,15 +1,34 @@
-"""The published sizes and hyper-parameters, as far as the models go: HumanML3D or KIT-ML, sentence-T5, a GPU.
+"""The published sizes and hyper-parameters, as far as the models go: HumanML3D or KIT-ML, sentence-T5 or CLIP, a GPU.
 
-Source: MotionPCM (arXiv 2501.19083) on the VAE and denoiser of MotionLCM-V2 (arXiv 2404.19759).
+Recurrent models read HumanML3D's features; ``--set codec=kit`` is all that KIT-ML needs besides its folder. Where RDM's
+paper leaves a choice they take the one that holds up: every segment is noised around itself, one application of the
+flow, a segment number that only tells the first from later ones, and any level of the segment before. The printed
+Algorithm 2 of RDM-N is
+
+    --set grid.anchor=first --set grid.share_noise=true --set grid.condition=previous
+    --set depth_cap=N-1 --set model.max_index=N-1 --set flow.max_index=N-1 --set flow.bound=hardtanh
+
+with the number N - 1 written out; a text drop, for guidance, is ``--set text_drop=0.1``.
+
+Source: MotionPCM (arXiv 2501.19083) on the VAE and denoiser of MotionLCM-V2 (arXiv 2404.19759); RDM (arXiv 2406.07169),
+Sections 5 and 10; MotionDiffuse (arXiv 2208.15001), Light-T2M (arXiv 2412.11193), CLoSD (arXiv 2410.03441).
 """
 
 from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
 
 from moveset.models.discriminator import DiscriminatorConfig
+from moveset.models.flow import FlowConfig
+from moveset.models.light_t2m import LightT2MConfig
+from moveset.models.segment_denoiser import SegmentDenoiserConfig
 from moveset.models.token_denoiser import TokenDenoiserConfig
 from moveset.models.token_vae import TokenVAEConfig
+from moveset.rdm.grid import GridConfig
 from moveset.training.distill import DistillationConfig
 from moveset.training.engine import EngineConfig
+from moveset.training.rdm import RDMConfig
+from moveset.training.segments import SEGMENT_FRAMES, CuttingConfig
 from moveset.training.tasks import Recipe
 from moveset.training.teacher import TeacherConfig
 from moveset.training.vae import VAETrainingConfig
@@ -68,9 +87,66 @@ def train_pcm() -> Recipe:
     return Recipe(task=DistillationConfig(text_encoder=train_teacher().task.text_encoder), engine=_engine(384_000))
 
 
+CLIP = "clip:openai/clip-vit-base-patch32"
+
+
+def train_rdm(segments: int = 7) -> Recipe:
+    """RDM-N: 50 epochs of HumanML3D's 24 thousand clips, each 50 times; RDM-1 has no flow and nothing before it."""
+    frames = SEGMENT_FRAMES[segments]
+    recurrent = segments > 1
+    model = SegmentDenoiserConfig(frames=frames, prev="xattn" if recurrent else "none", max_index=1 if recurrent else 0)
+    task = RDMConfig(
+        model=model,
+        flow=FlowConfig(features=263, text_dim=512) if recurrent else None,
+        grid=GridConfig(frames=frames),
+        depth_cap=1,
+        codec="hml",
+        cutting=CuttingConfig(aligned=True, whole_caption=1.0, continuations=0),
+        batch=512,
+        optimizer="momo",
+        lr=2e-4,
+        flow_lr=1e-4,
+        constant_lr=True,
+        text_drop=0.0,
+        ema=0.9999,
+        weight="x0",
+        root=1.0,
+        velocity=0.0,
+        isometry=0.0,
+        frozen_flow=0.0,
+        text_encoder=CLIP,
+        max_tokens=77,
+    )
+    return Recipe(task=task, engine=replace(_engine(115_000), grad_clip=0.5))
+
+
+def train_md(segments: int = 7) -> Recipe:
+    """MD-N: the network of RDM-N told the finished segment before; ``--set md_condition=none`` tells it nothing."""
+    chosen = train_rdm(segments)
+    grid = replace(chosen.task.grid, condition="clean")
+    return replace(chosen, task=replace(chosen.task, flow=None, grid=grid))
+
+
+def train_light_rdm() -> Recipe:
+    """Light-RDM-1: Light-T2M's network, 4.5 M parameters, in the training of RDM-1; its text drop allows guidance."""
+    chosen = train_rdm(1)
+    return replace(chosen, task=replace(chosen.task, model=LightT2MConfig(frames=196), text_drop=0.2))
+
+
+def train_motiondiffuse() -> Recipe:
+    """MotionDiffuse: 87 M parameters, predicts the noise; 50 epochs, each clip 25 times, batch 128, no average."""
+    chosen = train_rdm(1)
+    task = replace(chosen.task, predict="eps", optimizer="adamw", batch=128, ema=0.0)
+    return replace(chosen, task=task, engine=replace(chosen.engine, steps=230_000))
+
+
 TRAINING: dict[str, Callable[[], Recipe]] = {
     "vae": train_vae,
     "teacher": train_teacher,
     "lcm": train_lcm,
     "pcm": train_pcm,
+    **{f"rdm-{n}": partial(train_rdm, n) for n in SEGMENT_FRAMES},
+    "light-rdm-1": train_light_rdm,
+    **{f"md-{n}": partial(train_md, n) for n in (4, 7)},
+    "motiondiffuse": train_motiondiffuse,
 }

@@ -2,14 +2,18 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 from moveset.models.flow import FlowConfig
+from moveset.models.light_t2m import LightT2MConfig
+from moveset.models.segment_denoiser import SegmentDenoiserConfig
 from moveset.rdm.grid import GridConfig
 from moveset.training.distill import DistillationConfig
 from moveset.training.engine import EngineConfig
 from moveset.training.rdm import RDMConfig
 from moveset.training.rdm_student import RDMStudentConfig
 from moveset.training.reading import Disturbance
+from moveset.training.segments import SEGMENT_FRAMES, CuttingConfig
 from moveset.training.tasks import Recipe
 from moveset.training.teacher import TeacherConfig
 from moveset.training.vae import VAETrainingConfig
@@ -76,25 +80,45 @@ def pcm() -> Recipe:
     )
 
 
-def rdm() -> Recipe:
-    """RDM-7: segments of 28 frames, 5.0 M parameters and a flow of 0.9 M."""
+def rdm(segments: int = 7) -> Recipe:
+    """RDM-N; RDM-7, segments of 28 frames, 5.0 M parameters and a flow of 0.9 M, is what ships."""
+    if segments == 1:
+        return _volume(RDMConfig(velocity=2.0, disturbance=DISTURBANCE))
     return Recipe(
         task=RDMConfig(
-            flow=FlowConfig(blocks=4, hidden=64, text_context=32, index_context=8),
+            grid=GridConfig(frames=SEGMENT_FRAMES[segments]),
+            flow=FlowConfig(blocks=2, hidden=64, text_context=32, index_context=8),
             frozen_flow=0.4,
-            velocity=2.0,
+            velocity=1.0,
+            noise="coloured",
             disturbance=DISTURBANCE,
         ),
-        engine=EngineConfig(
-            steps=5000, save_every=500, validate_every=500, grad_clip=1.0, precision="bf16-mixed", threads=1
-        ),
+        engine=_recurrent(),
     )
 
 
-def md() -> Recipe:
-    """MD-7: each segment from noise, told the finished one before; no flow, no noisy recurrence."""
-    chosen = rdm()
-    return replace(chosen, task=replace(chosen.task, flow=None, grid=GridConfig(condition="clean")))
+def md(segments: int = 7) -> Recipe:
+    """MD-N: each segment from noise, told the finished one before; no flow, no noisy recurrence."""
+    chosen = rdm(segments)
+    grid = replace(chosen.task.grid, condition="clean")
+    return replace(chosen, task=replace(chosen.task, flow=None, grid=grid))
+
+
+def light_rdm() -> Recipe:
+    """Light-RDM-1: Light-T2M's denoiser, 4.5 M parameters, in the training of RDM-1."""
+    chosen = rdm(1)
+    return replace(chosen, task=replace(chosen.task, model=LightT2MConfig(frames=196, text_dim=384, pool="mean")))
+
+
+def motiondiffuse() -> Recipe:
+    """MotionDiffuse with 384 channels in four layers: the noise of whole clips."""
+    model = SegmentDenoiserConfig(
+        text_dim=384, width=384, layers=4, heads=6, feed_forward=768, conditioning=512, text_width=192, text_layers=1,
+        text_feed_forward=768,
+    )  # fmt: skip
+    # Without text drop there is no guidance, as published.
+    task = RDMConfig(model=model, predict="eps", weight="x0", root=1.0, lr=3e-4, text_drop=0.0, disturbance=DISTURBANCE)
+    return _volume(task)
 
 
 def rdm_student() -> Recipe:
@@ -106,6 +130,19 @@ def rdm_student() -> Recipe:
 # clips at w = 1, 2 and 3.
 GUIDANCE = (1.0, 4.0)
 DISTURBANCE = Disturbance(paraphrased=0.5, word_drop=0.12, blur=0.12)
+
+
+def _recurrent() -> EngineConfig:
+    return EngineConfig(
+        steps=5000, save_every=500, validate_every=500, grad_clip=1.0, precision="bf16-mixed", threads=1
+    )
+
+
+def _volume(task: RDMConfig) -> Recipe:
+    """One segment as long as the longest clip: whole clips, and no flow."""
+    cutting = CuttingConfig(aligned=True, continuations=0, whole_caption=1.0)
+    grid = GridConfig(frames=SEGMENT_FRAMES[1])
+    return Recipe(task=replace(task, flow=None, grid=grid, cutting=cutting, batch=16), engine=_recurrent())
 
 
 def _students() -> EngineConfig:
@@ -120,7 +157,9 @@ TRAINING: dict[str, Callable[[], Recipe]] = {
     "teacher": teacher,
     "lcm": lcm,
     "pcm": pcm,
-    "rdm": rdm,
-    "md": md,
+    **{f"rdm-{n}": partial(rdm, n) for n in SEGMENT_FRAMES},
+    "light-rdm-1": light_rdm,
+    **{f"md-{n}": partial(md, n) for n in (4, 7)},
+    "motiondiffuse": motiondiffuse,
     "rdm-student": rdm_student,
 }

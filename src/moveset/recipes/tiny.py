@@ -1,12 +1,22 @@
 """Seconds on any machine: every part of the real thing, too small to be any good. For tests and trying things out."""
 
 from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
 
+from moveset.models.flow import FlowConfig
 from moveset.models.latent_denoiser import LatentDenoiserConfig
+from moveset.models.light_t2m import LightT2MConfig
+from moveset.models.segment_denoiser import SegmentDenoiserConfig
+from moveset.models.segment_transformer import SegmentTransformerConfig
 from moveset.models.timed_vae import TimedVAEConfig
+from moveset.rdm.grid import GridConfig
 from moveset.training.distill import DistillationConfig
 from moveset.training.engine import EngineConfig
+from moveset.training.rdm import RDMConfig
+from moveset.training.rdm_student import RDMStudentConfig
 from moveset.training.reading import Disturbance
+from moveset.training.segments import SEGMENT_FRAMES, CuttingConfig
 from moveset.training.tasks import Recipe
 from moveset.training.teacher import TeacherConfig
 from moveset.training.vae import VAETrainingConfig
@@ -37,10 +47,72 @@ def student() -> Recipe:
     return Recipe(task=DistillationConfig(guidance=(1.0, 5.0), batch=4, warmup=1, disturbance=_ROUGH), engine=_ENGINE)
 
 
+_CUTTING = CuttingConfig(continuations=8)
+_RECURRENT = SegmentTransformerConfig(width=32, heads=2, hidden=32, blocks=2)
+_PUBLISHED = SegmentDenoiserConfig(
+    width=32, layers=1, heads=2, feed_forward=32, conditioning=32, text_width=16, text_layers=1, text_heads=2,
+    text_feed_forward=32,
+)  # fmt: skip
+
+
+def rdm(segments: int = 7) -> Recipe:
+    """The kind of network that ships, two blocks of width 32, and a flow of two."""
+    if segments == 1:
+        return _volume(RDMConfig(model=_PUBLISHED))
+    task = RDMConfig(
+        model=_RECURRENT,
+        flow=FlowConfig(blocks=2, hidden=8, text_context=4, index_context=4),
+        grid=GridConfig(frames=SEGMENT_FRAMES[segments]),
+        cutting=_CUTTING,
+        batch=4,
+        warmup=1,
+        velocity=2.0,
+        disturbance=_ROUGH,
+    )
+    return Recipe(task=task, engine=_ENGINE)
+
+
+def md(segments: int = 7) -> Recipe:
+    """The same without flow, told the finished segment."""
+    chosen = rdm(segments)
+    grid = replace(chosen.task.grid, condition="clean")
+    return replace(chosen, task=replace(chosen.task, flow=None, grid=grid))
+
+
+def light_rdm() -> Recipe:
+    """One stage of width 32."""
+    model = LightT2MConfig(width=32, stages=1, groups=4, states=4, expand=1, rank=4, pool="mean")
+    return _volume(RDMConfig(model=model))
+
+
+def motiondiffuse() -> Recipe:
+    """One layer of the published network that says the noise."""
+    return _volume(RDMConfig(model=_PUBLISHED, predict="eps", weight="x0"))
+
+
+def rdm_student() -> Recipe:
+    """One evaluation a segment."""
+    return Recipe(task=RDMStudentConfig(batch=4, warmup=1, cutting=_CUTTING, disturbance=_ROUGH), engine=_ENGINE)
+
+
+def _volume(task: RDMConfig) -> Recipe:
+    cutting = CuttingConfig(aligned=True, whole_caption=1.0, continuations=0)
+    grid = GridConfig(frames=SEGMENT_FRAMES[1])
+    return Recipe(
+        task=replace(task, flow=None, grid=grid, cutting=cutting, batch=2, warmup=1, disturbance=_ROUGH),
+        engine=_ENGINE,
+    )
+
+
 TRAINING: dict[str, Callable[[], Recipe]] = {
     "vae": vae,
     "decoder": decoder,
     "teacher": teacher,
     "lcm": student,
     "pcm": student,
+    **{f"rdm-{n}": partial(rdm, n) for n in SEGMENT_FRAMES},
+    "light-rdm-1": light_rdm,
+    **{f"md-{n}": partial(md, n) for n in (4, 7)},
+    "motiondiffuse": motiondiffuse,
+    "rdm-student": rdm_student,
 }

@@ -2,21 +2,23 @@
 
 One task for RDM and for what it is compared with: ``flow=None`` with ``grid.condition="clean"`` is the autoregressive
 MD-N, one segment as long as the longest clip is a volume model (RDM-1, MotionDiffuse, Light-RDM-1).
-Source: RDM (arXiv 2406.07169), Section 4.4 and Algorithm 2.
+Source: RDM (arXiv 2406.07169), Section 4.4 and Algorithm 2; MotionDiffuse (arXiv 2208.15001).
 """
 
 from dataclasses import dataclass, field, replace
-from typing import Literal, cast
+from typing import Literal, cast, get_args
 
 import torch
 from torch import Tensor, nn
 
 from moveset.data.corpus import Corpus
 from moveset.diffusion.schedule import linear
+from moveset.errors import InputError
 from moveset.models.flow import CouplingFlow, FlowConfig
+from moveset.models.light_t2m import LightT2MConfig
 from moveset.models.registry import describe
 from moveset.models.segment_denoiser import SegmentDenoiserConfig
-from moveset.models.segment_transformer import SegmentTransformerConfig
+from moveset.models.segment_transformer import SegmentTransformer, SegmentTransformerConfig
 from moveset.motion.features import FeatureCodec, get_codec
 from moveset.rdm.grid import GridConfig, corrupt, draw
 from moveset.rdm.losses import flow_loss, masked_mse, velocity_loss
@@ -28,11 +30,17 @@ from moveset.training.ema import Ema, ema_warmup
 from moveset.training.engine import Loop, Task
 from moveset.training.momo import MomoAdam
 from moveset.training.optim import cosine_lr
-from moveset.training.reading import Disturbance, read_captions, wordings
+from moveset.training.reading import MAX_TOKENS, Disturbance, read_captions, wordings
 from moveset.training.segments import CuttingConfig, SegmentBatch, SegmentSet
 from moveset.training.tasks import Sources
 
 SCHEDULE = linear()
+
+Optimizer = Literal["adamw", "momo"]
+Weight = Literal["x0", "v"]
+Prediction = Literal["x0", "eps"]
+Noise = Literal["white", "coloured"]
+Told = Literal["clean_prev", "none"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,7 +48,8 @@ class RDMConfig:
     """What ``RDMTask`` trains and how.
 
     Args:
-        model: the denoiser of a segment; its ``features`` and ``frames`` are those of the codec and the grid.
+        model: the denoiser of a segment. Its ``features``, ``frames`` and ``text_dim``, and those of the flow, follow
+            from codec, grid and text encoder.
         flow: None leaves the flow out.
         depth_cap: P, the most applications of the flow; N - 1 is the paper.
         cutting: which segments are shown.
@@ -50,45 +59,65 @@ class RDMConfig:
         weight: of a cell's error: "x0" (1, the paper) or "v" (1/sigma², at most 5, and the mean over levels is 1): more
             for low noise.
         root: weight of the four root features, by which a character travels.
+        noise: "white" (the paper), or "coloured" with the temporal spectrum of the training segments
+            (``diffusion.coloured``).
         velocity: weight of the error of frame-to-frame differences.
         flow_noise: deviation of the noise added to the flow's input.
         isometry: weight that keeps the flow's scales near one.
         frozen_flow: share of the steps at the end in which the flow no longer changes.
+        predict: the clean segment (RDM), or the noise (MotionDiffuse), for models without a flow: their samplers use
+            ``rdm.prediction.clean_from_noise``.
+        md_condition: what an autoregressive baseline (``grid.condition="clean"``, no flow) is told of the past: the
+            segment before, or nothing; then every segment counts as a first one.
+        max_tokens: tokens of a caption that are read; other numbers than 32 are for undisturbed captions.
+
+    Raises:
+        InputError: an unknown name.
     """
 
-    model: SegmentTransformerConfig | SegmentDenoiserConfig = field(default_factory=SegmentTransformerConfig)
+    model: SegmentTransformerConfig | SegmentDenoiserConfig | LightT2MConfig = field(
+        default_factory=SegmentTransformerConfig
+    )
     flow: FlowConfig | None = field(default_factory=FlowConfig)
     grid: GridConfig = field(default_factory=GridConfig)
     depth_cap: int = 1
     codec: str = "native"
     cutting: CuttingConfig = field(default_factory=CuttingConfig)
     batch: int = 64
-    optimizer: Literal["adamw", "momo"] = "adamw"
+    optimizer: Optimizer = "adamw"
     lr: float = 7e-4
     flow_lr: float = 5e-4
     warmup: int = 200
     constant_lr: bool = False
     text_drop: float = 0.1
     ema: float = 0.999
-    weight: Literal["x0", "v"] = "v"
+    weight: Weight = "v"
     root: float = 5.0
+    noise: Noise = "white"
     velocity: float = 0.0
     flow_noise: float = 0.02
     isometry: float = 1e-2
     frozen_flow: float = 0.25
     text_encoder: str = "minilm"
     disturbance: Disturbance = field(default_factory=Disturbance)
+    predict: Prediction = "x0"
+    md_condition: Told = "clean_prev"
+    max_tokens: int = MAX_TOKENS
     kind: str = field(init=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "kind", describe(self.model)[0])
+        named = {"optimizer": Optimizer, "weight": Weight, "predict": Prediction, "md_condition": Told}
+        for name, known in named.items():
+            if getattr(self, name) not in get_args(known):
+                raise InputError(f"{name} {getattr(self, name)!r} is not one of {', '.join(get_args(known))}")
 
 
 class SegmentData:
     """Segments and embedded captions of both splits; what is computed once is kept in the cache folder."""
 
     def __init__(self, sources: Sources, config: RDMConfig, loop: Loop) -> None:
-        self.disturbance, self.device = config.disturbance, loop.device
+        self.disturbance, self.max_tokens = config.disturbance, config.max_tokens
         self.seed = loop.config.seed * 64 + loop.rank
         with loop.fabric.rank_zero_first():
             text = self._open(sources, config, loop.rank == 0)
@@ -109,6 +138,8 @@ class SegmentData:
 
     def read(self, captions: list[str], disturbed_by: torch.Generator | None = None) -> TextEmbedding:
         """Token states of captions, and their pooled vectors; roughened if given a generator."""
+        if self.disturbance == Disturbance():
+            return self.text.lookup(captions, self.max_tokens)
         return read_captions(self.text, captions, self.disturbance, disturbed_by)
 
 
@@ -118,10 +149,17 @@ class RDMTask(Task):
     name = "rdm"
 
     def __init__(self, config: RDMConfig, sources: Sources, loop: Loop) -> None:
+        _check(config)
         self.steps = loop.config.steps
         self.data = SegmentData(sources, config, loop)
         self.config = config = _sized(config, self.data)
         self.denoiser = config.model.build().to(loop.device)
+        if config.noise == "coloured":
+            if not isinstance(self.denoiser, SegmentTransformer):
+                raise InputError(
+                    'noise="coloured" is for the segment transformer; this denoiser knows white noise only'
+                )
+            self.denoiser.spectrum.copy_(self.data.train.spectrum())  # type: ignore[operator]
         self.ema = Ema(self.denoiser, config.ema)
         self.flow: CouplingFlow | None = None if config.flow is None else config.flow.build().to(loop.device)
         self.flow_ema = None if self.flow is None else Ema(self.flow, config.ema)
@@ -208,8 +246,14 @@ class RDMTask(Task):
         generator: torch.Generator,
     ) -> tuple[Tensor, dict[str, Tensor]]:
         config = self.config
+        if config.md_condition == "none":
+            batch = replace(batch, index=torch.zeros_like(batch.index))
         draws = draw(config.grid, SCHEDULE, tuple(batch.clean.shape), generator)  # type: ignore[arg-type]
         draws = replace(draws, **{name: value.to(batch.clean.device) for name, value in vars(draws).items()})
+        if isinstance(self.denoiser, SegmentTransformer):
+            noises = (draws.noise_BnD, draws.prev_noise_BnD)
+            noise, other = (self.denoiser.colour(part) for part in noises)
+            draws = replace(draws, noise_BnD=noise, prev_noise_BnD=other)
         # The flow always hears the sentence itself: dropping it for guidance is the denoiser's affair.
         said, before = (self.data.read(c).pooled for c in (batch.captions, batch.previous_captions))
         first = batch.first if config.grid.anchor == "first" else None
@@ -221,13 +265,14 @@ class RDMTask(Task):
         scale = self.feature_weight.sqrt()
         weight_B = _level_weight(config.weight, cell.t_B)
         root_B = weight_B.sqrt()[:, None, None] * scale
-        loss = masked_mse(made * root_B, clean * root_B, batch.valid)
+        target = draws.noise_BnD if config.predict == "eps" else clean
+        loss = masked_mse(made * root_B, target * root_B, batch.valid)
         if config.velocity:
             last, later = batch.previous[:, -1], batch.index > 0
             loss = loss + config.velocity * velocity_loss(
                 made * root_B, clean * root_B, last * root_B[:, 0], later, batch.valid
             )
-        error = masked_mse(made.detach(), clean, batch.valid)
+        error = masked_mse(made.detach(), target, batch.valid)
         return loss, {"error": error, "noisy_std": cell.x_BnD.std()}
 
 
@@ -252,8 +297,18 @@ def _optimizer(config: RDMConfig, module: nn.Module, lr: float) -> torch.optim.O
 
 
 def _sized(config: RDMConfig, data: SegmentData) -> RDMConfig:
-    """With the sizes that follow from the codec and the segment filled in."""
-    features, frames = data.codec.dim, config.grid.frames
-    model = replace(config.model, features=features, frames=frames)
-    flow = None if config.flow is None else replace(config.flow, features=features)
+    """With the sizes that follow from the codec, the segment and the text encoder filled in."""
+    features, text = data.codec.dim, data.text
+    model = replace(config.model, features=features, frames=config.grid.frames, text_dim=text.tokens.shape[1])
+    flow = None if config.flow is None else replace(config.flow, features=features, text_dim=text.pooled.shape[1])
     return replace(config, model=model, flow=flow)
+
+
+def _check(config: RDMConfig) -> None:
+    """Raises InputError for settings that contradict each other (as a whole: they are made one after the other)."""
+    if config.predict == "eps" and (config.flow is not None or config.velocity or config.weight != "x0"):
+        raise InputError('predict="eps" is for models without a flow, with velocity 0 and weight "x0"; change these')
+    if config.md_condition == "none" and (config.flow is not None or config.grid.condition != "clean"):
+        raise InputError('md_condition="none" is for models without a flow and with grid.condition="clean"')
+    if config.max_tokens != MAX_TOKENS and config.disturbance != Disturbance():
+        raise InputError(f"disturbed captions are read to {MAX_TOKENS} tokens; set max_tokens to that")

@@ -16,14 +16,18 @@ import torch
 from torch import Tensor
 from tqdm import tqdm
 
+from moveset.data.augment import MAX_FRAMES
 from moveset.data.compose import plan_continuations
 from moveset.data.corpus import Corpus, compose
 from moveset.data.paraphrase import paraphrase
 from moveset.data.records import ClipRecord, Part, Recipe
 from moveset.data.splits import Split
+from moveset.diffusion.coloured import temporal_spectrum
 from moveset.motion.features import FeatureCodec
 from moveset.training.clips import FeatureStore, clip_weights
 
+# Frames of a segment by N, the number of segments of the longest clip.
+SEGMENT_FRAMES = {count: MAX_FRAMES // count for count in (1, 4, 7, 14)}
 _LEAST_VALID = 8
 
 
@@ -34,6 +38,7 @@ class CuttingConfig:
     Args:
         aligned: only at multiples of n from a clip's first frame, with the true segment index (the paper); otherwise
             anywhere, and the index is 0, 1 (after a first segment) or 2 (any later one).
+        horizon: when aligned, the longest clip; of longer ones so many frames in a row are shown.
         first_share: share of first segments, when not aligned; most of them start where their clip does.
         whole_caption: share of segments of clips in two parts that get the sentence for all of it.
         continuations: clips to add in which an action goes on; 0 for none.
@@ -42,6 +47,7 @@ class CuttingConfig:
     """
 
     aligned: bool = False
+    horizon: int = MAX_FRAMES
     first_share: float = 0.2
     whole_caption: float = 0.2
     continuations: int = 1200
@@ -134,6 +140,11 @@ class SegmentSet:
         """Every caption in use."""
         return sorted({caption for row in self.rows for said in (row.whole, *row.said) for caption in said})
 
+    def spectrum(self, segments: int = 4096) -> Tensor:
+        """(n, D) spectrum of whole segments (``diffusion.coloured``)."""
+        batch = self.batch(segments, 0, 0)
+        return temporal_spectrum(batch.clean[batch.valid.all(dim=1)])
+
     def batch(self, size: int, seed: int, step: int) -> SegmentBatch:
         """The batch of a step: a pure function of (seed, step)."""
         generator = torch.Generator().manual_seed(seed * 1_000_003 + step)
@@ -145,12 +156,12 @@ class SegmentSet:
         captions, before = [], []
         for k, (row, chance) in enumerate(zip(chosen, numbers, strict=True)):
             clip = self.rows[row]
-            start, number = self._place(len(clip.features), chance)
-            piece = clip.features[start : start + n]
+            begin, start, stop, number = self._place(len(clip.features), chance)
+            piece = clip.features[start:stop]
             clean[k, : len(piece)] = torch.from_numpy(np.array(piece))
             valid[k, : len(piece)] = True
             index[k] = number
-            head = clip.features[:n]
+            head = clip.features[begin : begin + n]
             first[k, : len(head)] = torch.from_numpy(np.array(head))
             if number:
                 previous[k] = torch.from_numpy(np.array(clip.features[start - n : start]))
@@ -158,19 +169,25 @@ class SegmentSet:
             before.append(self._say(clip, max(start - n, 0), n, chance[3:]) if number else captions[-1])
         return SegmentBatch(clean, valid, previous, first, index, captions, before)
 
-    def _place(self, total: int, chance: Sequence[float]) -> tuple[int, int]:
-        """First frame and index of a segment of a clip."""
+    def _place(self, total: int, chance: Sequence[float]) -> tuple[int, int, int, int]:
+        """Where the sequence begins that a segment of a clip belongs to, first frame, end and index of the segment."""
         n = self.frames
         if self.cutting.aligned:
-            number = int(chance[0] * -(-total // n))
-            return number * n, number
+            shown = min(total, self.cutting.horizon)
+            begin = int(chance[1] * (total - shown + 1))
+            number = int(chance[0] * -(-shown // n))
+            start = begin + number * n
+            return begin, start, min(start + n, begin + shown), number
         room = total - _LEAST_VALID - n
         if chance[0] < self.cutting.first_share or room < 0:
             inside = max(total - n, 0)
-            return (0 if chance[1] < 0.75 else int(chance[2] * (inside + 1))), 0
-        start = n + int(chance[1] * (room + 1))
-        # The segment before is a first one only where the clip begins with it; beyond that the number has no meaning.
-        return start, 1 if start == n else 2
+            start, number = (0 if chance[1] < 0.75 else int(chance[2] * (inside + 1))), 0
+        else:
+            start = n + int(chance[1] * (room + 1))
+            # The segment before is a first one only where the clip begins with it; beyond that the number has no
+            # meaning.
+            number = 1 if start == n else 2
+        return 0, start, start + n, number
 
     def _say(self, clip: _Row, start: int, frames: int, chance: Sequence[float]) -> str:
         middle = start + frames // 2
@@ -217,9 +234,8 @@ def _continuations(
     with np.load(path) as stored:
         features, table = stored["features"], stored["table"]
     rows = []
-    for (frames, seam, *parts), clip in zip(
-        table.tolist(), np.split(features, np.cumsum(table[:, 0])[:-1]), strict=True
-    ):
+    ends = np.cumsum(table[:, 0])
+    for (frames, seam, *parts), end in zip(table.tolist(), ends.tolist(), strict=True):
         said = tuple(corpus.captions(parts[k], bool(parts[k + 1])) for k in (0, 2))
-        rows.append(_Row(clip, (seam, frames), said, said[0]))
+        rows.append(_Row(features[end - frames : end], (seam, frames), said, said[0]))
     return rows

@@ -21,8 +21,14 @@ TASKS = {
     "teacher": "moveset.training.teacher:TeacherTask",
     "lcm": "moveset.training.distill:LCMTask",
     "pcm": "moveset.training.distill:PCMTask",
-    "rdm": "moveset.training.rdm:RDMTask",
-    "md": "moveset.training.rdm:RDMTask",
+    "rdm-1": "moveset.training.rdm:RDMTask",
+    "rdm-4": "moveset.training.rdm:RDMTask",
+    "rdm-7": "moveset.training.rdm:RDMTask",
+    "rdm-14": "moveset.training.rdm:RDMTask",
+    "light-rdm-1": "moveset.training.rdm:RDMTask",
+    "md-4": "moveset.training.rdm:RDMTask",
+    "md-7": "moveset.training.rdm:RDMTask",
+    "motiondiffuse": "moveset.training.rdm:RDMTask",
     "rdm-student": "moveset.training.rdm_student:RDMStudentTask",
 }
 RECIPES = ("small", "paper", "tiny")
