@@ -25,6 +25,8 @@ def tiny_stream(path: Path, *, seed: int = 0) -> Path:
             features=len(features), blocks=2, hidden=8, text_context=4, index_context=4
         ).build()
         for name, module in modules.items():
+            if name != "flow":
+                module.spectrum.copy_(torch.linspace(1.4, 0.4, FRAMES)[:, None])
             # Fresh networks say nothing of text, guidance or predecessor, and a fresh flow is the identity.
             for key, weight in module.named_parameters():
                 if (key.endswith("weight") and not weight.any()) or key.startswith("text"):

@@ -40,6 +40,7 @@ class Verb:
 
 VERBS = {
     "generate": Verb("moveset.cli.generate", "generate", "Turn text into a motion file.", "prepare"),
+    "stream": Verb("moveset.cli.stream", "stream", "Turn text into motion that never ends.", "prepare"),
     "convert": Verb("moveset.cli.convert", "convert", "Convert a motion file; retarget or resample it on the way."),
     "models": Verb("moveset.cli.models", "models", "List the models that come with this installation."),
     "doctor": Verb("moveset.cli.doctor", "doctor", "Check this installation and time a short self-test."),

@@ -9,7 +9,7 @@ Shapes: n frames of a segment, D features; in the sampler always one item.
 import threading
 import time
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -289,6 +289,8 @@ class MotionStream(Iterator[Segment]):
         self._ahead: deque[Future[Segment]] = deque()
         self._waiting: deque[Segment] = deque()
         self._network = self.bundle.module(settings.network, self.device)
+        # Networks that were trained on other than white noise say so.
+        self._colour: Callable[[Tensor], Tensor] | None = getattr(self._network, "colour", None)
         flow = self.bundle.module(FLOW, self.device) if self._uses_flow(settings) else None
         self._transport = Transport(cast(CouplingFlow | None, flow), max(config.depth_cap, 1))
         self._warm_up()
@@ -299,7 +301,7 @@ class MotionStream(Iterator[Segment]):
             )
             self._feet(self._decoder(seed.features), seed.features[:, self.codec.groups["contacts"]] > CONTACT)
             left = (seed.features.to(self.device) - self._mean) / self._std
-            self._go_on(seed.state(left[None], settings, self._seed, config), 1)
+            self._go_on(seed.state(left[None], settings, self._seed, config, self._colour), 1)
 
     def _fresh(self) -> None:
         self._decoder = IncrementalDecoder(self.codec, self._settings.blend_seconds)
@@ -322,12 +324,12 @@ class MotionStream(Iterator[Segment]):
         )
         self._sampler: Stream = stream(
             self._denoise, self._transport, get_schedule(config), settings.levels(config), settings.staircase(),
-            (self._seed,), (config.segment, self.codec.dim), self._enter, eta=settings.eta, state=state,
-            device=self.device,
+            (self._seed,), (config.segment, self.codec.dim), self._enter, eta=settings.eta, colour=self._colour,
+            state=state, device=self.device,
         )  # fmt: skip
 
     def _warm_up(self) -> None:
-        """A few segments of one step that nobody sees: a network's first calls take many times as long as later ones."""
+        """A few segments of one step that nobody sees: first calls of a network take many times as long as others."""
         settings, timeline = self._settings, self._timeline
         self._settings, self._timeline = replace(settings, steps=1, start=1, lag=1), held(self.bundle.config.idle)
         self._fresh()

@@ -3,6 +3,7 @@
 Shapes: n frames of a segment, D features.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from torch import Tensor
@@ -54,16 +55,25 @@ class SeedMotion:
         heading = rotations.heading_angle(rotations.heading(last.rotations[0, 0]))
         return cls(codec.encode(last), float(heading), float(last.root[0, 0]), float(last.root[0, 2]))
 
-    def state(self, left_1nD: Tensor, settings: StreamSettings, seed: int, config: StreamConfig) -> StreamState:
+    def state(
+        self,
+        left_1nD: Tensor,
+        settings: StreamSettings,
+        seed: int,
+        config: StreamConfig,
+        colour: Callable[[Tensor], Tensor] | None,
+    ) -> StreamState:
         """A sampler that has finished segment 0, this clip, and is about to take in segment 1.
 
         Args:
             left_1nD: the features, normalised, on the device.
+            colour: of the noise that the network knows.
         """
         plan, waiting = settings.staircase(), None
         if at := plan.entry(1) if plan.has(1) else 0:
             # What segment 1 begins with is a noisy neighbour, which was never sampled here: the clip with noise on it.
             noise = segment_noise(seed, 0, START, left_1nD.shape[1:])[None].to(left_1nD)
+            noise = noise if colour is None else colour(noise)
             level = left_1nD.new_full((1,), settings.levels(config)[at]).long()
             waiting = add_noise(get_schedule(config), left_1nD, noise, level)
         return StreamState(wave=plan.begin(1), finished=1, left=left_1nD, waiting=waiting)

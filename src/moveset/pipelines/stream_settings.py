@@ -94,13 +94,18 @@ class Timeline:
 class StreamRequest:
     """A checked request: what happens when, from which noise, and how it is made.
 
-    ``seconds`` is the duration of the timeline as it was asked for; the timeline has it rounded to segments.
+    ``durations`` are the seconds of each prompt as they were asked for; the timeline has them rounded to segments.
     """
 
     timeline: Timeline
     seed: int
     settings: StreamSettings
-    seconds: float
+    durations: tuple[float, ...]
+
+    @property
+    def seconds(self) -> float:
+        """Duration of the timeline as it was asked for."""
+        return sum(self.durations)
 
 
 def check_stream(
@@ -142,7 +147,7 @@ def check_stream(
     Raises:
         InputError: anything out of range.
     """
-    timeline, duration = _timeline(config, prompt, seconds, loop)
+    timeline, durations = _timeline(config, prompt, seconds, loop)
     if not 0 <= seed < SEEDS:
         raise InputError(f"seed {seed} is not in 0 to {SEEDS - 1}; give a smaller whole number")
     if not 0 <= buffer <= MAX_BUFFER:
@@ -156,7 +161,7 @@ def check_stream(
         raise InputError(f"guidance {w:g} is not in 0 to {MAX_GUIDANCE:g}; this model's own choice is "
                          f"{config.guidance.get(network, 0.0):g}")  # fmt: skip
     settings = StreamSettings(network, *plan, float(w), buffer, foot_lock, float(blend_seconds))
-    return StreamRequest(timeline, seed, settings, duration)
+    return StreamRequest(timeline, seed, settings, durations)
 
 
 def get_schedule(config: StreamConfig) -> Schedule:
@@ -176,7 +181,7 @@ def held(prompt: str) -> Timeline:
 
 def _timeline(
     config: StreamConfig, prompt: str | Sequence[str] | None, seconds: float | Sequence[float] | None, loop: bool
-) -> tuple[Timeline, float]:
+) -> tuple[Timeline, tuple[float, ...]]:
     prompt = config.idle if prompt is None else prompt
     prompts = (prompt,) if isinstance(prompt, str) else tuple(prompt)
     if not 1 <= len(prompts) <= MAX_PROMPTS:
@@ -201,7 +206,7 @@ def _timeline(
     for s in given:
         spent += s
         bounds.append(max(bounds[-1] + 1, round(spent / each)))
-    return Timeline(prompts, tuple(bounds[:-1]), bounds[-1], loop), spent
+    return Timeline(prompts, tuple(bounds[:-1]), bounds[-1], loop), given
 
 
 def _is_student(network: str) -> bool:

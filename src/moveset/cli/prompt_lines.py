@@ -1,0 +1,73 @@
+"""Prompts that arrive while a stream runs, one a line, from standard input, a named pipe or a file."""
+
+import os
+import queue
+import sys
+import threading
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+from moveset.errors import InputError
+
+_BYTES = 4096
+_LONGEST = 64 * 1024
+
+
+class PromptLines:
+    """Lines as they come, read in a thread; empty ones are skipped.
+
+    Args:
+        source: "-" for standard input, or a path.
+
+    Raises:
+        InputError: no such file.
+    """
+
+    def __init__(self, source: Path) -> None:
+        self._source, self._lines = source, queue.SimpleQueue[str]()
+        if str(source) != "-" and (source.is_dir() or not source.exists()):
+            raise InputError(f"there is no file {str(source)!r} to read prompts from; give a file, a pipe or -")
+        self._over = threading.Event()
+
+    def __enter__(self) -> Self:
+        # A daemon: nobody can call off a read of standard input.
+        threading.Thread(target=self._read, daemon=True).start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        pass
+
+    @property
+    def ended(self) -> bool:
+        """Whether no more prompts can come, and all have been taken."""
+        return self._over.is_set() and self._lines.empty()
+
+    def new(self) -> list[str]:
+        """What has come since the last call."""
+        found = []
+        while not self._lines.empty():
+            found.append(self._lines.get())
+        return found
+
+    def _read(self) -> None:
+        rest = b""
+        try:
+            # Not by way of sys.stdin, whose lock the interpreter wants when it ends.
+            handle = sys.stdin.fileno() if str(self._source) == "-" else os.open(self._source, os.O_RDONLY)
+            while data := os.read(handle, _BYTES):
+                *lines, rest = (rest + data).split(b"\n")
+                rest = rest[:_LONGEST]
+                for line in lines:
+                    self._put(line)
+            self._put(rest)
+        except (OSError, ValueError):
+            pass  # a source that breaks off has no more prompts
+        finally:
+            self._over.set()
+
+    def _put(self, line: bytes) -> None:
+        if text := line.decode(errors="replace").strip():
+            self._lines.put(text)

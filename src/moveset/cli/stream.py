@@ -1,0 +1,227 @@
+"""``moveset stream``: motion without end, written and reported while it is made."""
+
+import json as jsonlib
+import statistics
+import sys
+import time
+from collections import deque
+from collections.abc import Sequence
+from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import tyro
+
+from moveset.cli.generate import prepare as prepare
+from moveset.errors import InputError
+
+if TYPE_CHECKING:
+    from moveset.cli.prompt_lines import PromptLines
+    from moveset.motion.clip import Motion
+    from moveset.pipelines.motion_stream import MotionStream, Segment
+    from moveset.pipelines.stream_settings import StreamRequest
+
+_NAP = 0.02  # seconds between two looks at signals and prompts while there is nothing to do
+
+
+def stream(
+    prompt: Annotated[tyro.conf.Positional[tuple[str, ...]], tyro.conf.arg(metavar="PROMPT …")] = (),
+    *,
+    output: Annotated[tyro.conf.UseAppendAction[tuple[Path, ...]], tyro.conf.arg(aliases=["-o"], metavar="FILE")] = (),
+    seconds: Annotated[tyro.conf.UseAppendAction[tuple[float, ...]], tyro.conf.arg(metavar="S")] = (),
+    total: Annotated[float | None, tyro.conf.arg(metavar="S")] = None,
+    forever: tyro.conf.FlagCreatePairsOff[bool] = False,
+    loop: tyro.conf.FlagCreatePairsOff[bool] = False,
+    prompts: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
+    realtime: tyro.conf.FlagCreatePairsOff[bool] = False,
+    model: Annotated[str, tyro.conf.arg(metavar="NAME")] = "rdm-small",
+    network: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None,
+    steps: Annotated[int | None, tyro.conf.arg(metavar="N")] = None,
+    guidance: Annotated[float | None, tyro.conf.arg(metavar="W")] = None,
+    seed: Annotated[int, tyro.conf.arg(metavar="N")] = 0,
+    seed_motion: Annotated[Path | None, tyro.conf.arg(name="from", metavar="CLIP")] = None,
+    in_place: tyro.conf.FlagCreatePairsOff[bool] = False,
+    foot_lock: bool = True,
+    device: Annotated[str, tyro.conf.arg(metavar="NAME")] = "auto",
+    json: tyro.conf.FlagCreatePairsOff[bool] = False,
+) -> int:
+    """Turn text into motion that goes on, a segment at a time. Several prompts follow one another.
+
+    Args:
+        prompt: What the person does, such as "a person walks forward"; the last one is held.
+        output: File to write while it grows: .bvh .glb or .npz; give it several times for several files. What has
+            been made so far is kept, however the stream ends.
+        seconds: Duration of a prompt; once for all prompts, or once for each. Prompts change between two segments
+            (every 1.4 s), so durations are rounded; without it a prompt lasts four segments.
+        total: Seconds to make in all; without it as long as the prompts last.
+        forever: Go on until interrupted.
+        loop: Begin again after the last prompt, with --total or --forever.
+        prompts: Read more prompts while it runs, one a line, from a file, a named pipe or - (standard input). Each
+            takes effect with the next segment; while they may still come, the motion is made in real time. Without
+            --total or --forever the stream ends after the input does.
+        realtime: Make a second of motion a second, one segment ahead, instead of as fast as possible.
+        model: A shipped stream model (see `moveset models`) or a model folder.
+        network: pcm-1, pcm-2 or pcm-4: students of that many evaluations a segment. rdm: the recurrent model itself.
+            md: the autoregressive baseline. By default the model's own choice.
+        steps: Evaluations a segment takes: picks a student, or sets the sampler of --network rdm or md.
+        guidance: How strongly the text is followed (w); by default the model's own choice.
+        seed: The same seed gives the same bytes.
+        seed_motion: Go on from the end of this motion file (.bvh .glb .npz .npy) of at least 1.4 s.
+        in_place: Without travel over the ground.
+        foot_lock: Hold planted feet in place.
+        device: auto, cpu, cuda or mps.
+        json: Print one JSON object for every segment on stdout, and nothing else.
+    """
+    if not prompt and prompts is None:
+        raise InputError("no prompt was given; describe a motion, such as 'a person walks forward and waves'")
+    if total is not None and forever:
+        raise InputError("--total and --forever exclude each other; leave one out")
+    if loop and total is None and not forever:
+        raise InputError("--loop needs an end or none at all; give --total S or --forever")
+    from moveset.cli.growing_files import GrowingFiles, plan_takes
+    from moveset.cli.interrupts import Interrupts
+    from moveset.cli.prompt_lines import PromptLines
+    from moveset.pipelines.motion_stream import MotionStream
+    from moveset.pipelines.stream_bundle import StreamBundle
+    from moveset.pipelines.stream_settings import MAX_SECONDS, check_stream
+
+    plan_takes(output)
+    if total is not None and not 0.0 < total <= MAX_SECONDS:
+        raise InputError(f"a total of {total:g} seconds is not in 0 to {MAX_SECONDS:g}; give a duration such as 60")
+    bundle = StreamBundle.find(model)
+    request = check_stream(
+        bundle.config, prompt or None, seconds or None, loop=loop, seed=seed, network=network, steps=steps,
+        guidance=guidance, foot_lock=foot_lock,
+    )  # fmt: skip
+    with ExitStack() as stack:
+        lines = None if prompts is None else stack.enter_context(PromptLines(prompts))
+        made = MotionStream(bundle, request, seed_motion=_clip(seed_motion), device=device)
+        limit = None if forever else total if total is not None else None if lines else request.seconds
+        frames = None if limit is None else max(1, round(limit * bundle.config.fps))
+        interrupts = stack.enter_context(Interrupts())
+        files = stack.enter_context(GrowingFiles(output, made.codec.skeleton, bundle.config.fps, _notes(made, request)))
+        _tell_durations(request, bundle.config.segment / bundle.config.fps)
+        latencies = _run(made, files, lines, interrupts, frames=frames, realtime=realtime, in_place=in_place, json=json)
+    if not json:
+        _summary(files, made, latencies)
+    interrupts.check()
+    return 0
+
+
+def _run(
+    made: "MotionStream", files: Any, lines: "PromptLines | None", interrupts: Any, *, frames: int | None,
+    realtime: bool, in_place: bool, json: bool,
+) -> Sequence[float]:  # fmt: skip
+    """Segments until there is a reason to stop; the latencies of the last thousand."""
+    latencies: deque[float] = deque(maxlen=1000)
+    begun, done = time.monotonic(), 0
+    each = made.bundle.config.segment
+    _warn(made)
+    with _progress(frames) as bar:
+        while frames is None or done < frames:
+            live = lines is not None and not lines.ended
+            if realtime or live:
+                _wait(begun + (done - each) / made.codec.fps, interrupts)
+            if interrupts.pending:
+                break
+            if lines is not None:
+                _tell(made, lines)
+                if frames is None and lines.ended and done >= made.timeline.end * each:
+                    break
+            segment = next(made)
+            motion = segment.motion if frames is None else segment.motion[: frames - done]
+            files.append(_held_in_place(motion) if in_place else motion)
+            done += len(motion)
+            latencies.append(segment.latency_ms)
+            if json:
+                print(jsonlib.dumps(_row(segment, len(motion)), ensure_ascii=False), flush=True)
+            bar.update(len(motion))
+    return latencies
+
+
+def _row(segment: "Segment", frames: int) -> dict[str, Any]:
+    """The contract's line."""
+    return {
+        "segment": segment.number,
+        "first_frame": segment.first_frame,
+        "frames": frames,
+        "prompt": segment.prompt,
+        "latency_ms": segment.latency_ms,
+        "network_evaluations": segment.network_evaluations,
+    }
+
+
+def _tell(made: "MotionStream", lines: "PromptLines") -> None:
+    """Hand on the newest prompt that has been given since the last segment."""
+    for text in lines.new()[-1:]:
+        try:
+            frame = made.prompt(text)
+        except InputError as error:
+            print(f"moveset: {' '.join(str(error).split())}", file=sys.stderr)
+        else:
+            print(f"moveset: from frame {frame}: {text}", file=sys.stderr)
+            _warn(made)
+
+
+def _wait(until: float, interrupts: Any) -> None:
+    while not interrupts.pending and (left := until - time.monotonic()) > 0:
+        time.sleep(min(left, _NAP))
+
+
+def _held_in_place(motion: "Motion") -> "Motion":
+    root = motion.root.clone()
+    root[:, [0, 2]] = 0.0
+    return replace(motion, root=root)
+
+
+def _clip(path: Path | None) -> "Motion | None":
+    if path is None:
+        return None
+    from moveset.io import load
+
+    return load(path)
+
+
+def _notes(made: "MotionStream", request: "StreamRequest") -> dict[str, str | int | float]:
+    """What the files tell about how they were made."""
+    from moveset import __version__
+
+    return {
+        "generator": f"moveset {__version__}",
+        "model": made.bundle.config.name,
+        "prompt": " | ".join(request.timeline.prompts),
+        "seed": request.seed,
+        "network": request.settings.network,
+        "steps": request.settings.steps,
+        "guidance": request.settings.guidance,
+    }
+
+
+def _tell_durations(request: "StreamRequest", each: float) -> None:
+    """Say so where durations had to be rounded; the last prompt may be cut anywhere."""
+    timeline = request.timeline
+    inner = [count * each for count in timeline.segments()][: None if timeline.loop else -1]
+    asked = request.durations[: len(inner)]
+    if any(abs(a - b) > 0.5 / 20 for a, b in zip(asked, inner, strict=True)):
+        lasting = ", ".join(f"{s:g}" for s in inner)
+        print(f"moveset: prompts change every {each:g} s, so they last {lasting} s", file=sys.stderr)
+
+
+def _warn(made: "MotionStream") -> None:
+    for warning in made.warnings:
+        print(f"moveset: warning: {warning}", file=sys.stderr)
+
+
+def _progress(frames: int | None) -> Any:
+    from tqdm import tqdm
+
+    return tqdm(total=frames, delay=2.0, disable=not sys.stderr.isatty(), unit="frame", leave=False)
+
+
+def _summary(files: Any, made: "MotionStream", latencies: Sequence[float]) -> None:
+    for path in files.paths:
+        print(path)
+    fps = made.codec.fps
+    spent = f", a segment in {statistics.median(latencies):.0f} ms" if latencies else ""
+    print(f"{files.frames} frames at {fps:g} fps, {files.frames / fps:g} s, seed {made.seed}{spent}")
