@@ -9,6 +9,9 @@ The network says the clean segment itself. A skip from the noisy input (the prec
 jitter. For the same reason it is trained on noise with the spectrum of motion (``diffusion.coloured``), which belongs
 to the network: ``colour``.
 
+What it says is added to a linear forecast from the last two frames of the segment before (fitted to the data before
+training, and learned on from there), as far as that segment is clean: going on should not have to be found out.
+
 Shapes: B rows, n frames, D features, L text tokens, C text width, W model width.
 """
 
@@ -20,10 +23,12 @@ from torch import Tensor, nn
 from torch.nn import functional as fn
 
 from moveset.diffusion.coloured import colour
+from moveset.diffusion.schedule import linear
 from moveset.models.latent_denoiser import Block, waves
 from moveset.models.registry import register, require_range
 
 _WAVES = 256
+_SCHEDULE = linear()
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -58,12 +63,17 @@ class SegmentTransformerConfig:
 
 @dataclass(frozen=True, eq=False)
 class Context:
-    """What a segment depends on besides itself: keys and values for every block, additive mask, modulation (B, W)."""
+    """What a segment depends on besides itself.
+
+    Keys and values for every block, additive mask, modulation (B, W), the last frame before (B, 1, W), and the segment
+    that is to be expected from the last two frames (B, n, D).
+    """
 
     pairs: tuple[tuple[Tensor, Tensor], ...]
     bias: Tensor | None
     condition: Tensor
     last: Tensor
+    expected: Tensor
 
 
 class SegmentTransformer(nn.Module):
@@ -74,6 +84,8 @@ class SegmentTransformer(nn.Module):
         self.config = c = config
         # The spectrum of the noise that the network knows; flat: white noise.
         self.register_buffer("spectrum", torch.ones(c.frames, c.features))
+        # Weights of the last frame before, and of its difference to the one before that, in every frame to come.
+        self.forecast = nn.Parameter(torch.zeros(2, c.frames, c.features))
         self.frame_in = nn.Linear(c.features, c.width)
         self.position = nn.Parameter(torch.randn(c.frames, c.width) * 0.02)
         self.previous_in = nn.Linear(c.features, c.width)
@@ -127,7 +139,15 @@ class SegmentTransformer(nn.Module):
             bias = torch.zeros(context.shape[:2], dtype=torch.float32, device=context.device)
             bias[:, :length].masked_fill_(~mask_BL, -1e4)
         condition = pooled + self.index(index_B.clamp(max=self.config.max_index)) + level
-        return Context(tuple(cast(Block, block).read(context) for block in self.blocks), bias, condition, last)
+        pairs = tuple(cast(Block, block).read(context) for block in self.blocks)
+        return Context(pairs, bias, condition, last, self._expected(prev_BnD, prev_t_B, index_B))
+
+    def _expected(self, prev_BnD: Tensor, prev_t_B: Tensor, index_B: Tensor) -> Tensor:
+        """The linear forecast (B, n, D), fading with the noise in what it is made from; zero for first segments."""
+        last_BD, step_BD = prev_BnD[:, -1].float(), (prev_BnD[:, -1] - prev_BnD[:, -2]).float()
+        clean_B = _SCHEDULE.alpha(prev_t_B).square() * (index_B > 0)
+        forecast = self.forecast[0] * last_BD[:, None] + self.forecast[1] * step_BD[:, None]
+        return forecast * clean_B[:, None, None]
 
     def forward(
         self,
@@ -180,7 +200,8 @@ class SegmentTransformer(nn.Module):
         scale, shift = self.modulate_out(condition)[:, None].chunk(2, dim=-1)
         # In bfloat16 the last product would quantise joint angles to a fraction of a degree: visible as jitter.
         with torch.autocast(x.device.type, enabled=False):
-            return cast(Tensor, self.out(self.norm_out(x.float()) * (1 + scale.float()) + shift.float()))
+            missed = self.out(self.norm_out(x.float()) * (1 + scale.float()) + shift.float())
+            return cast(Tensor, context.expected + missed)
 
     def student(self) -> "SegmentTransformer":
         """A copy with a guidance embedding that changes nothing yet: the start of distillation."""

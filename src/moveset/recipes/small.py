@@ -91,6 +91,7 @@ def rdm(segments: int = 7) -> Recipe:
             frozen_flow=0.4,
             velocity=1.0,
             noise="coloured",
+            forecast=True,
             disturbance=DISTURBANCE,
         ),
         engine=_recurrent(),
@@ -134,7 +135,7 @@ DISTURBANCE = Disturbance(paraphrased=0.5, word_drop=0.12, blur=0.12)
 
 def _recurrent() -> EngineConfig:
     return EngineConfig(
-        steps=5000, save_every=500, validate_every=500, grad_clip=1.0, precision="bf16-mixed", threads=1
+        steps=4600, save_every=500, validate_every=500, grad_clip=1.0, precision="bf16-mixed", threads=1
     )
 
 

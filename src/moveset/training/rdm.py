@@ -11,7 +11,6 @@ from typing import Literal, cast, get_args
 import torch
 from torch import Tensor, nn
 
-from moveset.data.corpus import Corpus
 from moveset.diffusion.schedule import linear
 from moveset.errors import InputError
 from moveset.models.flow import CouplingFlow, FlowConfig
@@ -25,6 +24,7 @@ from moveset.rdm.losses import flow_loss, masked_mse, velocity_loss
 from moveset.rdm.transport import Transport
 from moveset.text.cache import EmbeddingCache
 from moveset.text.encoder import TextEmbedding, get_text_encoder
+from moveset.training.clip_source import open_clips
 from moveset.training.clips import FeatureStore
 from moveset.training.ema import Ema, ema_warmup
 from moveset.training.engine import Loop, Task
@@ -61,6 +61,7 @@ class RDMConfig:
         root: weight of the four root features, by which a character travels.
         noise: "white" (the paper), or "coloured" with the temporal spectrum of the training segments
             (``diffusion.coloured``).
+        forecast: start the segment transformer's forecast from a fit to the data instead of from zero.
         velocity: weight of the error of frame-to-frame differences.
         flow_noise: deviation of the noise added to the flow's input.
         isometry: weight that keeps the flow's scales near one.
@@ -94,6 +95,7 @@ class RDMConfig:
     weight: Weight = "v"
     root: float = 5.0
     noise: Noise = "white"
+    forecast: bool = False
     velocity: float = 0.0
     flow_noise: float = 0.02
     isometry: float = 1e-2
@@ -124,13 +126,13 @@ class SegmentData:
         self.text = text.to(loop.device)
 
     def _open(self, sources: Sources, config: RDMConfig, progress: bool) -> EmbeddingCache:
-        corpus, codec = Corpus.open(sources.corpus), get_codec(config.codec)
+        source, codec = open_clips(sources.corpus), get_codec(config.codec)
         folder = sources.cache / f"features-{codec.name}"
-        store = FeatureStore.of(corpus, codec, folder, progress)
+        store = FeatureStore.of(source, codec, folder, progress)
         self.codec, self.normalizer = codec, store.normalizer
         cut = (store, codec, config.grid.frames, config.cutting, folder)
-        self.train = SegmentSet(corpus, "train", *cut, paraphrased=config.disturbance.paraphrased)
-        self.val = SegmentSet(corpus, "val", *cut)
+        self.train = SegmentSet(source, "train", *cut, paraphrased=config.disturbance.paraphrased)
+        self.val = SegmentSet(source, "val", *cut)
         said = wordings(self.train.all_captions(), config.disturbance)
         captions = sorted({*said, *self.val.all_captions()})
         path = sources.cache / f"text-{config.text_encoder.replace('/', '-').replace(':', '-')}.safetensors"
@@ -160,6 +162,9 @@ class RDMTask(Task):
                     'noise="coloured" is for the segment transformer; this denoiser knows white noise only'
                 )
             self.denoiser.spectrum.copy_(self.data.train.spectrum())  # type: ignore[operator]
+        if config.forecast and isinstance(self.denoiser, SegmentTransformer):
+            with torch.no_grad():
+                self.denoiser.forecast.copy_(self.data.train.forecast())
         self.ema = Ema(self.denoiser, config.ema)
         self.flow: CouplingFlow | None = None if config.flow is None else config.flow.build().to(loop.device)
         self.flow_ema = None if self.flow is None else Ema(self.flow, config.ema)

@@ -20,11 +20,13 @@ from moveset.data.augment import MAX_FRAMES
 from moveset.data.compose import plan_continuations
 from moveset.data.corpus import Corpus, compose
 from moveset.data.paraphrase import paraphrase
-from moveset.data.records import ClipRecord, Part, Recipe
+from moveset.data.records import Part, Recipe
 from moveset.data.splits import Split
 from moveset.diffusion.coloured import temporal_spectrum
+from moveset.errors import InputError
 from moveset.motion.features import FeatureCodec
-from moveset.training.clips import FeatureStore, clip_weights
+from moveset.training.clip_source import ClipSource, CorpusClips
+from moveset.training.clips import FeatureStore
 
 # Frames of a segment by N, the number of segments of the longest clip.
 SEGMENT_FRAMES = {count: MAX_FRAMES // count for count in (1, 4, 7, 14)}
@@ -89,7 +91,7 @@ class SegmentBatch:
 
 
 @dataclass(frozen=True, eq=False)
-class _Row:
+class Row:
     """A clip: its frames, and the sentences of each part, which ends at a frame; all of it has its own sentences."""
 
     features: np.ndarray
@@ -98,18 +100,67 @@ class _Row:
     whole: tuple[str, ...]
 
 
-class SegmentSet:
-    """Segments of one split, drawn by clip.
+class ClipSet:
+    """Clips of one split with their sentences by part, drawn by weight.
 
     Args:
-        frames: n.
         folder: where continuations are kept once they are made.
         paraphrased: share of captions that are said otherwise.
+
+    Raises:
+        InputError: continuations of clips that are not a corpus.
     """
 
     def __init__(
         self,
-        corpus: Corpus,
+        source: ClipSource,
+        split: Split,
+        store: FeatureStore,
+        codec: FeatureCodec,
+        cutting: CuttingConfig,
+        folder: Path,
+        paraphrased: float = 0.0,
+    ) -> None:
+        self.cutting, self.paraphrased = cutting, paraphrased
+        clips = source.clips(split)
+        weights = source.weights(clips, power=0.5, composed_share=cutting.composed_share)
+        self.rows = [_row(source, clip, store) for clip in clips]
+        self.weights = weights / weights.sum()
+        if cutting.continuations:
+            if not isinstance(source, CorpusClips):
+                raise InputError("only a corpus can be continued; train on a folder with --set cutting.continuations=0")
+            share = cutting.continuation_share
+            made = _continuations(source.corpus, split, store, codec, cutting.continuations, folder)
+            added = torch.full((len(made),), share / max(len(made), 1), dtype=torch.float64)
+            self.weights = torch.cat(((1 - share) * self.weights, added))
+            self.rows += made
+
+    def all_captions(self) -> list[str]:
+        """Every caption in use."""
+        return sorted({caption for row in self.rows for said in (row.whole, *row.said) for caption in said})
+
+    def draw(self, size: int, seed: int, step: int) -> list[tuple[Row, list[float]]]:
+        """The clips of a step's batch, each with seven numbers in [0, 1): a pure function of (seed, step)."""
+        generator = torch.Generator().manual_seed(seed * 1_000_003 + step)
+        chosen = torch.multinomial(self.weights, size, replacement=True, generator=generator).tolist()
+        numbers = torch.rand(size, 7, generator=generator).tolist()
+        return [(self.rows[row], chance) for row, chance in zip(chosen, numbers, strict=True)]
+
+    def say(self, clip: Row, start: int, frames: int, chance: Sequence[float]) -> str:
+        """A sentence for these frames, chosen by three numbers in [0, 1)."""
+        middle = start + frames // 2
+        part = next((k for k, end in enumerate(clip.ends) if middle < end), len(clip.ends) - 1)
+        options = clip.whole if chance[0] < self.cutting.whole_caption else clip.said[part]
+        caption = options[int(chance[1] * len(options))]
+        return paraphrase(caption) if chance[2] < self.paraphrased else caption
+
+
+class SegmentSet(ClipSet):
+    """Segments of ``frames`` frames of one split; other arguments as for ``ClipSet``."""
+
+    def __init__(
+        self,
+        source: ClipSource,
         split: Split,
         store: FeatureStore,
         codec: FeatureCodec,
@@ -118,44 +169,35 @@ class SegmentSet:
         folder: Path,
         paraphrased: float = 0.0,
     ) -> None:
-        self.frames, self.cutting, self.paraphrased = frames, cutting, paraphrased
-        records = corpus.indices(split)
-        weights = clip_weights(corpus, records, power=0.5, composed_share=cutting.composed_share)
-        self.rows: list[_Row] = []
-        chances: list[float] = []
-        for record, weight in zip(records, weights.tolist(), strict=True):
-            for mirrored in (False, True):
-                clip = store.clips[2 * record + mirrored]
-                features = store.features[clip.start : clip.start + clip.frames]
-                self.rows.append(_row(corpus, corpus.records[record], record, mirrored, features))
-                chances.append(weight / 2)
-        if cutting.continuations:
-            share = cutting.continuation_share
-            made = _continuations(corpus, split, store, codec, cutting.continuations, folder)
-            chances = [(1 - share) * chance for chance in chances] + [share / max(len(made), 1)] * len(made)
-            self.rows += made
-        self.weights = torch.tensor(chances, dtype=torch.float64)
-
-    def all_captions(self) -> list[str]:
-        """Every caption in use."""
-        return sorted({caption for row in self.rows for said in (row.whole, *row.said) for caption in said})
+        super().__init__(source, split, store, codec, cutting, folder, paraphrased)
+        self.frames = frames
 
     def spectrum(self, segments: int = 4096) -> Tensor:
         """(n, D) spectrum of whole segments (``diffusion.coloured``)."""
         batch = self.batch(segments, 0, 0)
         return temporal_spectrum(batch.clean[batch.valid.all(dim=1)])
 
+    def forecast(self, segments: int = 8192) -> Tensor:
+        """(2, n, D) least-squares weights, in each frame, of the last frame before a segment and of the step to it.
+
+        A little ridge keeps features that hardly change from large weights.
+        """
+        batch = self.batch(segments, 0, 1)
+        rows = batch.valid.all(dim=1) & (batch.index > 0)
+        clean, last = batch.clean[rows].double(), batch.previous[rows, -1].double()
+        step = last - batch.previous[rows, -2].double()
+        told = torch.stack((last, step))  # (2, B, D)
+        square = torch.einsum("ibd,jbd->dij", told, told)
+        square += 1e-3 * len(clean) * torch.eye(2, dtype=torch.float64)
+        return torch.linalg.solve(square, torch.einsum("ibd,bnd->din", told, clean)).permute(1, 2, 0).float()
+
     def batch(self, size: int, seed: int, step: int) -> SegmentBatch:
         """The batch of a step: a pure function of (seed, step)."""
-        generator = torch.Generator().manual_seed(seed * 1_000_003 + step)
-        chosen = torch.multinomial(self.weights, size, replacement=True, generator=generator).tolist()
-        numbers = torch.rand(size, 7, generator=generator).tolist()
         n, width = self.frames, self.rows[0].features.shape[1]
         clean, previous, first = torch.zeros(3, size, n, width)
         valid, index = torch.zeros(size, n, dtype=torch.bool), torch.zeros(size, dtype=torch.long)
         captions, before = [], []
-        for k, (row, chance) in enumerate(zip(chosen, numbers, strict=True)):
-            clip = self.rows[row]
+        for k, (clip, chance) in enumerate(self.draw(size, seed, step)):
             begin, start, stop, number = self._place(len(clip.features), chance)
             piece = clip.features[start:stop]
             clean[k, : len(piece)] = torch.from_numpy(np.array(piece))
@@ -165,8 +207,8 @@ class SegmentSet:
             first[k, : len(head)] = torch.from_numpy(np.array(head))
             if number:
                 previous[k] = torch.from_numpy(np.array(clip.features[start - n : start]))
-            captions.append(self._say(clip, start, len(piece), chance[3:]))
-            before.append(self._say(clip, max(start - n, 0), n, chance[3:]) if number else captions[-1])
+            captions.append(self.say(clip, start, len(piece), chance[3:]))
+            before.append(self.say(clip, max(start - n, 0), n, chance[3:]) if number else captions[-1])
         return SegmentBatch(clean, valid, previous, first, index, captions, before)
 
     def _place(self, total: int, chance: Sequence[float]) -> tuple[int, int, int, int]:
@@ -189,20 +231,17 @@ class SegmentSet:
             number = 1 if start == n else 2
         return 0, start, start + n, number
 
-    def _say(self, clip: _Row, start: int, frames: int, chance: Sequence[float]) -> str:
-        middle = start + frames // 2
-        part = next((k for k, end in enumerate(clip.ends) if middle < end), len(clip.ends) - 1)
-        options = clip.whole if chance[0] < self.cutting.whole_caption else clip.said[part]
-        caption = options[int(chance[1] * len(options))]
-        return paraphrase(caption) if chance[2] < self.paraphrased else caption
 
-
-def _row(corpus: Corpus, record: ClipRecord, number: int, mirrored: bool, features: np.ndarray) -> _Row:
-    whole = corpus.captions(number, mirrored)
-    if record.kind != "in_time" or record.recipe is None:
-        return _Row(features, (len(features),), (whole,), whole)
-    said = tuple(corpus.captions(part.clip, part.mirrored != mirrored) for part in record.recipe.parts)
-    return _Row(features, (_seam(record.recipe), len(features)), said, whole)
+def _row(source: ClipSource, clip: int, store: FeatureStore) -> Row:
+    place, whole = store.clips[clip], source.captions(clip)
+    features = store.features[place.start : place.start + place.frames]
+    if isinstance(source, CorpusClips):
+        corpus, mirrored = source.corpus, clip % 2 == 1
+        record = corpus.records[clip // 2]
+        if record.kind == "in_time" and record.recipe is not None:
+            said = tuple(corpus.captions(part.clip, part.mirrored != mirrored) for part in record.recipe.parts)
+            return Row(features, (_seam(record.recipe), len(features)), said, whole)
+    return Row(features, (len(features),), (whole,), whole)
 
 
 def _seam(recipe: Recipe) -> int:
@@ -212,7 +251,7 @@ def _seam(recipe: Recipe) -> int:
 
 def _continuations(
     corpus: Corpus, split: Split, store: FeatureStore, codec: FeatureCodec, count: int, folder: Path
-) -> list[_Row]:
+) -> list[Row]:
     """Clips in which a content is followed by itself, made once and kept in half precision.
 
     Kept are their features one after the other, and of each its end, its seam, and the two clips it is made of with
@@ -237,5 +276,5 @@ def _continuations(
     ends = np.cumsum(table[:, 0])
     for (frames, seam, *parts), end in zip(table.tolist(), ends.tolist(), strict=True):
         said = tuple(corpus.captions(parts[k], bool(parts[k + 1])) for k in (0, 2))
-        rows.append(_Row(features[end - frames : end], (seam, frames), said, said[0]))
+        rows.append(Row(features[end - frames : end], (seam, frames), said, said[0]))
     return rows
