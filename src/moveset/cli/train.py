@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 What = Literal[
     "vae", "decoder", "teacher", "lcm", "pcm", "rdm-1", "rdm-4", "rdm-7", "rdm-14", "light-rdm-1", "md-4", "md-7",
-    "motiondiffuse", "rdm-student",
+    "motiondiffuse", "dip", "rdm-student",
 ]  # fmt: skip
 
 
@@ -52,7 +52,7 @@ def train(
         what: vae: the autoencoder. decoder: more of its decoder, with its latents kept. teacher: the latent diffusion
             model. lcm, pcm: students with few steps. rdm-N: the recurrent model, of endless streams, with the longest
             clip in N segments; rdm-7 ships. light-rdm-1: rdm-1 with Light-T2M's network. rdm-student: a recurrent model
-            with few steps. md-N, motiondiffuse: what it is compared with.
+            with few steps. md-N, motiondiffuse, dip: what it is compared with.
         recipe: small: what ships. paper: the published sizes. tiny: seconds, to try the machinery.
         resume: Continue from the latest checkpoint in the folder, or start if there is none.
         folder: Where checkpoints and logs go; by default runs/RECIPE/WHAT.

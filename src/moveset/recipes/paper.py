@@ -18,6 +18,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 
+from moveset.models.dip_decoder import DipDecoderConfig
 from moveset.models.discriminator import DiscriminatorConfig
 from moveset.models.flow import FlowConfig
 from moveset.models.light_t2m import LightT2MConfig
@@ -25,6 +26,7 @@ from moveset.models.segment_denoiser import SegmentDenoiserConfig
 from moveset.models.token_denoiser import TokenDenoiserConfig
 from moveset.models.token_vae import TokenVAEConfig
 from moveset.rdm.grid import GridConfig
+from moveset.training.dip import DiPConfig
 from moveset.training.distill import DistillationConfig
 from moveset.training.engine import EngineConfig
 from moveset.training.rdm import RDMConfig
@@ -140,6 +142,19 @@ def train_motiondiffuse() -> Recipe:
     return replace(chosen, task=task, engine=replace(chosen.engine, steps=230_000))
 
 
+def train_dip() -> Recipe:
+    """DiP: 600 thousand batches of 64. Its own text encoder is DistilBERT; here, as elsewhere, CLIP."""
+    task = DiPConfig(
+        model=DipDecoderConfig(text_dim=512),
+        codec="hml",
+        cutting=CuttingConfig(whole_caption=1.0, continuations=0),
+        constant_lr=True,
+        text_encoder=CLIP,
+        max_tokens=77,
+    )
+    return Recipe(task=task, engine=_engine(600_000))
+
+
 TRAINING: dict[str, Callable[[], Recipe]] = {
     "vae": train_vae,
     "teacher": train_teacher,
@@ -149,4 +164,5 @@ TRAINING: dict[str, Callable[[], Recipe]] = {
     "light-rdm-1": train_light_rdm,
     **{f"md-{n}": partial(train_md, n) for n in (4, 7)},
     "motiondiffuse": train_motiondiffuse,
+    "dip": train_dip,
 }

@@ -4,10 +4,12 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 
+from moveset.models.dip_decoder import DipDecoderConfig
 from moveset.models.flow import FlowConfig
 from moveset.models.light_t2m import LightT2MConfig
 from moveset.models.segment_denoiser import SegmentDenoiserConfig
 from moveset.rdm.grid import GridConfig
+from moveset.training.dip import DiPConfig
 from moveset.training.distill import DistillationConfig
 from moveset.training.engine import EngineConfig
 from moveset.training.rdm import RDMConfig
@@ -122,6 +124,14 @@ def motiondiffuse() -> Recipe:
     return _volume(task)
 
 
+def dip() -> Recipe:
+    """DiP at width 256 and four layers: 40 frames from the 20 before."""
+    model = DipDecoderConfig(text_dim=384, width=256, layers=4)
+    return Recipe(
+        task=DiPConfig(model=model, lr=3e-4, ema=0.999, root=5.0, disturbance=DISTURBANCE), engine=_recurrent()
+    )
+
+
 def rdm_student() -> Recipe:
     """RDM-7 in one evaluation a segment; ``--set phases=2`` and ``--set phases=4`` for more."""
     return Recipe(task=RDMStudentConfig(disturbance=DISTURBANCE), engine=_students())
@@ -162,5 +172,6 @@ TRAINING: dict[str, Callable[[], Recipe]] = {
     "light-rdm-1": light_rdm,
     **{f"md-{n}": partial(md, n) for n in (4, 7)},
     "motiondiffuse": motiondiffuse,
+    "dip": dip,
     "rdm-student": rdm_student,
 }

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 
+from moveset.models.dip_decoder import DipDecoderConfig
 from moveset.models.flow import FlowConfig
 from moveset.models.latent_denoiser import LatentDenoiserConfig
 from moveset.models.light_t2m import LightT2MConfig
@@ -11,6 +12,7 @@ from moveset.models.segment_denoiser import SegmentDenoiserConfig
 from moveset.models.segment_transformer import SegmentTransformerConfig
 from moveset.models.timed_vae import TimedVAEConfig
 from moveset.rdm.grid import GridConfig
+from moveset.training.dip import DiPConfig
 from moveset.training.distill import DistillationConfig
 from moveset.training.engine import EngineConfig
 from moveset.training.rdm import RDMConfig
@@ -90,6 +92,12 @@ def motiondiffuse() -> Recipe:
     return _volume(RDMConfig(model=_PUBLISHED, predict="eps", weight="x0"))
 
 
+def dip() -> Recipe:
+    """Two layers of width 32: 8 frames from the 4 before."""
+    model = DipDecoderConfig(prefix=4, frames=8, width=32, layers=2, heads=2, feed_forward=32)
+    return Recipe(task=DiPConfig(model=model, cutting=_CUTTING, batch=4, warmup=1, disturbance=_ROUGH), engine=_ENGINE)
+
+
 def rdm_student() -> Recipe:
     """One evaluation a segment."""
     return Recipe(task=RDMStudentConfig(batch=4, warmup=1, cutting=_CUTTING, disturbance=_ROUGH), engine=_ENGINE)
@@ -114,5 +122,6 @@ TRAINING: dict[str, Callable[[], Recipe]] = {
     "light-rdm-1": light_rdm,
     **{f"md-{n}": partial(md, n) for n in (4, 7)},
     "motiondiffuse": motiondiffuse,
+    "dip": dip,
     "rdm-student": rdm_student,
 }

@@ -6,11 +6,13 @@ Source: RDM (arXiv 2406.07169), Section 4.4 and Algorithm 2; MotionDiffuse (arXi
 """
 
 from dataclasses import dataclass, field, replace
-from typing import Literal, cast, get_args
+from pathlib import Path
+from typing import Any, Literal, cast, get_args
 
 import torch
 from torch import Tensor, nn
 
+from moveset.data.splits import Split
 from moveset.diffusion.schedule import linear
 from moveset.errors import InputError
 from moveset.models.flow import CouplingFlow, FlowConfig
@@ -24,7 +26,7 @@ from moveset.rdm.losses import flow_loss, masked_mse, velocity_loss
 from moveset.rdm.transport import Transport
 from moveset.text.cache import EmbeddingCache
 from moveset.text.encoder import TextEmbedding, get_text_encoder
-from moveset.training.clip_source import open_clips
+from moveset.training.clip_source import ClipSource, open_clips
 from moveset.training.clips import FeatureStore
 from moveset.training.ema import Ema, ema_warmup
 from moveset.training.engine import Loop, Task
@@ -116,27 +118,42 @@ class RDMConfig:
 
 
 class SegmentData:
-    """Segments and embedded captions of both splits; what is computed once is kept in the cache folder."""
+    """Segments and embedded captions of both splits; what is computed once is kept in the cache folder.
 
-    def __init__(self, sources: Sources, config: RDMConfig, loop: Loop) -> None:
+    Args:
+        config: the task's; another task's has the same fields where it gives another ``cut``.
+
+    Raises:
+        InputError: disturbed captions that are to be read further than that is possible.
+    """
+
+    def __init__(self, sources: Sources, config: Any, loop: Loop) -> None:
+        if config.max_tokens != MAX_TOKENS and config.disturbance != Disturbance():
+            raise InputError(f"disturbed captions are read to {MAX_TOKENS} tokens; set max_tokens to that")
         self.disturbance, self.max_tokens = config.disturbance, config.max_tokens
         self.seed = loop.config.seed * 64 + loop.rank
         with loop.fabric.rank_zero_first():
             text = self._open(sources, config, loop.rank == 0)
         self.text = text.to(loop.device)
 
-    def _open(self, sources: Sources, config: RDMConfig, progress: bool) -> EmbeddingCache:
+    def _open(self, sources: Sources, config: Any, progress: bool) -> EmbeddingCache:
         source, codec = open_clips(sources.corpus), get_codec(config.codec)
         folder = sources.cache / f"features-{codec.name}"
         store = FeatureStore.of(source, codec, folder, progress)
         self.codec, self.normalizer = codec, store.normalizer
-        cut = (store, codec, config.grid.frames, config.cutting, folder)
-        self.train = SegmentSet(source, "train", *cut, paraphrased=config.disturbance.paraphrased)
-        self.val = SegmentSet(source, "val", *cut)
+        self.train = self.cut(config, source, "train", store, folder, config.disturbance.paraphrased)
+        self.val = self.cut(config, source, "val", store, folder, 0.0)
         said = wordings(self.train.all_captions(), config.disturbance)
         captions = sorted({*said, *self.val.all_captions()})
         path = sources.cache / f"text-{config.text_encoder.replace('/', '-').replace(':', '-')}.safetensors"
         return EmbeddingCache.build(get_text_encoder(config.text_encoder), captions, path)
+
+    def cut(
+        self, config: Any, source: ClipSource, split: Split, store: FeatureStore, folder: Path, paraphrased: float
+    ) -> Any:
+        """Segments of a split."""
+        frames, cutting = config.grid.frames, config.cutting
+        return SegmentSet(source, split, store, self.codec, frames, cutting, folder, paraphrased)
 
     def read(self, captions: list[str], disturbed_by: torch.Generator | None = None) -> TextEmbedding:
         """Token states of captions, and their pooled vectors; roughened if given a generator."""
@@ -315,5 +332,3 @@ def _check(config: RDMConfig) -> None:
         raise InputError('predict="eps" is for models without a flow, with velocity 0 and weight "x0"; change these')
     if config.md_condition == "none" and (config.flow is not None or config.grid.condition != "clean"):
         raise InputError('md_condition="none" is for models without a flow and with grid.condition="clean"')
-    if config.max_tokens != MAX_TOKENS and config.disturbance != Disturbance():
-        raise InputError(f"disturbed captions are read to {MAX_TOKENS} tokens; set max_tokens to that")

@@ -29,6 +29,7 @@ TASKS = {
     "md-4": "moveset.training.rdm:RDMTask",
     "md-7": "moveset.training.rdm:RDMTask",
     "motiondiffuse": "moveset.training.rdm:RDMTask",
+    "dip": "moveset.training.dip:DiPTask",
     "rdm-student": "moveset.training.rdm_student:RDMStudentTask",
 }
 RECIPES = ("small", "paper", "tiny")

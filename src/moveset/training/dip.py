@@ -1,0 +1,188 @@
+"""DiP, a baseline of the recurrent model: a decoder that continues the 20 frames before by 40, ten noise levels each.
+
+Shapes: B rows, m clean frames, n frames to be denoised after them, D features.
+Source: CLoSD (Tevet et al. 2024, arXiv 2410.03441), Section 4.1.
+"""
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from moveset.data.splits import Split
+from moveset.diffusion.schedule import cosine
+from moveset.diffusion.steps import add_noise
+from moveset.errors import InputError
+from moveset.models.dip_decoder import DipDecoderConfig
+from moveset.models.registry import describe
+from moveset.motion.features import FeatureCodec
+from moveset.rdm.losses import masked_mse
+from moveset.text.encoder import TextEmbedding
+from moveset.training.clip_source import ClipSource
+from moveset.training.clips import FeatureStore
+from moveset.training.ema import Ema, ema_warmup
+from moveset.training.engine import Loop, Task
+from moveset.training.optim import cosine_lr
+from moveset.training.rdm import SegmentData, feature_weights
+from moveset.training.reading import MAX_TOKENS, Disturbance
+from moveset.training.segments import ClipSet, CuttingConfig
+from moveset.training.tasks import Sources
+
+
+@dataclass(frozen=True, kw_only=True)
+class DiPConfig:
+    """What ``DiPTask`` trains and how.
+
+    Args:
+        model: its ``features`` and ``text_dim`` follow from codec and text encoder.
+        levels: T, noise levels of the cosine schedule and steps of sampling.
+        cutting: which clips are shown and what is said to them; where pieces are cut is not up to it.
+        constant_lr: no cosine decay.
+        text_drop: share of captions replaced by "", for guidance.
+        root: weight of the four root features.
+        max_tokens: as in ``RDMConfig``.
+    """
+
+    model: DipDecoderConfig = field(default_factory=DipDecoderConfig)
+    levels: int = 10
+    codec: str = "native"
+    cutting: CuttingConfig = field(default_factory=CuttingConfig)
+    batch: int = 64
+    lr: float = 1e-4
+    warmup: int = 200
+    constant_lr: bool = False
+    text_drop: float = 0.1
+    ema: float = 0.9999
+    root: float = 1.0
+    text_encoder: str = "minilm"
+    disturbance: Disturbance = field(default_factory=Disturbance)
+    max_tokens: int = MAX_TOKENS
+    kind: str = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "kind", describe(self.model)[0])
+
+
+@dataclass(frozen=True, eq=False)
+class PieceBatch:
+    """Clean frames (B, n, D), those before them (B, m, D), and what is said to them."""
+
+    prefix: Tensor
+    clean: Tensor
+    captions: list[str]
+
+    def to(self, device: torch.device | str) -> "PieceBatch":
+        """The same on another device."""
+        return PieceBatch(self.prefix.to(device), self.clean.to(device), self.captions)
+
+
+class PieceSet(ClipSet):
+    """Pieces of m + n frames from anywhere in the clips that are as long; other arguments as for ``ClipSet``.
+
+    Raises:
+        InputError: no clip is, or as for ``ClipSet``.
+    """
+
+    def __init__(
+        self,
+        source: ClipSource,
+        split: Split,
+        store: FeatureStore,
+        codec: FeatureCodec,
+        model: DipDecoderConfig,
+        cutting: CuttingConfig,
+        folder: Path,
+        paraphrased: float = 0.0,
+    ) -> None:
+        super().__init__(source, split, store, codec, cutting, folder, paraphrased)
+        self.prefix, self.frames = model.prefix, model.frames
+        needed = self.prefix + self.frames
+        self.weights = self.weights * torch.tensor([len(row.features) >= needed for row in self.rows])
+        if not self.weights.any():
+            raise InputError(f"no clip for {split!r} has {needed} frames; set model.prefix and model.frames to fewer")
+
+    def batch(self, size: int, seed: int, step: int) -> PieceBatch:
+        """The batch of a step: a pure function of (seed, step)."""
+        pieces, captions = [], []
+        for clip, chance in self.draw(size, seed, step):
+            whole = self.prefix + self.frames
+            start = int(chance[0] * (len(clip.features) - whole + 1))
+            pieces.append(torch.from_numpy(np.array(clip.features[start : start + whole], np.float32)))
+            captions.append(self.say(clip, start + self.prefix, self.frames, chance[3:]))
+        prefix, clean = torch.stack(pieces).split((self.prefix, self.frames), dim=1)
+        return PieceBatch(prefix, clean, captions)
+
+
+class PieceData(SegmentData):
+    """Pieces and embedded captions of both splits."""
+
+    def cut(
+        self, config: DiPConfig, source: ClipSource, split: Split, store: FeatureStore, folder: Path, paraphrased: float
+    ) -> PieceSet:
+        """Pieces of a split."""
+        return PieceSet(source, split, store, self.codec, config.model, config.cutting, folder, paraphrased)
+
+
+class DiPTask(Task):
+    """One network, which says the clean frames."""
+
+    name = "dip"
+
+    def __init__(self, config: DiPConfig, sources: Sources, loop: Loop) -> None:
+        self.steps = loop.config.steps
+        self.data = PieceData(sources, config, loop)
+        sizes = {"features": self.data.codec.dim, "text_dim": self.data.text.tokens.shape[1]}
+        self.config = config = replace(config, model=replace(config.model, **sizes))
+        self.schedule = cosine(config.levels)
+        self.denoiser = config.model.build().to(loop.device)
+        self.ema = Ema(self.denoiser, config.ema)
+        self.draws = loop.generator("draws")
+        self.scale = feature_weights(self.data.codec, config.root).sqrt().to(loop.device)
+        self.optimizer = torch.optim.AdamW(self.denoiser.parameters(), config.lr, weight_decay=0.0)
+
+    def modules(self) -> dict[str, nn.Module]:
+        return {"denoiser": self.denoiser}
+
+    def averages(self) -> dict[str, nn.Module]:
+        return {"denoiser_ema": self.ema.module}
+
+    def optimizers(self) -> dict[str, torch.optim.Optimizer]:
+        return {"denoiser": self.optimizer}
+
+    def learning_rates(self, step: int) -> dict[str, float]:
+        config = self.config
+        return {"denoiser": config.lr if config.constant_lr else cosine_lr(step, config.lr, config.warmup, self.steps)}
+
+    def training_step(self, step: int, loop: Loop) -> dict[str, Tensor]:
+        config = self.config
+        batch = self.data.train.batch(config.batch, self.data.seed, step).to(loop.device)
+        dropped = torch.rand(config.batch, generator=self.draws) < config.text_drop
+        said = ["" if drop else caption for drop, caption in zip(dropped.tolist(), batch.captions, strict=True)]
+        text = self.data.read(said, self.draws)
+        loss, error = self._loss(self.denoiser, batch, text, self.draws)
+        report = {"loss": loss.detach(), "error": error, "gradient_norm": loop.minimise(loss, "denoiser")}
+        self.ema.update(self.denoiser, ema_warmup(step, config.ema))
+        return report
+
+    def validate(self, step: int, loop: Loop) -> dict[str, float]:
+        """Error of the averaged network on 256 pieces of val."""
+        generator, errors = torch.Generator().manual_seed(0), []
+        for k in range(2):
+            batch = self.data.val.batch(128, 0, k).to(loop.device)
+            errors.append(self._loss(self.ema.module, batch, self.data.read(batch.captions), generator)[1])
+        return {"error": float(torch.stack(errors).mean())}
+
+    def _loss(
+        self, denoiser: nn.Module, batch: PieceBatch, text: TextEmbedding, generator: torch.Generator
+    ) -> tuple[Tensor, Tensor]:
+        """The weighted error of the clean frames, and the plain one."""
+        t_B = torch.randint(1, len(self.schedule), (len(batch.clean),), generator=generator)
+        noise = torch.randn(batch.clean.shape, generator=generator).to(batch.clean)
+        t_B = t_B.to(batch.clean.device)
+        noisy = add_noise(self.schedule, batch.clean, noise, t_B)
+        made = denoiser(noisy, t_B, batch.prefix, text.tokens, text.mask).float()
+        valid = torch.ones(batch.clean.shape[:2], device=batch.clean.device)
+        loss = masked_mse(made * self.scale, batch.clean * self.scale, valid)
+        return loss, masked_mse(made.detach(), batch.clean, valid)
