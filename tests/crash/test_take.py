@@ -1,0 +1,43 @@
+"""A take may be killed at any moment: what had been appended is recovered, and nothing else is left."""
+
+import os
+import subprocess
+import sys
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+
+from moveset.errors import FormatError
+from moveset.io import load
+from moveset.io.take_writer import recover_take
+from tests.crash.take_victim import motion
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+pytestmark = [pytest.mark.skipif(os.name == "nt", reason="kills by POSIX signals"), pytest.mark.timeout(600)]
+
+
+@pytest.mark.parametrize("suffix", [".bvh", ".glb", ".npz"])
+def test_sigkill_at_every_operation_on_the_disk(suffix, tmp_path):
+    environment = {**os.environ, "PYTHONPATH": str(REPOSITORY), "OMP_NUM_THREADS": "1"}
+    command = [sys.executable, "-m", "tests.crash.take_victim", str(tmp_path), suffix]
+    done = subprocess.run(command, cwd=REPOSITORY, env=environment, text=True, capture_output=True, timeout=540)
+    assert done.returncode == 0, done.stderr[-2000:]
+    whole, kills, recovered = motion(), int(done.stdout), []
+    for point in range(kills + 1):
+        folder, path = tmp_path / str(point), tmp_path / str(point) / f"take{suffix}"
+        noted = [0, *map(int, (tmp_path / f"{point}.noted").read_text().split())][-1]
+        if (folder / f"take{suffix}.part").exists():
+            with suppress(FormatError):
+                recovered.append(recover_take(path))
+        if not path.exists():
+            assert noted == 0
+            continue
+        found = load(path)
+        assert len(found) >= noted
+        assert (found.joints - whole.joints[: len(found)]).norm(dim=-1).max() < 1e-4
+        assert {file.name for file in folder.iterdir() if ".json" not in file.name} == {path.name}
+    assert noted == len(found) == 40
+    # Struck in every piece, and in the middle of a piece.
+    assert {frames // 10 for frames in recovered} >= {0 if suffix == ".bvh" else 1, 1, 2, 3, 4}
+    assert any(frames % 10 for frames in recovered)
