@@ -1,0 +1,167 @@
+"""From run folders to a stream's model folder: the recurrent denoiser with its flow, its students and its baseline."""
+
+import argparse
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from torch import nn
+
+from moveset.data.corpus import Corpus
+from moveset.errors import InputError
+from moveset.pipelines.stream_bundle import DEFAULT_STREAM, FLOW, StreamConfig, save_stream_bundle
+from moveset.text.cache import EmbeddingCache
+from moveset.training import checkpoint, frozen
+from moveset.training.clips import FeatureStore
+from moveset.training.pack import familiarity_limit, known_captions
+
+RDM, MD = "rdm", "md"
+#: Where ``moveset train`` leaves each network, below the folder of all runs.
+RUNS = {RDM: "rdm-7", MD: "md-7", "pcm-1": "rdm-pcm-1", "pcm-2": "rdm-pcm-2", "pcm-4": "rdm-pcm-4"}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sampling:
+    """How a stream is sampled when nothing is asked for: fields of ``StreamConfig``."""
+
+    network: str = RDM
+    sampler_steps: int = 20
+    start: int = 7
+    lag: int = 1
+    eta: float = 0.0
+    idle: str = "a person stands still"
+
+
+def pack_stream(
+    corpus_path: Path,
+    cache: Path,
+    runs: Mapping[str, Path],
+    guidance: Mapping[str, float],
+    name: str,
+    out: Path,
+    sampling: Sampling | None = None,
+    averaged: bool = True,
+    differences: bool = True,
+) -> Path:
+    """Write the model folder ``out``.
+
+    Args:
+        corpus_path: the corpus that the networks were trained on.
+        cache: its folder of features and embedded captions.
+        runs: run folder or checkpoint by name of the network: "rdm", from which the flow comes too, and any of "md",
+            "pcm-1", "pcm-2" and "pcm-4".
+        guidance: default guidance scale by name of the network.
+        name: what the model is called.
+        out: the folder to write.
+        sampling: what a stream does by default.
+        averaged: ship the students' averaged weights instead of the last ones; the others are always averaged.
+        differences: store the students as 8-bit differences from "rdm", which they were started from.
+
+    Raises:
+        InputError: no "rdm", or networks for other features, other segments or another number of steps.
+    """
+    if RDM not in runs:
+        raise InputError(f"a stream needs the network {RDM!r}, got {', '.join(runs) or 'none'}; give its run folder")
+    rdm = frozen.load(runs[RDM], "denoiser_ema")
+    modules: dict[str, nn.Module] = {RDM: rdm.module}
+    students = {k: path for k, path in runs.items() if k.startswith("pcm-")}
+    loaded = {k: frozen.load(path, "student_ema" if averaged else "student") for k, path in students.items()}
+    if MD in runs:
+        loaded[MD] = frozen.load(runs[MD], "denoiser_ema")
+    for network, found in loaded.items():
+        _check(network, found, rdm)
+        modules[network] = found.module
+    if rdm.task["flow"] is not None:
+        modules[FLOW] = frozen.load(rdm.path, "flow_ema", part="coupling_flow").module
+    points = {loaded[k].task["points"] for k in students} or {StreamConfig(name="", network="").points}
+    if len(points) > 1:
+        raise InputError(f"the students were distilled on grids of {sorted(points)} points; pack those of one grid")
+    corpus, encoder = Corpus.open(corpus_path), rdm.task["text_encoder"]
+    store = FeatureStore(cache / f"features-{rdm.task['codec']}")
+    text = EmbeddingCache.open(cache / f"text-{encoder.replace('/', '-').replace(':', '-')}.safetensors")
+    known = known_captions(corpus)
+    pooled = text.lookup(known).pooled
+    config = StreamConfig(
+        name=name,
+        codec=rdm.task["codec"],
+        text_encoder=encoder,
+        guidance={network: guidance[network] for network in modules if network in guidance},
+        far_prompt=familiarity_limit(pooled, encoder),
+        provenance={
+            "corpus": f"{len(corpus.indices(composed=False))} clips, {corpus.seconds / 3600:.2f} h",
+            **{network: checkpoint.resolve(path).name.replace("_", " ") for network, path in runs.items()},
+        },
+        segment=rdm.task["grid"]["frames"],
+        depth_cap=rdm.task["depth_cap"],
+        points=points.pop(),
+        **vars(Sampling() if sampling is None else sampling),
+    )
+    normalizer = {"feature_mean": store.normalizer.mean, "feature_std": store.normalizer.std}
+    bases = dict.fromkeys(students, RDM) if differences else None
+    return save_stream_bundle(out, config, modules, normalizer, known, pooled, bases)
+
+
+def _check(network: str, found: frozen.Frozen, rdm: frozen.Frozen) -> None:
+    """Raises InputError for a network that cannot share a folder with "rdm"."""
+    for size in ("features", "frames", "text_dim"):
+        if (ours := found.config[size]) != rdm.config[size]:
+            raise InputError(f"{network!r} has {ours} {size} and {RDM!r} {rdm.config[size]}; pack networks of one kind")
+    if network != MD and (phases := found.task["phases"]) != int(network.removeprefix("pcm-")):
+        raise InputError(f"{network!r} would be a student of {phases} phases; give it its own run folder")
+
+
+def main() -> None:
+    """Command line: ``python -m moveset.training.pack_stream --runs runs/small --out FOLDER``."""
+    parser = argparse.ArgumentParser(description=main.__doc__)
+    parser.add_argument("--runs", type=Path, default=Path("runs/small"))
+    parser.add_argument("--corpus", type=Path, default=Path("data/corpus.safetensors"))
+    parser.add_argument("--networks", nargs="*", default=list(RUNS), help="which of them to pack; 'rdm' always is")
+    parser.add_argument(
+        "--folder", nargs="*", default=[], metavar="NETWORK=FOLDER", help="a run folder below --runs of another name"
+    )
+    parser.add_argument(
+        "--guidance", nargs="*", default=["1.5"], metavar="[NETWORK=]W", help="one scale for all, or one by network"
+    )
+    parser.add_argument("--network", default=Sampling.network, help="the default network")
+    parser.add_argument("--steps", type=int, default=Sampling.sampler_steps, help="K of the networks but students")
+    parser.add_argument("--start", type=int, default=Sampling.start, help="R")
+    parser.add_argument("--lag", type=int, default=Sampling.lag)
+    parser.add_argument("--eta", type=float, default=Sampling.eta)
+    parser.add_argument("--idle", default=Sampling.idle, help="the prompt of a stream that was given none")
+    parser.add_argument("--last", action="store_true", help="the students' last weights instead of the averaged ones")
+    parser.add_argument("--whole", action="store_true", help="the students' weights, not differences from rdm's")
+    parser.add_argument("--name", default=DEFAULT_STREAM)
+    parser.add_argument("--out", type=Path, required=True)
+    given = parser.parse_args()
+    folders = RUNS | dict(pair.split("=", 1) for pair in given.folder)
+    runs = {network: given.runs / folders[network] for network in dict.fromkeys((RDM, *given.networks))}
+    sampling = Sampling(
+        network=given.network,
+        sampler_steps=given.steps,
+        start=given.start,
+        lag=given.lag,
+        eta=given.eta,
+        idle=given.idle,
+    )
+    scales = guidance_of(given.guidance, tuple(runs))
+    cache = given.runs / "cache"
+    print(
+        pack_stream(given.corpus, cache, runs, scales, given.name, given.out, sampling, not given.last, not given.whole)
+    )
+
+
+def guidance_of(given: list[str], networks: tuple[str, ...]) -> dict[str, float]:
+    """Scales by network, from "W" for all of them and "NETWORK=W" for one.
+
+    >>> guidance_of(["1.5", "pcm-1=2"], ("rdm", "pcm-1"))
+    {'rdm': 1.5, 'pcm-1': 2.0}
+    """
+    scales: dict[str, float] = {}
+    for item in given:
+        network, equals, w = item.rpartition("=")
+        scales |= {network: float(w)} if equals else dict.fromkeys(networks, float(w))
+    return scales
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,151 @@
+"""Packing a stream: what is in the run folders comes out of the model folder, and what does not fit is refused."""
+
+import sys
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import pytest
+import torch
+from torch import nn
+
+from moveset.data.corpus import Corpus
+from moveset.data.synthetic import synthetic_corpus
+from moveset.errors import FormatError, InputError
+from moveset.models.flow import FlowConfig
+from moveset.models.segment_transformer import SegmentTransformerConfig
+from moveset.motion.features import get_codec
+from moveset.pipelines.stored_weights import restored
+from moveset.pipelines.stream_bundle import StreamBundle
+from moveset.rdm.grid import GridConfig
+from moveset.text.cache import EmbeddingCache
+from moveset.text.encoder import get_text_encoder
+from moveset.training import checkpoint, pack_stream
+from moveset.training.clips import FeatureStore
+from moveset.training.pack import known_captions
+from moveset.training.rdm import RDMConfig
+from moveset.training.rdm_student import RDMStudentConfig
+
+FRAMES = 8
+MODEL = SegmentTransformerConfig(frames=FRAMES, width=32, heads=2, hidden=32, blocks=1)
+FLOW = FlowConfig(blocks=2, hidden=8, text_context=4, index_context=4)
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A corpus with its cache, and run folders as the training leaves them, of networks that were hardly trained."""
+    folder = tmp_path_factory.mktemp("pack")
+    corpus = Corpus.open(synthetic_corpus(folder / "corpus.safetensors", clips=12, seed=0))
+    FeatureStore.of(corpus, get_codec("native"), folder / "runs" / "cache" / "features-native")
+    captions = known_captions(corpus)
+    EmbeddingCache.build(get_text_encoder("minilm"), captions, folder / "runs" / "cache" / "text-minilm.safetensors")
+    with torch.random.fork_rng(devices=[]), torch.no_grad():
+        torch.manual_seed(0)
+        rdm, md = MODEL.build(), MODEL.build()
+        rdm.spectrum.copy_(torch.rand(FRAMES, 269) + 0.01)
+        flow = FLOW.build()
+        task = RDMConfig(model=MODEL, flow=FLOW, grid=GridConfig(frames=FRAMES), depth_cap=2)
+        run(folder, "rdm-7", task, denoiser=MODEL.build(), denoiser_ema=rdm, flow=FLOW.build(), flow_ema=flow)
+        run(
+            folder, "md-7", replace(task, flow=None, grid=GridConfig(frames=FRAMES, condition="clean")), denoiser_ema=md
+        )
+        for phases in (1, 2):
+            student = rdm.student()
+            for weight in student.parameters():
+                weight += 1e-3 * torch.randn_like(weight)
+            learned = RDMStudentConfig(phases=phases, points=20, model=student.config, codec="native", frames=FRAMES)
+            run(folder, f"rdm-pcm-{phases}", learned, student=rdm.student(), student_ema=student)
+    return folder
+
+
+@pytest.fixture
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No calibration of the familiarity limit, which encodes hundreds of sentences."""
+    monkeypatch.setattr(pack_stream, "familiarity_limit", lambda known, encoder: 0.42)
+
+
+def run(folder: Path, name: str, task: object, **modules: nn.Module) -> None:
+    config = {"config": asdict(task)}  # type: ignore[call-overload]
+    for step, offset in ((3, 1.0), (7, 0.0)):
+        tensors = {k: {key: value + offset for key, value in m.state_dict().items()} for k, m in modules.items()}
+        checkpoint.write(folder / "runs" / name, step, tensors, {"config": config})
+
+
+def command(monkeypatch: pytest.MonkeyPatch, trained: Path, out: Path, *more: str) -> StreamBundle:
+    given = ["--runs", str(trained / "runs"), "--corpus", str(trained / "corpus.safetensors"), "--out", str(out)]
+    monkeypatch.setattr(sys, "argv", ["pack_stream", *given, *more])
+    pack_stream.main()
+    return StreamBundle(out)
+
+
+def stored(trained: Path, run: str, name: str) -> dict[str, torch.Tensor]:
+    return checkpoint.read_tensors(trained / "runs" / run / "step_7", name)
+
+
+def test_the_folder_holds_the_averaged_networks_of_the_latest_checkpoints(trained, tmp_path, monkeypatch):
+    networks = ("--networks", "rdm", "md", "pcm-1", "pcm-2")
+    scales = ("--guidance", "1.5", "pcm-1=2.5")
+    plan = ("--network", "pcm-2", "--steps", "12", "--start", "5", "--lag", "2", "--eta", "0.5", "--idle", "stand")
+    bundle = command(monkeypatch, trained, tmp_path / "packed", *networks, *scales, *plan, "--name", "tried")
+    config = bundle.config
+    assert (config.name, config.network, config.idle) == ("tried", "pcm-2", "stand")
+    assert (config.segment, config.depth_cap, config.points) == (FRAMES, 2, 20)
+    assert (config.sampler_steps, config.start, config.lag, config.eta) == (12, 5, 2, 0.5)
+    assert config.guidance == {"rdm": 1.5, "md": 1.5, "pcm-1": 2.5, "pcm-2": 1.5}
+    assert config.denoisers == ("rdm", "pcm-1", "pcm-2", "md")
+    assert config.provenance["pcm-2"] == "step 7"
+    assert 0.0 < config.far_prompt < 1.0
+    whole = {"rdm": ("rdm-7", "denoiser_ema"), "md": ("md-7", "denoiser_ema"), "flow": ("rdm-7", "flow_ema")}
+    for name, where in whole.items():
+        for key, value in stored(trained, *where).items():
+            assert torch.equal(bundle.tensors(f"{name}.safetensors")[key], value.half())
+    for name in ("pcm-1", "pcm-2"):
+        assert config.models[name].base == "rdm"
+        assert any(key.endswith(":difference") for key in bundle.tensors(f"{name}.safetensors"))
+        made = restored(bundle.tensors(f"{name}.safetensors"), bundle.tensors("rdm.safetensors"))
+        for key, value in stored(trained, f"rdm-{name}", "student_ema").items():
+            assert (made[key] - value).norm() <= 5e-3 * value.norm(), key
+    store = FeatureStore(trained / "runs" / "cache" / "features-native")
+    assert torch.equal(bundle.normalizer["feature_mean"], store.normalizer.mean)
+    assert torch.equal(bundle.normalizer["feature_std"], store.normalizer.std)
+    assert len(bundle.captions.sentences) == len(bundle.captions.pooled) > 10
+    bundle.verify()
+
+
+def test_students_can_be_whole_and_their_last_weights(quick, trained, tmp_path, monkeypatch):
+    more = ("--networks", "pcm-1", "--last", "--whole")
+    bundle = command(monkeypatch, trained, tmp_path / "whole", *more)
+    assert tuple(bundle.config.models) == ("rdm", "pcm-1", "flow")
+    last = stored(trained, "rdm-pcm-1", "student")
+    held = bundle.tensors("pcm-1.safetensors")
+    assert held.keys() == last.keys()
+    assert all(torch.equal(held[key], value.half()) for key, value in last.items())
+
+
+def test_a_model_without_flow_has_none(quick, trained, tmp_path, monkeypatch):
+    bundle = command(monkeypatch, trained, tmp_path / "plain", "--networks", "--folder", "rdm=md-7")
+    assert tuple(bundle.config.models) == ("rdm",)
+
+
+def test_what_does_not_fit_is_refused(quick, trained, tmp_path, monkeypatch):
+    cases = {
+        ("pcm-1", "--folder", "pcm-1=rdm-pcm-2"): "student of 2 phases",
+        ("pcm-4",): "no usable checkpoint",
+    }
+    for more, said in cases.items():
+        with pytest.raises(InputError, match=said):
+            command(monkeypatch, trained, tmp_path / "no", "--networks", *more)
+    with pytest.raises(InputError, match="needs the network 'rdm'"):
+        pack_stream.pack_stream(trained / "corpus.safetensors", trained, {}, {}, "none", tmp_path / "no")
+    with pytest.raises(FormatError, match="takes a guidance scale"):
+        command(monkeypatch, trained, tmp_path / "no", "--networks", "pcm-1", "--guidance", "rdm=1")
+    assert not (tmp_path / "no").exists()
+
+
+def test_students_of_different_grids_do_not_share_a_folder(trained, tmp_path, monkeypatch):
+    step = trained / "runs" / "rdm-pcm-2" / "step_7"
+    other = checkpoint.read_document(step, "config")
+    other["config"]["points"] = 10
+    tensors = {"student_ema": stored(trained, "rdm-pcm-2", "student_ema")}
+    checkpoint.write(trained / "runs" / "other-grid", 7, tensors, {"config": other})
+    with pytest.raises(InputError, match=r"grids of \[10, 20\] points"):
+        command(monkeypatch, trained, tmp_path / "no", "--networks", "pcm-1", "pcm-2", "--folder", "pcm-2=other-grid")
