@@ -1,0 +1,284 @@
+"""``moveset stream``: a line for every segment, files that are whole however it ends, and every wrong input."""
+
+import json
+import os
+import resource
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from moveset import load
+from moveset.cli.__main__ import main
+from moveset.cli.growing_files import GrowingFiles
+from moveset.errors import MovesetError
+from moveset.io import read_metadata
+from moveset.io.take_writer import Take
+from tests.streams import tiny_stream
+
+CONTRACT = ["segment", "first_frame", "frames", "prompt", "latency_ms", "network_evaluations"]
+
+
+@pytest.fixture(scope="module")
+def model(tmp_path_factory):
+    return tiny_stream(tmp_path_factory.mktemp("streams") / "tiny-stream")
+
+
+@pytest.fixture
+def stream(model, tmp_path, monkeypatch, capsys):
+    """Run in an empty folder; the exit code, stdout and stderr."""
+    monkeypatch.chdir(tmp_path)
+
+    def run(*arguments, folder=model):
+        code = main(["stream", *arguments, "--model", str(folder)])
+        return code, *capsys.readouterr()
+
+    return run
+
+
+@pytest.fixture
+def process(model, tmp_path):
+    """A stream of its own, in an empty folder."""
+    started = []
+
+    def start(*arguments, **options):
+        command = [sys.executable, "-m", "moveset.cli", "stream", *arguments, "--model", str(model), "--device", "cpu"]
+        pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "stdin": subprocess.PIPE, "text": True}
+        started.append(subprocess.Popen(command, cwd=tmp_path, **pipes, **options))
+        return started[-1]
+
+    yield start
+    for child in started:
+        child.kill()
+        child.wait()
+        for pipe in (child.stdin, child.stdout, child.stderr):
+            pipe.close()
+
+
+def rows(out):
+    return [json.loads(line) for line in out.splitlines()]
+
+
+def test_the_json_contract(stream):
+    code, out, err = stream("a person walks", "a person bows", "--seconds", "2.8", "1.4", "--json")
+    assert code == 0
+    found = rows(out)
+    assert [list(row) for row in found] == [CONTRACT] * 3
+    assert [(r["segment"], r["first_frame"], r["frames"], r["prompt"]) for r in found] == [
+        (0, 0, 28, "a person walks"),
+        (1, 28, 28, "a person walks"),
+        (2, 56, 28, "a person bows"),
+    ]
+    assert all(row["latency_ms"] > 0 and row["network_evaluations"] == 1 for row in found)
+    assert all(line.startswith("moveset: warning: ") for line in err.splitlines())
+
+
+def test_files_grow_together_and_the_same_seed_gives_the_same_bytes(stream, tmp_path):
+    made = []
+    for _ in range(2):
+        code, out, _ = stream("a person walks", "--total", "3.3", "--seed", "7", "-o", "w.bvh", "w.glb", "w.npz")
+        assert code == 0
+        assert out.splitlines()[:3] == ["w.bvh", "w.glb", "w.npz"]
+        assert out.splitlines()[3].startswith("66 frames at 20 fps, 3.3 s, seed 7, a segment in ")
+        made.append({path.name: path.read_bytes() for path in tmp_path.iterdir()})
+    assert made[0] == made[1]
+    assert set(made[0]) == {"w.bvh", "w.bvh.json", "w.glb", "w.npz"}
+    assert [len(load(tmp_path / name)) for name in ("w.bvh", "w.glb", "w.npz")] == [66, 66, 66]
+    notes = read_metadata(tmp_path / "w.glb")
+    assert (notes["prompt"], notes["seed"], notes["network"], notes["steps"]) == ("a person walks", 7, "pcm-1", 1)
+
+
+def test_how_long_it_lasts(stream):
+    def frames(*arguments):
+        return sum(row["frames"] for row in rows(stream(*arguments, "--json")[1]))
+
+    assert frames("walk") == 4 * 28
+    assert frames("walk", "bow") == 8 * 28
+    assert frames("walk", "bow", "--seconds", "1", "0.7") == 34
+    assert frames("walk", "--seconds", "1.4", "--total", "4") == 80
+
+
+def test_rounded_durations_are_told(stream):
+    _, _, err = stream("walk", "bow", "kick", "--seconds", "2", "3", "1", "--json")
+    assert "moveset: prompts change every 1.4 s, so they last 1.4, 4.2 s" in err
+    assert "change every" not in stream("walk", "bow", "--seconds", "2.8", "1", "--json")[2]
+
+
+def test_the_end_loops_or_is_held(stream):
+    def said(*more):
+        return [
+            row["prompt"] for row in rows(stream("a", "b", "--seconds", "1.4", "--total", "5.6", *more, "--json")[1])
+        ]
+
+    assert said() == ["a", "b", "b", "b"]
+    assert said("--loop") == ["a", "b", "a", "b"]
+
+
+def test_networks_and_guidance(stream):
+    def evaluations(*more):
+        return [row["network_evaluations"] for row in rows(stream("a", "--total", "2.8", *more, "--json")[1])]
+
+    assert evaluations("--steps", "2") == [2, 2]
+    assert evaluations("--network", "md", "--steps", "5", "--guidance", "1") == [10, 10]
+    assert evaluations("--network", "rdm") == [9, 3]
+
+
+def test_in_place(stream, tmp_path):
+    assert stream("a", "--total", "2", "-o", "i.npz", "--in-place")[0] == 0
+    assert float(load(tmp_path / "i.npz").root[:, [0, 2]].abs().max()) == 0
+
+
+def test_from_a_clip(stream, tmp_path):
+    assert stream("a", "--total", "2", "-o", "clip.npz")[0] == 0
+    assert stream("a", "--total", "1.4", "-o", "more.npz", "--from", "clip.npz", "--no-foot-lock")[0] == 0
+    clip, more = load(tmp_path / "clip.npz"), load(tmp_path / "more.npz")
+    step = (clip.root[-1] - clip.root[-2])[[0, 2]].norm()
+    assert float((more.root[0] - clip.root[-1])[[0, 2]].norm()) == pytest.approx(float(step), abs=1e-3)
+    assert stream("a", "--from", "missing.bvh")[0] == 2
+
+
+def test_prompts_from_a_file_take_effect(stream, tmp_path):
+    (tmp_path / "lines.txt").write_text("\n  \na person bows\n")
+    code, out, _ = stream("--prompts", "lines.txt", "--json", "-o", "w.npz")
+    # The end of the input is the end of the stream, once its own prompts are over.
+    assert code == 0
+    found = rows(out)
+    assert len(found) >= 1
+    assert found[-1]["prompt"] == "a person bows"
+
+
+def test_prompts_from_standard_input_arrive_while_it_runs(process):
+    child = process("a person walks", "--prompts", "-", "--total", "8.4", "--json")
+    first = json.loads(child.stdout.readline())
+    child.stdin.write("a person bows\n\na person waves\n")
+    child.stdin.close()
+    found = [first, *rows(child.stdout.read())]
+    assert child.wait(120) == 0
+    told = [row["prompt"] for row in found]
+    assert len(told) == 6
+    assert told[0] == "a person walks"
+    assert told[-1] == "a person waves"
+    frame = next(row["first_frame"] for row in found if row["prompt"] == "a person waves")
+    assert f"moveset: from frame {frame}: a person waves" in child.stderr.read()
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 1)])
+def test_a_signal_keeps_what_was_made(process, tmp_path, number, code):
+    child = process("a person walks", "--forever", "--json", "-o", "w.bvh", "w.glb")
+    lines = [child.stdout.readline() for _ in range(3)]
+    child.send_signal(number)
+    rest, err = child.communicate(timeout=120)
+    assert child.returncode == code
+    assert err.count("\n") == 1
+    assert "Traceback" not in err
+    frames = sum(row["frames"] for row in rows("".join(lines) + rest))
+    assert [len(load(tmp_path / name)) for name in ("w.bvh", "w.glb")] == [frames, frames]
+
+
+def test_a_closed_pipe_ends_quietly(process, tmp_path):
+    child = process("a person walks", "--forever", "--json", "-o", "w.npz")
+    child.stdout.readline()
+    child.stdout.close()
+    assert child.wait(120) == 0
+    assert child.stderr.read() == ""
+    assert len(load(tmp_path / "w.npz")) >= 28
+
+
+def test_a_full_disk_keeps_what_fits(process, tmp_path):
+    child = process(
+        "a person walks", "--forever", "-o", "w.bvh",
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000)),
+    )  # fmt: skip
+    _, err = child.communicate(timeout=120)
+    assert child.returncode == 1
+    assert err.count("\n") == 1
+    assert "free some space" in err
+    size = (tmp_path / "w.bvh").stat().st_size
+    assert 60_000 < size <= 100_000
+    assert len(load(tmp_path / "w.bvh")) > 80
+    assert not list(tmp_path.glob("*.part"))
+
+
+def test_a_full_file_is_followed_by_the_next(tmp_path, monkeypatch):
+    from tests.motions import gait
+
+    monkeypatch.setattr(Take, "room", property(lambda take: 60 - take.frames))
+    motion = gait(28)
+    with GrowingFiles([tmp_path / "w.npz"], motion.skeleton, motion.fps, {}) as files:
+        for _ in range(5):
+            files.append(motion)
+    assert [path.name for path in files.paths] == ["w.npz", "w-2.npz", "w-3.npz"]
+    assert [len(load(path)) for path in files.paths] == [56, 56, 28]
+    assert files.frames == 140
+
+
+def test_one_file_that_fails_does_not_lose_the_others(tmp_path, monkeypatch):
+    from tests.motions import gait
+
+    motion, close = gait(28), Take.close
+
+    def fails(take):
+        path = close(take)
+        if take.path.name == "a.npz":
+            raise MovesetError("cannot finish a.npz")
+        return path
+
+    monkeypatch.setattr(Take, "close", fails)
+    with (
+        pytest.raises(MovesetError, match=r"a\.npz"),
+        GrowingFiles([tmp_path / "a.npz", tmp_path / "b.npz"], motion.skeleton, motion.fps, {}) as files,
+    ):
+        files.append(motion)
+    assert len(load(tmp_path / "b.npz")) == 28
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ((), "no prompt was given"),
+        (("",), "the prompt is empty"),
+        (("a", "--seconds", "0"), "0 seconds"),
+        (("a", "--seconds", "-3"), "-3 seconds"),
+        (("a", "--seconds", "nan"), "nan seconds"),
+        (("a", "--total", "0"), "total of 0 seconds"),
+        (("a", "--total", "nan"), "total of nan seconds"),
+        (("a", "--total", "-1"), "total of -1 seconds"),
+        (("a", "--total", "3", "--forever"), "exclude each other"),
+        (("a", "--loop"), "--loop needs"),
+        (("a", "b", "c", "--seconds", "1", "2"), "2 durations do not fit 3 prompts"),
+        (("a", "--network", "gan"), "unknown network 'gan'"),
+        (("a", "--steps", "3"), "no student for 3 steps"),
+        (("a", "--guidance", "99"), "guidance 99"),
+        (("a", "--seed", "-1"), "seed -1"),
+        (("a", "--device", "tpu"), "unknown device"),
+        (("a", "-o", "w.mp4"), "cannot stream to 'w.mp4'"),
+        (("a", "-o", "w.bvh", "w.bvh"), "written twice"),
+        (("a", "-o", "nowhere/w.bvh"), "does not exist"),
+        (("a", "--prompts", "nowhere.txt"), "there is no file 'nowhere.txt'"),
+        (("a", "--secnds", "3"), "--seconds"),
+    ],
+)
+def test_wrong_input_is_one_line_and_leaves_nothing(stream, tmp_path, arguments, said):
+    code, out, err = stream(*arguments)
+    assert code == 2
+    assert out == ""
+    assert err.count("\n") == 1
+    assert said in err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_another_kind_of_model_is_named(stream, tmp_path):
+    from tests.bundles import tiny_bundle
+
+    code, _, err = stream("a", folder=tiny_bundle(tmp_path / "clips"))
+    assert code == 2
+    assert "is a text-to-motion model" in err
+    assert stream("a", folder=Path("nowhere"))[0] == 2
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
+def test_a_folder_that_cannot_be_written_to(stream, tmp_path):
+    (tmp_path / "locked").mkdir(mode=0o500)
+    assert stream("a", "-o", "locked/w.bvh")[0] == 2
