@@ -8,6 +8,7 @@ from moveset.models.dip_decoder import DipDecoderConfig
 from moveset.models.flow import FlowConfig
 from moveset.models.light_t2m import LightT2MConfig
 from moveset.models.segment_denoiser import SegmentDenoiserConfig
+from moveset.models.segment_transformer import SegmentTransformerConfig
 from moveset.rdm.grid import GridConfig
 from moveset.training.dip import DiPConfig
 from moveset.training.distill import DistillationConfig
@@ -88,6 +89,7 @@ def rdm(segments: int = 7) -> Recipe:
         return _volume(RDMConfig(velocity=2.0, disturbance=DISTURBANCE))
     return Recipe(
         task=RDMConfig(
+            model=SegmentTransformerConfig(smoothing=0.3),
             grid=GridConfig(frames=SEGMENT_FRAMES[segments]),
             flow=FlowConfig(blocks=2, hidden=64, text_context=32, index_context=8),
             frozen_flow=0.4,
