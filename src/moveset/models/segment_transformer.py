@@ -36,9 +36,9 @@ class SegmentTransformerConfig:
     """Sizes of a ``SegmentTransformer``; ``guided`` adds the guidance-scale embedding of the few-step students.
 
     ``max_index`` is where the segment index saturates: 1 tells a first segment from a later one, and nothing more.
-    ``smoothing`` c damps frequency k of what the network says by s_k / sqrt(s_k² + c²), s being the spectrum of the data:
-    frames are made by one token each, and what little they disagree in is worth nothing to a squared error and all to the
-    eye. 0 leaves it as it is.
+    ``smoothing`` c damps frequency k of what the network says by s_k / sqrt(s_k² + c²), s being the spectrum of the
+    data: frames are made by one token each, and what little they disagree in is worth nothing to a squared error and
+    all to the eye. 0 leaves it as it is.
     """
 
     features: int = 269
