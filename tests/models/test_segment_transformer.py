@@ -1,0 +1,181 @@
+"""The segment denoiser that ships: what it looks at, what it ignores, and how a student begins."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from moveset.diffusion.coloured import colour
+from moveset.diffusion.schedule import linear
+from moveset.errors import FormatError
+from moveset.models.registry import build_model, describe
+from moveset.models.segment_transformer import SegmentTransformerConfig
+
+CONFIG = SegmentTransformerConfig(features=5, frames=6, text_dim=7, width=16, heads=2, hidden=24, blocks=2)
+ROWS = 4
+
+
+def awake(config=CONFIG):
+    """A network whose zero-initialised layers speak."""
+    torch.manual_seed(0)
+    model = config.build().eval()
+    with torch.no_grad():
+        for parameter in model.parameters():
+            parameter.add_(0.2 * torch.randn_like(parameter))
+    return model
+
+
+@pytest.fixture(scope="module")
+def model():
+    return awake()
+
+
+@pytest.fixture
+def inputs():
+    g = torch.Generator().manual_seed(1)
+    x, prev, tokens = (torch.randn(ROWS, *shape, generator=g) for shape in ((6, 5), (6, 5), (8, 7)))
+    return {
+        "x_BnD": x,
+        "t_B": torch.tensor([1, 30, 500, 1000]),
+        "prev_BnD": prev,
+        "prev_t_B": torch.tensor([0, 0, 0, 700]),
+        "index_B": torch.tensor([0, 1, 2, 9]),
+        "tokens_BLC": tokens,
+        "mask_BL": torch.arange(8) < torch.tensor([8, 3, 1, 5])[:, None],
+    }
+
+
+def gap(one, other):
+    return (one - other).detach().abs().amax(dim=(1, 2))
+
+
+def test_a_first_segment_has_no_previous_one(model, inputs):
+    before = model(**inputs)
+    after = model(**{**inputs, "prev_BnD": 1e3 * torch.randn(ROWS, 6, 5)})
+    moved = gap(before, after)
+    assert float(moved[0]) == 0
+    assert float(moved[1:].min()) > 1e-3
+
+
+def test_the_level_of_the_previous_segment_is_read(model, inputs):
+    after = model(**{**inputs, "prev_t_B": torch.tensor([0, 400, 400, 400])})
+    assert float(gap(model(**inputs), after)[1:].min()) > 1e-3
+
+
+def test_reading_first_changes_nothing(model, inputs):
+    x, t = inputs.pop("x_BnD"), inputs.pop("t_B")
+    context = model.read(
+        inputs["tokens_BLC"], inputs["mask_BL"], inputs["prev_BnD"], inputs["prev_t_B"], inputs["index_B"]
+    )
+    assert torch.equal(model.denoise(x, t, context), model(x, t, **inputs))
+    # One context serves any number of levels.
+    assert torch.equal(model.denoise(2 * x, t - 1, context), model(2 * x, t - 1, **inputs))
+
+
+def test_padding_of_the_text_does_not_matter(model, inputs):
+    before = model(**inputs)
+    tokens, mask = inputs["tokens_BLC"], inputs["mask_BL"]
+    wild = torch.where(mask[..., None], tokens, 50.0)
+    torch.testing.assert_close(model(**{**inputs, "tokens_BLC": wild}), before, rtol=1e-5, atol=1e-5)
+    one = {name: value[1:2] for name, value in inputs.items()}
+    alone = model(**{**one, "tokens_BLC": tokens[1:2, :3], "mask_BL": mask[1:2, :3]})
+    torch.testing.assert_close(alone, before[1:2], rtol=1e-4, atol=1e-5)
+
+
+def test_frames_beyond_the_end_do_not_matter(model, inputs):
+    valid = torch.arange(6) < torch.tensor([6, 4, 2, 1])[:, None]
+    before = model(**inputs, mask_Bn=valid)
+    wild = torch.where(valid[..., None], inputs["x_BnD"], 50.0)
+    after = model(**{**inputs, "x_BnD": wild}, mask_Bn=valid)
+    torch.testing.assert_close(after[valid], before[valid], rtol=1e-5, atol=1e-5)
+    assert float(gap(model(**inputs), before)[1:].min()) > 1e-3
+    full = torch.ones_like(valid)
+    torch.testing.assert_close(model(**inputs, mask_Bn=full), model(**inputs), rtol=1e-6, atol=1e-6)
+
+
+def test_rows_do_not_know_of_each_other(model, inputs):
+    whole = model(**inputs)
+    for row in range(ROWS):
+        alone = model(**{name: value[row : row + 1] for name, value in inputs.items()})
+        torch.testing.assert_close(alone, whole[row : row + 1], rtol=1e-4, atol=1e-5)
+
+
+def test_the_index_saturates(inputs):
+    for largest in (1, 3):
+        model = awake(replace(CONFIG, max_index=largest))
+        for number, same in ((largest, True), (largest - 1, False)):
+            index = torch.tensor([0, number, number, number])
+            beyond = torch.tensor([0, 50, 60, 70])
+            moved = gap(model(**{**inputs, "index_B": index}), model(**{**inputs, "index_B": beyond}))
+            assert float(moved[0]) == 0
+            assert (float(moved[1:].max()) < 1e-6) == same
+
+
+def test_a_fresh_student_is_its_teacher_whatever_the_guidance(model, inputs):
+    student = model.student()
+    assert student.config == replace(CONFIG, guided=True)
+    for w in (-1.0, 0.0, 2.5, 15.0):
+        assert torch.equal(student(**inputs, w_B=torch.full((ROWS,), w)), model(**inputs))
+    with torch.no_grad():
+        student.guidance.weight.normal_()
+    low, high = (student(**inputs, w_B=torch.full((ROWS,), w)) for w in (0.0, 2.0))
+    assert float(gap(low, high).min()) > 1e-3
+    assert student.position.data_ptr() != model.position.data_ptr()
+
+
+def test_gradients_reach_every_parameter(inputs):
+    student = awake(replace(CONFIG, guided=True)).train()
+    made = student(**inputs, w_B=torch.arange(4.0), mask_Bn=torch.ones(ROWS, 6, dtype=torch.bool))
+    made.square().mean().backward()
+    silent = [name for name, p in student.named_parameters() if p.grad is None or not p.grad.any()]
+    assert silent == []
+
+
+def test_a_fresh_network_says_the_mean(inputs):
+    """Zero in normalised features: neither noise nor the segment before gets through before anything is learned."""
+    assert not CONFIG.build()(**inputs).any()
+
+
+def test_a_forecast_goes_on_from_what_is_clean(inputs):
+    """Last frame and last step, weighted frame by frame; faded by the noise in them, absent from first segments."""
+    model = CONFIG.build()
+    with torch.no_grad():
+        model.forecast[0].fill_(1.0)
+        model.forecast[1].copy_(torch.arange(1.0, 7)[:, None].expand(6, 5))
+    made = model(**inputs)
+    prev = inputs["prev_BnD"]
+    last, step = prev[:, -1:], prev[:, -1:] - prev[:, -2:-1]
+    line = last + step * torch.arange(1.0, 7)[None, :, None]
+    faded = linear().alpha_bar[700].float()
+    for row, share in ((0, 0.0), (1, 1.0), (2, 1.0), (3, faded)):
+        torch.testing.assert_close(made[row], share * line[row], rtol=1e-4, atol=1e-5)
+
+
+def test_the_discriminator_sees_every_block(model, inputs):
+    taps = []
+    made = model(**inputs, taps=taps)
+    assert torch.equal(made, model(**inputs))
+    assert [tap.shape for tap in taps] == [(ROWS, 6, 16)] * 2
+    assert not torch.equal(*taps)
+
+
+def test_noise_has_the_spectrum_that_the_network_keeps(model):
+    noise = torch.randn(3, 6, 5, generator=torch.Generator().manual_seed(2))
+    # Flat at first: another standard normal noise, turned within the frames.
+    torch.testing.assert_close(model.colour(noise).norm(dim=1), noise.norm(dim=1), rtol=1e-5, atol=1e-5)
+    dyed = awake()
+    dyed.spectrum[:3] = 2.0
+    assert torch.equal(dyed.colour(noise), colour(noise, dyed.spectrum))
+    again = CONFIG.build()
+    again.load_state_dict(dyed.state_dict())
+    assert torch.equal(again.spectrum, dyed.spectrum)
+    assert torch.equal(dyed.student().spectrum, dyed.spectrum)
+
+
+def test_a_description_builds_the_same_network(model):
+    kind, stored = describe(model.config)
+    assert kind == "segment_transformer"
+    assert build_model(kind, stored).config == CONFIG
+    for wrong in ({"heads": 3}, {"frames": 1}, {"blocks": 0}, {"features": 0}):
+        with pytest.raises(FormatError):
+            build_model(kind, {**stored, **wrong})

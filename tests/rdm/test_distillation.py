@@ -1,0 +1,141 @@
+"""Phased consistency of segments: jumps, their inverse, and MotionPCM's own target as an oracle."""
+
+import pytest
+import torch
+from torch import nn
+
+from moveset.diffusion.guidance import cfg
+from moveset.diffusion.phases import PhaseGrid
+from moveset.diffusion.schedule import linear
+from moveset.diffusion.steps import over, predict_z0
+from moveset.pcm.consistency import phased_target
+from moveset.rdm.distillation import clean_target, implied_clean, jump, share_of_clean
+
+SCHEDULE, B = linear(), 10
+EVERY_POINT = torch.arange(B)
+FROM, TO = torch.tensor([1000, 999, 500, 499, 100, 37, 2, 1, 700, 80]), torch.tensor([0, 0, 0, 99, 99, 5, 1, 0, 699, 9])
+
+
+def _rand(*shape, seed=0):
+    return torch.randn(*shape, generator=torch.Generator().manual_seed(seed))
+
+
+Z, CLEAN = _rand(B, 4, 3, seed=1), _rand(B, 4, 3, seed=2)
+
+
+def same(x):
+    return x
+
+
+def test_a_jump_is_so_much_clean_and_so_much_of_where_it_starts():
+    share = share_of_clean(SCHEDULE, FROM, TO)
+    ratio = (SCHEDULE.sigma(TO, torch.float64) / SCHEDULE.sigma(FROM, torch.float64)).float()
+    want = over(share, Z) * CLEAN + over(ratio, Z) * Z
+    torch.testing.assert_close(jump(SCHEDULE, Z, CLEAN, FROM, TO), want, rtol=1e-4, atol=1e-4)
+
+
+def test_a_jump_along_the_noising_lands_on_it():
+    """z_t and z_s of one clean segment and one noise: the jump from the one with the true y0 is the other."""
+    noise = _rand(B, 4, 3, seed=3)
+    at = {t: over(SCHEDULE.alpha(t), Z) * CLEAN + over(SCHEDULE.sigma(t), Z) * noise for t in (FROM, TO)}
+    torch.testing.assert_close(jump(SCHEDULE, at[FROM], CLEAN, FROM, TO), at[TO], rtol=1e-3, atol=1e-3)
+
+
+def test_the_implied_clean_segment_undoes_the_jump():
+    landed = jump(SCHEDULE, Z, CLEAN, FROM, TO)
+    found = implied_clean(SCHEDULE, Z, landed, FROM, TO)
+    loose = share_of_clean(SCHEDULE, FROM, TO) < 0.1  # so little of it is in a short jump
+    assert loose.any()
+    torch.testing.assert_close(found[~loose], CLEAN[~loose], rtol=1e-3, atol=1e-3)
+    torch.testing.assert_close(found[loose], CLEAN[loose], rtol=0.1, atol=0.1)
+
+
+def test_the_share_of_the_clean_segment_is_none_for_no_jump_and_all_for_a_whole_one():
+    t = torch.arange(1, 1001)
+    assert share_of_clean(SCHEDULE, t, t).abs().max() < 1e-7
+    assert torch.equal(share_of_clean(SCHEDULE, t, torch.zeros_like(t)), torch.ones(1000))
+    steps = share_of_clean(SCHEDULE, torch.full((999,), 1000), torch.arange(1, 1000))
+    assert bool((steps.diff() < 0).all())
+    assert float(steps.min()) > 0
+
+
+class Noise(nn.Module):
+    """Some network that says noise, of z, t and w."""
+
+    def __init__(self, seed):
+        super().__init__()
+        torch.manual_seed(seed)
+        self.net = nn.Linear(3, 3)
+
+    def forward(self, z, t, w=None):
+        bent = torch.tanh(self.net(z)) * over(0.5 + t / 1000, z)
+        return bent if w is None else bent * over(1 + 0.1 * w, z)
+
+
+@pytest.mark.parametrize("phases", [1, 2, 4, 10])
+def test_without_a_flow_the_target_is_that_of_motionpcm(phases):
+    told, untold, averaged = Noise(0), Noise(1), Noise(2)
+    grid, w = PhaseGrid(10, phases), torch.linspace(0, 3, B)
+
+    def teacher(x, t, w):
+        return predict_z0(SCHEDULE, x, cfg(told(x, t), untold(x, t), w), t)
+
+    def ema(x, t, w):
+        return predict_z0(SCHEDULE, x, averaged(x, t, w), t)
+
+    target, share = clean_target(SCHEDULE, grid, teacher, ema, same, same, Z, EVERY_POINT, w)
+    landed = phased_target(SCHEDULE, grid, lambda z, t: (told(z, t), untold(z, t)), averaged, Z, EVERY_POINT, w)
+    t, edge = grid.time(EVERY_POINT), grid.lower(EVERY_POINT)
+    torch.testing.assert_close(jump(SCHEDULE, Z, target, t, edge), landed, rtol=2e-3, atol=2e-3)
+    assert torch.equal(share, share_of_clean(SCHEDULE, t, edge))
+    assert float(share.min()) > 0
+
+
+def test_a_student_that_says_the_truth_has_reached_its_target():
+    """If teacher and average know the clean segment, so does the target, at every point and in any coordinates."""
+
+    def truth(x, t, w):
+        return CLEAN
+
+    push, pull = (lambda y: 2 * y + 1), (lambda x: (x - 1) / 2)
+    for phases in (1, 2, 4):
+        z = over(SCHEDULE.alpha(PhaseGrid().time(EVERY_POINT)), Z) * pull(CLEAN)
+        z = z + over(SCHEDULE.sigma(PhaseGrid().time(EVERY_POINT)), Z) * _rand(B, 4, 3, seed=4)
+        grid = PhaseGrid(10, phases)
+        target, _ = clean_target(SCHEDULE, grid, truth, truth, push, pull, z, EVERY_POINT, torch.zeros(B))
+        torch.testing.assert_close(target, CLEAN, rtol=1e-2, atol=1e-2)
+
+
+def test_at_the_lowest_point_of_a_phase_the_average_is_not_asked():
+    grid = PhaseGrid(10, 2)
+    lowest = grid.previous(EVERY_POINT) == grid.lower(EVERY_POINT)
+    assert lowest.tolist() == [k in (0, 5) for k in range(B)]
+
+    def nonsense(x, t, w):
+        return torch.full_like(x, 1e3)
+
+    def teacher(x, t, w):
+        return CLEAN
+
+    target, _ = clean_target(SCHEDULE, grid, teacher, nonsense, same, same, Z, EVERY_POINT, torch.zeros(B))
+    torch.testing.assert_close(target[lowest], CLEAN[lowest], rtol=1e-3, atol=1e-3)
+    assert (target[~lowest] - CLEAN[~lowest]).abs().amin(dim=(1, 2)).min() > 1
+
+
+def test_no_gradient_reaches_teacher_or_average():
+    teacher, ema = Noise(0), Noise(1)
+    z = Z.clone().requires_grad_()
+    target, share = clean_target(SCHEDULE, PhaseGrid(), teacher, ema, same, same, z, EVERY_POINT, torch.zeros(B))
+    assert not target.requires_grad
+    assert not share.requires_grad
+    student = Noise(2)
+    (student(Z, PhaseGrid().time(EVERY_POINT)) - target).square().mean().backward()
+    assert all(p.grad is None for network in (teacher, ema) for p in network.parameters())
+    assert all(p.grad is not None for p in student.parameters())
+
+
+def test_a_jump_is_differentiable_in_the_clean_segment():
+    clean = CLEAN.clone().requires_grad_()
+    jump(SCHEDULE, Z, clean, FROM, TO).sum().backward()
+    share = over(share_of_clean(SCHEDULE, FROM, TO), Z).expand_as(Z)
+    torch.testing.assert_close(clean.grad, share, rtol=1e-3, atol=1e-4)
