@@ -45,7 +45,7 @@ def decoder() -> Recipe:
             weights=ReconstructionWeights(feet=30.0),
         ),
         engine=EngineConfig(
-            steps=2400, save_every=500, validate_every=500, grad_clip=8.0, precision="bf16-mixed", threads=1
+            steps=4600, save_every=500, validate_every=500, grad_clip=8.0, precision="bf16-mixed", threads=1
         ),
     )
 
@@ -61,7 +61,7 @@ def teacher() -> Recipe:
 
 
 def lcm() -> Recipe:
-    """The one-step baseline; guidance drawn around the teacher's best."""
+    """The one-step baseline, which is PCM of one phase without its discriminator; guidance around the teacher's best."""
     return Recipe(
         task=DistillationConfig(guidance=GUIDANCE, batch=64, lr=3e-4, warmup=100, disturbance=DISTURBANCE),
         engine=_students(),
@@ -76,7 +76,7 @@ def pcm() -> Recipe:
             batch=64,
             lr=3e-4,
             warmup=100,
-            discriminator_lr=2e-4,
+            discriminator_lr=1e-3,
             disturbance=DISTURBANCE,
         ),
         engine=_students(),
@@ -136,7 +136,7 @@ def dip() -> Recipe:
 
 def rdm_student() -> Recipe:
     """RDM-7 in one evaluation a segment; ``--set phases=2`` and ``--set phases=4`` for more."""
-    return Recipe(task=RDMStudentConfig(disturbance=DISTURBANCE), engine=_students())
+    return Recipe(task=RDMStudentConfig(batch=48, disturbance=DISTURBANCE), engine=_students(700))
 
 
 # The published range [5, 15] is far too strong here: the teacher says what validation prompts say in 78, 83 and 80 % of
@@ -158,9 +158,9 @@ def _volume(task: RDMConfig) -> Recipe:
     return Recipe(task=replace(task, flow=None, grid=grid, cutting=cutting, batch=16), engine=_recurrent())
 
 
-def _students() -> EngineConfig:
+def _students(steps: int = 2200) -> EngineConfig:
     return EngineConfig(
-        steps=1000, save_every=250, validate_every=250, grad_clip=1.0, precision="bf16-mixed", threads=1
+        steps=steps, save_every=250, validate_every=250, grad_clip=1.0, precision="bf16-mixed", threads=1
     )
 
 
