@@ -7,6 +7,7 @@ import pytest
 
 from moveset import load
 from moveset.cli.__main__ import main
+from moveset.io.take_writer import open_take
 from moveset.pipelines import model_folder
 from moveset.pipelines.text_to_motion import TextToMotion
 from tests.bundles import tiny_bundle
@@ -39,6 +40,20 @@ def test_convert_retargets_and_resamples(clip, tmp_path, capsys):
     assert main(["convert", str(clip), str(target), "--skeleton", "vrm", "--fps", "30"]) == 0
     assert "on vrm" in capsys.readouterr().out
     assert load(target).fps == 30
+
+
+@pytest.mark.parametrize("suffix", [".bvh", ".glb", ".npz"])
+def test_convert_rescues_a_take_that_was_cut_off(clip, tmp_path, suffix):
+    motion = load(clip)
+    take = open_take(tmp_path / f"take{suffix}", motion.skeleton, motion.fps)
+    take.append(motion)
+    shutil.copy(tmp_path / f"take{suffix}.part", tmp_path / f"left{suffix}.part")  # as after a kill: never closed
+    take.close()
+    assert main(["convert", str(tmp_path / f"left{suffix}.part"), str(tmp_path / "rescued.glb")]) == 0
+    rescued = load(tmp_path / "rescued.glb")
+    assert len(rescued) == len(motion)
+    assert float((rescued.joints - motion.joints).abs().max()) < 1e-4
+    assert not (tmp_path / f"left{suffix}.part").exists()
 
 
 @pytest.mark.parametrize(

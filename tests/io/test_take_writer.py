@@ -223,7 +223,7 @@ def test_a_part_is_recovered_up_to_its_last_whole_frame(motion, suffix, tail, tm
     part = abandoned(motion, path)._store.part
     with part.open("ab") as file:
         file.write(b"1" * tail)
-    with pytest.raises(InputError, match="recover"):
+    with pytest.raises(InputError, match="moveset convert"):
         open_take(path, HML22, 20.0)
     assert recover_take(part) == 29
     assert same(load(path), motion[:29])

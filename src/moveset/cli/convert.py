@@ -15,10 +15,10 @@ def convert(
     in_place: tyro.conf.FlagCreatePairsOff[bool] = False,
     loop: tyro.conf.FlagCreatePairsOff[bool] = False,
 ) -> int:
-    """Convert a motion file.
+    """Convert a motion file, or rescue a take whose process was killed: `moveset convert walk.bvh.part rescued.glb`.
 
     Args:
-        source: A motion file: .bvh .glb .npz or .npy.
+        source: A motion file: .bvh .glb .npz or .npy; or the .part of a take, which is finished beside it first.
         target: File to write: .bvh .glb .npz .npy .mp4 .gif or .png.
         skeleton: Retarget to smpl, mixamo, vrm or ue5.
         fps: Frame rate of the new file.
@@ -27,9 +27,14 @@ def convert(
     """
     from moveset.cli.output import Finish, plan_outputs, write
     from moveset.io import load
+    from moveset.io.take_writer import recover_take
 
     finish = Finish.check(fps=fps, skeleton=skeleton, in_place=in_place, loop=loop)
     [paths] = plan_outputs([target], [""])
+    if source.suffix == ".part":
+        frames = recover_take(source)
+        source = source.with_suffix("")
+        print(f"{source}: {frames} frames rescued")
     motion, _ = write(load(source), paths, finish, {})
     print(f"{target}: {len(motion)} frames at {motion.fps:g} fps on {motion.skeleton.name}")
     return 0

@@ -31,8 +31,8 @@ class GrowingFile:
             self.handle = os.open(self.part, os.O_RDWR | os.O_CREAT | os.O_EXCL | _BINARY, 0o666)
         except FileExistsError as error:
             raise InputError(
-                f"{self.part} exists: a take of this name is being written or was cut off; recover it with "
-                "moveset.io.take_writer.recover_take, delete it, or give another name"
+                f"{self.part} exists: a take of this name is being written or was cut off; rescue it with "
+                "`moveset convert` of that .part, delete it, or give another name"
             ) from error
         except OSError as error:
             raise InputError(
