@@ -127,7 +127,8 @@ class RDMStudentTask(Task):
     def training_step(self, step: int, loop: Loop) -> dict[str, Tensor]:
         config = self.config
         batch = self.data.train.batch(config.batch, self.data.seed, step).to(loop.device)
-        text = self.data.read(batch.captions, self.draws)
+        # The student reads a roughened sentence and should say what is said to the sentence as it is.
+        rough, text = self.data.read(batch.captions, self.draws), self.data.read(batch.captions)
         draws = self._coloured(draw(self.grid, batch.clean, config.guidance, self.draws))
         bound = _Bound(batch, text, self.data.read([""] * config.batch), self.transport, self.teacher)
         t_B, edge_B = self.grid.time(draws.point_B), self.grid.lower(draws.point_B)
@@ -136,7 +137,7 @@ class RDMStudentTask(Task):
             SCHEDULE, self.grid, bound.guided, bound.by(self.ema.module), bound.push, bound.pull, z, draws.point_B,
             draws.w_B,
         )  # fmt: skip
-        made = bound.by(self.student)(bound.push(z), t_B, draws.w_B)
+        made = bound.by(self.student, rough)(bound.push(z), t_B, draws.w_B)
         loss = _distance(made, target, over(share_B, made) * self.scale, batch.valid, config.huber)
         report = {"consistency": loss.detach()}
         if config.adversarial:
@@ -220,14 +221,13 @@ class _Bound:
         told, untold = made.float().chunk(2)
         return cfg(told, untold, w_B)
 
-    def by(self, network: nn.Module) -> _Call:
-        """A student."""
+    def by(self, network: nn.Module, text: TextEmbedding | None = None) -> _Call:
+        """A student, told another reading of the captions if given one."""
+        text = self.text if text is None else text
 
         def call(x: Tensor, t_B: Tensor, w_B: Tensor) -> Tensor:
             b = self.batch
-            made: Tensor = network(
-                x, t_B, b.previous, self.clean_level, b.index, self.text.tokens, self.text.mask, w_B, b.valid
-            )
+            made: Tensor = network(x, t_B, b.previous, self.clean_level, b.index, text.tokens, text.mask, w_B, b.valid)
             return made.float()
 
         return call
