@@ -66,12 +66,13 @@ def move_feet(motion: Motion, shifts: Tensor) -> Motion:
         InputError: a skeleton without known knees.
     """
     joints, turned = motion.joints.double(), motion.global_rotations.double().clone()
-    for side, (hip, knee, ankle) in enumerate(_legs(motion.skeleton)):
-        hinge = rotations.rotate(turned[:, hip], turned.new_tensor(HINGES[motion.skeleton.name][_name(motion, knee)]))
-        target = _within_reach(joints[:, [hip, knee, ankle]], joints[:, ankle] + shifts[:, side])
-        turned[:, hip], turned[:, knee] = two_bone(
-            turned[:, hip], turned[:, knee], joints[:, hip], joints[:, knee], joints[:, ankle], target, hinge
-        )
+    hips, knees, ankles = (list(row) for row in zip(*_legs(motion.skeleton), strict=True))
+    bends = turned.new_tensor([HINGES[motion.skeleton.name][motion.skeleton.joints[knee]] for knee in knees])
+    leg = torch.stack((joints[:, hips], joints[:, knees], joints[:, ankles]), dim=-2)
+    target = _within_reach(leg.flatten(0, 1), (joints[:, ankles] + shifts).flatten(0, 1)).unflatten(0, (-1, 2))
+    start, middle, end = leg.unbind(-2)
+    hinge = rotations.rotate(turned[:, hips], bends)
+    turned[:, hips], turned[:, knees] = two_bone(turned[:, hips], turned[:, knees], start, middle, end, target, hinge)
     local = rotations.unroll(rotations.normalize(global_to_local(turned, motion.skeleton)))
     return Motion(local, motion.root, motion.fps, motion.skeleton)
 
@@ -99,10 +100,6 @@ def _legs(skeleton: Skeleton) -> list[tuple[int, int, int]]:
     if len(knees) != 2 or len(skeleton.feet) != 4:
         raise InputError(f"feet can be locked on {' and '.join(HINGES)} only, not on {skeleton.name!r}; retarget after")
     return [(skeleton.parents[knee], knee, skeleton.children[knee][0]) for knee in sorted(knees)]
-
-
-def _name(motion: Motion, joint: int) -> str:
-    return motion.skeleton.joints[joint]
 
 
 def _pinned(foot: Tensor, planted: Tensor, blend: int) -> Tensor:
