@@ -20,7 +20,7 @@ from moveset.models.light_t2m import LightT2MConfig
 from moveset.models.registry import describe
 from moveset.models.segment_denoiser import SegmentDenoiserConfig
 from moveset.models.segment_transformer import SegmentTransformer, SegmentTransformerConfig
-from moveset.motion.features import FeatureCodec, get_codec
+from moveset.motion.features import FeatureCodec, Normalizer, get_codec
 from moveset.rdm.grid import GridConfig, corrupt, draw
 from moveset.rdm.losses import flow_loss, masked_mse, velocity_loss
 from moveset.rdm.transport import Transport
@@ -30,6 +30,7 @@ from moveset.training.clip_source import ClipSource, open_clips
 from moveset.training.clips import FeatureStore
 from moveset.training.ema import Ema, ema_warmup
 from moveset.training.engine import Loop, Task
+from moveset.training.feet import foot_error
 from moveset.training.momo import MomoAdam
 from moveset.training.optim import cosine_lr
 from moveset.training.reading import MAX_TOKENS, Disturbance, read_captions, wordings
@@ -64,6 +65,7 @@ class RDMConfig:
         noise: "white" (the paper), or "coloured" with the temporal spectrum of the training segments
             (``diffusion.coloured``).
         forecast: start the segment transformer's forecast from a fit to the data instead of from zero.
+        feet: weight of the error of the feet's velocities in the world (``training.feet``), for clean predictions.
         velocity: weight of the error of frame-to-frame differences.
         flow_noise: deviation of the noise added to the flow's input.
         isometry: weight that keeps the flow's scales near one.
@@ -98,6 +100,7 @@ class RDMConfig:
     root: float = 5.0
     noise: Noise = "white"
     forecast: bool = False
+    feet: float = 0.0
     velocity: float = 0.0
     flow_noise: float = 0.02
     isometry: float = 1e-2
@@ -187,6 +190,7 @@ class RDMTask(Task):
         self.flow_ema = None if self.flow is None else Ema(self.flow, config.ema)
         self.transport = Transport(self.flow, config.depth_cap)
         self.draws = loop.generator("draws")
+        self.normalizer = Normalizer(*(x.to(loop.device) for x in vars(self.data.normalizer).values()))
         self.feature_weight = feature_weights(self.data.codec, config.root).to(loop.device)
         self._optimizers = {"denoiser": _optimizer(config, self.denoiser, config.lr)}
         if self.flow is not None:
@@ -294,6 +298,11 @@ class RDMTask(Task):
             loss = loss + config.velocity * velocity_loss(
                 made * root_B, clean * root_B, last * root_B[:, 0], later, batch.valid
             )
+        if config.feet:
+            with torch.autocast(made.device.type, enabled=False):
+                feet_B = foot_error(made, clean, batch.valid, self.data.codec, self.normalizer)
+            # What is not yet to be seen in the noise has no feet to judge.
+            loss = loss + config.feet * (feet_B * SCHEDULE.alpha(cell.t_B).square()).mean()
         error = masked_mse(made.detach(), target, batch.valid)
         return loss, {"error": error, "noisy_std": cell.x_BnD.std()}
 
