@@ -61,7 +61,7 @@ def teacher() -> Recipe:
 
 
 def lcm() -> Recipe:
-    """The one-step baseline, which is PCM of one phase without its discriminator; guidance around the teacher's best."""
+    """The one-step baseline: PCM of one phase without its discriminator; guidance around the teacher's best."""
     return Recipe(
         task=DistillationConfig(guidance=GUIDANCE, batch=64, lr=3e-4, warmup=100, disturbance=DISTURBANCE),
         engine=_students(),
