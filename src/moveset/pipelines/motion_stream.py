@@ -203,11 +203,9 @@ class MotionStream(Iterator[Segment]):
 
     def state(self) -> Snapshot:
         """Everything that the next segments depend on, also those that were made ahead of the reader."""
-        for made in self._ahead:
-            made.result()
+        waiting = [*self._waiting, *(ahead.result() for ahead in self._ahead)]
         with self._lock:
             progress = self._sampler.progress
-            waiting = [*self._waiting, *(made.result() for made in self._ahead)]
             numbers = {
                 "model": self.bundle.config.name,
                 "weights": self._weights(self._settings),
@@ -231,7 +229,7 @@ class MotionStream(Iterator[Segment]):
 
         Raises:
             InputError: the state of another model.
-            FormatError: a state that does not describe a stream.
+            FormatError: a state that does not describe a stream; this one is of no use then.
         """
         numbers, name = snapshot.numbers, self.bundle.config.name
         if numbers.get("model") != name:
@@ -249,7 +247,7 @@ class MotionStream(Iterator[Segment]):
             found = {k.removeprefix("sampler."): x for k, x in snapshot.tensors.items() if k.startswith("sampler.")}
             found = {k: x.to(self.device) for k, x in found.items()}
             self._go_on(StreamState.restore(numbers["sampler"], found), int(numbers["given"]))
-            self._prompts = {int(segment): prompt for segment, prompt in numbers["prompts"].items()}
+            self._prompts |= {int(segment): prompt for segment, prompt in numbers["prompts"].items()}
             for segment, prompt in self._prompts.items():
                 self._denoise.enter(segment, self._texts(prompt))
             self._decoder = IncrementalDecoder.from_state(self.codec, numbers["decoder"])
@@ -288,6 +286,7 @@ class MotionStream(Iterator[Segment]):
         self._pool = ThreadPoolExecutor(1) if settings.buffer else None
         self._ahead: deque[Future[Segment]] = deque()
         self._waiting: deque[Segment] = deque()
+        self._prompts: dict[int, str] = {}
         self._network = self.bundle.module(settings.network, self.device)
         # Networks that were trained on other than white noise say so.
         self._colour: Callable[[Tensor], Tensor] | None = getattr(self._network, "colour", None)
@@ -312,7 +311,7 @@ class MotionStream(Iterator[Segment]):
         """A sampler from this state on, of which the first ``given`` segments are none of the stream's own."""
         config, settings = self.bundle.config, self._settings
         self._given, self._told = given, 0
-        self._prompts: dict[int, str] = {}
+        self._prompts = {}
         self._denoise = SegmentDenoise(
             self._network,
             guided=bool(config.models[settings.network].config.get("guided")),

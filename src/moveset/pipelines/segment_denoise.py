@@ -88,7 +88,10 @@ class SegmentDenoise:
         else:
             text = self._text(segments)
             made = self._network(x_BnD, t_B, prev_BnD, prev_t_B, index_B, text.tokens, text.mask, w_B)
-        return cfg(*made.chunk(2), self._guidance) if self._twice else made
+        if not self._twice:
+            return made
+        told, untold = made.chunk(2)
+        return cfg(told, untold, self._guidance)
 
     def _text(self, segments: Sequence[int]) -> TextEmbedding:
         texts = [self._texts[segment] for segment in segments]
