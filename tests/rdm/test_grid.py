@@ -166,3 +166,12 @@ def test_no_gradient_reaches_the_flow(flow):
 def test_nonsense_is_refused(setting, message):
     with pytest.raises(InputError, match=message):
         GridConfig(**setting)
+
+
+def test_a_share_of_neighbours_is_clean():
+    generator = torch.Generator().manual_seed(0)
+    drawn = draw(GridConfig(clean_share=0.3), linear(), (4000, 2, 1), generator)
+    assert abs(float((drawn.prev_t_B == 0).float().mean()) - 0.3) < 0.03
+    assert (drawn.prev_t_B < drawn.t_B).all()
+    with pytest.raises(InputError, match="clean_share"):
+        GridConfig(clean_share=1.5)

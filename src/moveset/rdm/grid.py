@@ -41,6 +41,8 @@ class GridConfig:
             two inputs would give the clean data away and sampling diverges.
         condition: level t' of the left neighbour: uniform "below" t, "previous" (t - 1, as published), or "clean"
             (t' = 0: the autoregressive baselines MD-N).
+        clean_share: share of cells whose neighbour is clean whatever ``condition`` says. A stream in which each segment
+            waits for the one before meets nothing else, and "below" hardly ever draws t' = 0.
 
     Raises:
         InputError: an unknown reading, or fewer than 2 frames.
@@ -50,10 +52,13 @@ class GridConfig:
     anchor: Anchor = "segment"
     share_noise: bool = False
     condition: ConditionLevel = "below"
+    clean_share: float = 0.0
 
     def __post_init__(self) -> None:
         if self.frames < 2:
             raise InputError(f"a segment of {self.frames} frames is too short; give at least 2")
+        if not 0.0 <= self.clean_share <= 1.0:
+            raise InputError(f"clean_share {self.clean_share} is not in 0 to 1")
         for name, kind in (("anchor", Anchor), ("condition", ConditionLevel)):
             if getattr(self, name) not in get_args(kind):
                 raise InputError(f"{name} {getattr(self, name)!r} is not one of {', '.join(get_args(kind))}")
@@ -108,6 +113,9 @@ def draw(config: GridConfig, schedule: Schedule, shape: tuple[int, int, int], ge
     share_B = torch.rand(shape[:1], generator=generator, device=at, dtype=torch.float64)
     noise, other = torch.randn((2, *shape), generator=generator, device=at)
     prev_t_B = {"below": (share_B * t_B).long(), "previous": t_B - 1, "clean": torch.zeros_like(t_B)}[config.condition]
+    if config.clean_share:
+        clean_B = torch.rand(shape[:1], generator=generator, device=at) < config.clean_share
+        prev_t_B = prev_t_B.masked_fill(clean_B, 0)
     return Draws(t_B, prev_t_B, noise, noise if config.share_noise else other)
 
 

@@ -90,7 +90,7 @@ def rdm(segments: int = 7) -> Recipe:
     return Recipe(
         task=RDMConfig(
             model=SegmentTransformerConfig(smoothing=0.3),
-            grid=GridConfig(frames=SEGMENT_FRAMES[segments]),
+            grid=GridConfig(frames=SEGMENT_FRAMES[segments], clean_share=0.3),
             flow=FlowConfig(blocks=2, hidden=64, text_context=32, index_context=8),
             frozen_flow=0.4,
             velocity=1.0,
@@ -106,7 +106,7 @@ def rdm(segments: int = 7) -> Recipe:
 def md(segments: int = 7) -> Recipe:
     """MD-N: each segment from noise, told the finished one before; no flow, no noisy recurrence."""
     chosen = rdm(segments)
-    grid = replace(chosen.task.grid, condition="clean")
+    grid = replace(chosen.task.grid, condition="clean", clean_share=0.0)
     return replace(chosen, task=replace(chosen.task, flow=None, grid=grid))
 
 
