@@ -1,0 +1,252 @@
+"""Segments of a corpus: what is cut, what is said to it, and that nothing of it is chance."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from moveset.data.humanml3d import KIT
+from moveset.errors import InputError
+from moveset.models.dip_decoder import DipDecoderConfig
+from moveset.motion.features import get_codec
+from moveset.training import segments
+from moveset.training.clip_source import CorpusClips, open_clips
+from moveset.training.clips import FeatureStore
+from moveset.training.dip import PieceSet
+from moveset.training.segments import SEGMENT_FRAMES, ClipSet, CuttingConfig, Row, SegmentSet
+from tests.training.hml_folder import write_folder
+from tests.training.segment_corpus import write_corpus
+
+N = 14
+PLAIN = CuttingConfig(continuations=0, whole_caption=0.0)
+ALIGNED = replace(PLAIN, aligned=True)
+
+
+class Opened:
+    """A source with its features."""
+
+    def __init__(self, path, codec, cache):
+        self.source, self.codec, self.folder = open_clips(path), get_codec(codec), cache
+        self.store = FeatureStore.of(self.source, self.codec, cache)
+
+    def cut(self, cutting, frames=N, split="train", **more):
+        return SegmentSet(self.source, split, self.store, self.codec, frames, cutting, self.folder, **more)
+
+
+@pytest.fixture(scope="module")
+def corpus(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("corpus")
+    return Opened(write_corpus(folder), "native", folder / "features")
+
+
+@pytest.fixture(scope="module")
+def kit(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("kit")
+    return Opened(write_folder(folder / "data", KIT), "kit", folder / "features")
+
+
+def numbered(found, lengths):
+    """The set with clips whose only feature is 1000 clip + frame instead."""
+    found.rows = [
+        Row((1000 * k + np.arange(length, dtype=np.float32))[:, None], (length,), ((f"clip {k}",),), (f"all {k}",))
+        for k, length in enumerate(lengths)
+    ]
+    found.weights = torch.ones(len(lengths), dtype=torch.float64)
+    return found
+
+
+def test_a_segment_follows_the_one_before_it(corpus):
+    found = numbered(corpus.cut(PLAIN), [100, 40, 20, 9])
+    batch = found.batch(600, seed=0, step=0)
+    clip = batch.clean[:, 0, 0].div(1000).floor()
+    for row in range(600):
+        valid = int(batch.valid[row].sum())
+        start = float(batch.clean[row, 0, 0])
+        assert batch.clean[row, :valid, 0].tolist() == [start + k for k in range(valid)]
+        assert not batch.clean[row, valid:].any()
+        assert batch.captions[row] == f"clip {int(clip[row])}"
+        if batch.index[row]:
+            assert batch.previous[row, :, 0].tolist() == [start - N + k for k in range(N)]
+            assert valid >= 8
+            assert (batch.index[row] == 1) == (start == 1000 * clip[row] + N)
+        else:
+            assert not batch.previous[row].any()
+    assert batch.index.unique().tolist() == [0, 1, 2]
+    # Clips of 20 and of 9 frames are too short for a second segment.
+    assert not batch.index[clip >= 2].any()
+    assert (batch.valid.sum(1)[clip == 3] == 9).all()
+    first = batch.index[clip == 0] == 0
+    assert abs(float(first.float().mean()) - PLAIN.first_share) < 0.1
+
+
+def test_aligned_segments_lie_on_the_grid_and_count(corpus):
+    found = numbered(corpus.cut(ALIGNED), [100, 196, 230])
+    batch = found.batch(3000, seed=0, step=0)
+    clip = batch.clean[:, 0, 0].div(1000).floor()
+    start, begin = batch.clean[:, 0, 0] - 1000 * clip, batch.first[:, 0, 0] - 1000 * clip
+    assert torch.equal(start - begin, N * batch.index.float())
+    assert not begin[clip < 2].any()
+    # Of a clip of 230 frames 196 in a row are shown, from any of 35.
+    assert begin[clip == 2].unique().tolist() == list(range(35))
+    for k, (segments_, last) in enumerate(((8, 2), (14, 14), (14, 14))):
+        rows = clip == k
+        assert batch.index[rows].unique().tolist() == list(range(segments_))
+        assert batch.valid.sum(1)[rows & (batch.index == segments_ - 1)].unique().tolist() == [last]
+        shares = torch.bincount(batch.index[rows]) / rows.sum()
+        assert (shares - 1 / segments_).abs().max() < 0.04
+    later = batch.index > 0
+    assert torch.equal(batch.previous[later, -1, 0] + 1, batch.clean[later, 0, 0])
+
+
+@pytest.mark.parametrize("count", [1, 4, 7, 14])
+def test_the_longest_clip_has_so_many_segments(corpus, count):
+    assert SEGMENT_FRAMES[count] * count == 196
+    found = numbered(corpus.cut(ALIGNED, frames=SEGMENT_FRAMES[count]), [196, 199])
+    index = found.batch(300, seed=0, step=0).index
+    assert index.unique().tolist() == list(range(count))
+
+
+def test_segments_are_those_of_the_store(corpus):
+    found = corpus.cut(ALIGNED)
+    batch = found.batch(16, seed=1, step=5)
+    rows = [row for row, _ in found.draw(16, seed=1, step=5)]
+    for k, row in enumerate(rows):
+        start = int(batch.index[k]) * N
+        want = torch.from_numpy(np.array(row.features[start : start + N]))
+        assert torch.equal(batch.clean[k, : len(want)], want)
+        assert batch.captions[k] in {sentence for said in row.said for sentence in said}
+
+
+def test_a_part_of_a_clip_is_told_by_its_own_sentence(corpus):
+    opened = corpus.source.corpus
+    found = corpus.cut(replace(PLAIN, composed_share=0.9))
+    clips = corpus.source.clips("train")
+    two = [(clip, row) for clip, row in zip(clips, found.rows, strict=True) if len(row.ends) == 2]
+    assert {len(row.said) for _, row in two} == {2}
+    assert two
+    for clip, row in two:
+        record, mirrored = opened.records[clip // 2], clip % 2 == 1
+        assert record.kind == "in_time"
+        first, second = record.recipe.parts
+        assert row.said[0] == opened.captions(first.clip, first.mirrored != mirrored)
+        assert row.said[1] == opened.captions(second.clip, second.mirrored != mirrored)
+        seam, end = row.ends
+        assert seam == first.stop - first.start - record.recipe.blend // 2
+        assert end == len(row.features)
+        chance = [0.9, 0.0, 0.9]
+        assert found.say(row, seam - N, N, chance) == row.said[0][0]
+        # More of the segment belongs to the second part.
+        assert found.say(row, seam - 3, N, chance) == row.said[1][0]
+        assert found.say(row, end - 5, N, chance) == row.said[1][0]
+    whole = corpus.cut(replace(PLAIN, whole_caption=1.0))
+    assert whole.say(two[0][1], 0, N, [0.9, 0.0, 0.9]) == two[0][1].whole[0]
+
+
+def test_the_sentence_before_is_that_of_the_segment_before(corpus):
+    found = corpus.cut(PLAIN)
+    found.rows = [Row(np.zeros((100, 1), np.float32), (50, 100), (("one",), ("two",)), ("both",))]
+    found.weights = torch.ones(1, dtype=torch.float64)
+    said = found.batch(400, seed=0, step=0)
+    pairs = set(zip(said.previous_captions, said.captions, strict=True))
+    assert pairs == {("one", "one"), ("one", "two"), ("two", "two")}
+
+
+def test_continuations_are_made_once_and_told_by_one_sentence(corpus, monkeypatch):
+    cutting = replace(PLAIN, continuations=6, continuation_share=0.5)
+    found, opened = corpus.cut(cutting), corpus.source.corpus
+    made = found.rows[len(corpus.source.clips("train")) :]
+    assert 0 < len(made) <= 6
+    assert float(found.weights[-len(made) :].sum()) == pytest.approx(0.5)
+    table = np.load(corpus.folder / "continuations-train-6.npz")["table"]
+    for row, (frames, seam, record, mirrored, *_) in zip(made, table.tolist(), strict=True):
+        assert row.ends == (seam, frames)
+        assert len(row.features) == frames
+        assert row.whole == row.said[0] == opened.captions(record, bool(mirrored))
+        # It begins as a stretch of the clip that it is made of, in half precision.
+        place = corpus.store.clips[2 * record + mirrored]
+        clip = corpus.store.features[place.start : place.start + place.frames]
+        begin = row.features[:8].astype(np.float32)
+        stretches = np.lib.stride_tricks.sliding_window_view(clip, 8, axis=0).transpose(0, 2, 1)
+        assert np.abs(stretches - begin).max(axis=(1, 2)).min() < 0.02
+    monkeypatch.setattr(segments, "plan_continuations", None)  # would fail if called again
+    again = corpus.cut(cutting).rows[-len(made) :]
+    assert all(np.array_equal(a.features, b.features) and a.said == b.said for a, b in zip(made, again, strict=True))
+
+
+def test_no_continuations_are_no_rows(corpus):
+    found = corpus.cut(replace(PLAIN, continuations=6), split="val")  # a tenth of six is none
+    assert len(found.rows) == len(corpus.source.clips("val"))
+    assert found.batch(8, 0, 0).valid.any(dim=1).all()
+
+
+def test_batches_are_functions_of_seed_and_step(corpus):
+    cutting = replace(PLAIN, continuations=6)
+    one, other = (corpus.cut(cutting, paraphrased=0.5) for _ in range(2))
+    a, b = one.batch(16, 3, 7), other.batch(16, 3, 7)
+    for name, value in vars(a).items():
+        same = getattr(b, name)
+        assert torch.equal(value, same) if isinstance(value, torch.Tensor) else value == same
+    assert not torch.equal(a.clean, one.batch(16, 3, 8).clean)
+    assert not torch.equal(a.clean, one.batch(16, 4, 7).clean)
+    said = set(corpus.cut(cutting).all_captions())
+    assert any(caption not in said for step in range(20) for caption in one.batch(16, 0, step).captions)
+
+
+def test_rows_and_chances_are_those_of_the_clips(corpus):
+    found = corpus.cut(replace(PLAIN, composed_share=0.3))
+    assert isinstance(corpus.source, CorpusClips)
+    clips = corpus.source.clips("train")
+    assert [len(row.features) for row in found.rows] == [corpus.store.clips[clip].frames for clip in clips]
+    composed = torch.tensor([corpus.source.corpus.records[clip // 2].kind != "take" for clip in clips])
+    assert float(found.weights.sum()) == pytest.approx(1)
+    assert float(found.weights[composed].sum()) == pytest.approx(0.3)
+
+
+def test_a_folder_is_cut_like_a_corpus(kit):
+    found = kit.cut(ALIGNED)
+    assert {len(row.ends) for row in found.rows} == {1}
+    assert found.weights.unique().tolist() == pytest.approx([1 / len(found.rows)])
+    batch = found.batch(64, 0, 0)
+    assert batch.clean.shape == (64, N, 251)
+    assert set(batch.captions) <= set(found.all_captions())
+    assert int(batch.index.max()) > 1
+    with pytest.raises(InputError, match=r"cutting\.continuations=0"):
+        kit.cut(replace(ALIGNED, continuations=1))
+
+
+def test_the_spectrum_is_of_whole_segments(corpus):
+    found = corpus.cut(PLAIN)
+    spectrum = found.spectrum(256)
+    assert spectrum.shape == (N, 269)
+    # Motion is slow: of every feature's power most is in the lower half of the frequencies.
+    power = spectrum.square().sum(dim=1)
+    assert float(power[: N // 2].sum() / power.sum()) > 0.9
+
+
+def test_pieces_are_prefix_and_frames_in_a_row(corpus):
+    model = DipDecoderConfig(prefix=5, frames=9)
+    found = PieceSet(corpus.source, "train", corpus.store, corpus.codec, model, PLAIN, corpus.folder)
+    numbered(found, [14, 100])
+    batch = found.batch(300, 0, 0)
+    whole = torch.cat((batch.prefix, batch.clean), dim=1)[..., 0]
+    assert torch.equal(whole, whole[:, :1] + torch.arange(14.0))
+    starts = whole[:, 0]
+    assert set(starts[starts < 1000].tolist()) == {0.0}
+    assert {1000.0, 1086.0} <= set(starts.tolist())
+    assert float(starts.max()) == 1086.0
+    assert batch.captions == [f"clip {int(start) // 1000}" for start in starts]
+
+
+def test_short_clips_have_no_pieces(corpus):
+    model = DipDecoderConfig(prefix=20, frames=60)
+    found = PieceSet(corpus.source, "train", corpus.store, corpus.codec, model, PLAIN, corpus.folder)
+    short = torch.tensor([len(row.features) < 80 for row in found.rows])
+    assert short.any()
+    assert not found.weights[short].any()
+    assert (found.weights[~short] > 0).all()
+    assert found.batch(32, 0, 0).clean.shape == (32, 60, 269)
+    long = replace(model, frames=1000)
+    with pytest.raises(InputError, match="has 1020 frames"):
+        PieceSet(corpus.source, "train", corpus.store, corpus.codec, long, PLAIN, corpus.folder)
+    assert isinstance(found, ClipSet)
