@@ -96,7 +96,7 @@ def rdm(segments: int = 7) -> Recipe:
             velocity=1.0,
             noise="coloured",
             forecast=True,
-            feet=1.0,
+            feet=3.0,
             disturbance=DISTURBANCE,
         ),
         engine=_recurrent(),
