@@ -95,11 +95,12 @@ def test_a_recipe_is_what_its_name_says(recipes):
         task = recipes.TRAINING[f"rdm-{count}"]().task
         assert task.grid.frames == frames
         assert task.predict == "x0"
-        assert task.grid == GridConfig(frames=frames)
+        assert replace(task.grid, clean_share=0.0) == GridConfig(frames=frames)
         assert (task.flow is None) == (count == 1)
     for count in (4, 7):
         told, alone = recipes.TRAINING[f"rdm-{count}"]().task, recipes.TRAINING[f"md-{count}"]().task
-        assert alone == replace(told, flow=None, grid=replace(told.grid, condition="clean"))
+        grid = replace(told.grid, condition="clean", clean_share=0.0)
+        assert alone == replace(told, flow=None, grid=grid)
     volumes = [recipes.TRAINING[what]().task for what in ("rdm-1", "light-rdm-1", "motiondiffuse")]
     assert all(task.grid.frames == 196 and task.flow is None and task.cutting.aligned for task in volumes)
     assert [task.predict for task in volumes] == ["x0", "x0", "eps"]
@@ -111,6 +112,7 @@ def test_the_published_settings():
     task = recipe.task
     assert (task.optimizer, task.lr, task.flow_lr, task.constant_lr) == ("momo", 2e-4, 1e-4, True)
     assert (task.batch, task.ema, task.text_drop, task.weight, task.root, task.velocity) == (512, 0.9999, 0, "x0", 1, 0)
+    assert task.grid.clean_share == 0
     assert (task.cutting.aligned, task.cutting.continuations, task.cutting.whole_caption) == (True, 0, 1.0)
     assert (task.flow.blocks, task.flow.hidden, task.flow.log_scale, task.noise) == (6, 256, 0.1, "white")
     assert recipe.engine.grad_clip == 0.5
