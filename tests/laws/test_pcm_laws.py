@@ -6,6 +6,7 @@ import pytest
 import torch
 from torch import nn
 
+from moveset.diffusion.phases import PhaseGrid
 from moveset.diffusion.schedule import scaled_linear
 from moveset.diffusion.steps import add_noise, ddim_step, predict_z0
 from moveset.pcm.consistency import (
@@ -19,7 +20,6 @@ from moveset.pcm.consistency import (
     teacher_step,
 )
 from moveset.pcm.losses import pseudo_huber
-from moveset.diffusion.phases import PhaseGrid
 from moveset.pcm.sampler import lcm_timesteps, sample_lcm, sample_phased
 
 SCHEDULE = scaled_linear()

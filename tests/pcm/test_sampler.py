@@ -5,10 +5,10 @@ from itertools import pairwise
 import pytest
 import torch
 
+from moveset.diffusion.phases import PhaseGrid
 from moveset.diffusion.schedule import scaled_linear
 from moveset.diffusion.steps import ddim_step, ddim_timesteps, predict_z0
 from moveset.errors import InputError
-from moveset.diffusion.phases import PhaseGrid
 from moveset.pcm.sampler import item_noise, lcm_timesteps, sample_ddim_cfg, sample_lcm, sample_phased
 
 SCHEDULE = scaled_linear()
