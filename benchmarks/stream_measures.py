@@ -18,6 +18,8 @@ FIRST, SECOND, LATER = "first", "second", "later"
 class SegmentSpace:
     """Coordinates of whole segments: their principal components, so that a few hundred make a covariance.
 
+    Distances are root mean squares over frames and features: 1 is a deviation of the normalised features.
+
     Args:
         mean: (n D,).
         axes: (n D, C).
@@ -34,7 +36,7 @@ class SegmentSpace:
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(0)
             _, _, axes = torch.svd_lowrank(flat - mean, q=components, niter=4)
-        return cls(mean, axes)
+        return cls(mean, axes / axes.shape[0] ** 0.5)
 
     def __call__(self, segments_BnD: Tensor) -> Tensor:
         """(B, C)."""
@@ -60,7 +62,8 @@ def segment_laws(space: SegmentSpace, made: dict[str, Tensor], real: dict[str, T
             out[f"segment_frechet_{name}"] = frechet_distance(space(pieces), space(real[name]))
     frames, real_frames = made[LATER].flatten(0, 1), real[LATER].flatten(0, 1)
     if min(len(frames), len(real_frames)) >= 2:
-        out["frame_frechet_later"] = frechet_distance(frames, real_frames)
+        width = frames.shape[1] ** 0.5
+        out["frame_frechet_later"] = frechet_distance(frames / width, real_frames / width)
         out["std_later"] = float(made[LATER].std(unbiased=False))
     return out
 
