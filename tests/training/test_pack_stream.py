@@ -121,6 +121,12 @@ def test_students_can_be_whole_and_their_last_weights(quick, trained, tmp_path, 
     assert all(torch.equal(held[key], value.half()) for key, value in last.items())
 
 
+def test_smoothing_of_students_can_be_chosen_afterwards(quick, trained, tmp_path, monkeypatch):
+    config = command(monkeypatch, trained, tmp_path / "smooth", "--networks", "pcm-1", "--smoothing", "0.6").config
+    assert config.models["pcm-1"].config["smoothing"] == 0.6
+    assert config.models["rdm"].config["smoothing"] != 0.6
+
+
 def test_a_model_without_flow_has_none(quick, trained, tmp_path, monkeypatch):
     bundle = command(monkeypatch, trained, tmp_path / "plain", "--networks", "--folder", "rdm=md-7")
     assert tuple(bundle.config.models) == ("rdm",)

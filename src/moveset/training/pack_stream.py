@@ -2,7 +2,7 @@
 
 import argparse
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from torch import nn
@@ -42,6 +42,7 @@ def pack_stream(
     sampling: Sampling | None = None,
     averaged: bool = True,
     differences: bool = True,
+    smoothing: float | None = None,
 ) -> Path:
     """Write the model folder ``out``.
 
@@ -56,6 +57,7 @@ def pack_stream(
         sampling: what a stream does by default.
         averaged: ship the students' averaged weights instead of the last ones; the others are always averaged.
         differences: store the students as 8-bit differences from "rdm", which they were started from.
+        smoothing: of the students' output, instead of that of their training; one evaluation trembles more than ten.
 
     Raises:
         InputError: no "rdm", or networks for other features, other segments or another number of steps.
@@ -70,6 +72,8 @@ def pack_stream(
         loaded[MD] = frozen.load(runs[MD], "denoiser_ema")
     for network, found in loaded.items():
         _check(network, found, rdm)
+        if smoothing is not None and network in students:
+            found.module.config = replace(found.module.config, smoothing=smoothing)
         modules[network] = found.module
     if rdm.task["flow"] is not None:
         modules[FLOW] = frozen.load(rdm.path, "flow_ema", part="coupling_flow").module
@@ -128,6 +132,7 @@ def main() -> None:
     parser.add_argument("--lag", type=int, default=Sampling.lag)
     parser.add_argument("--eta", type=float, default=Sampling.eta)
     parser.add_argument("--idle", default=Sampling.idle, help="the prompt of a stream that was given none")
+    parser.add_argument("--smoothing", type=float, help="of the students' output; as trained by default")
     parser.add_argument("--last", action="store_true", help="the students' last weights instead of the averaged ones")
     parser.add_argument("--whole", action="store_true", help="the students' weights, not differences from rdm's")
     parser.add_argument("--name", default=DEFAULT_STREAM)
@@ -145,9 +150,11 @@ def main() -> None:
     )
     scales = guidance_of(given.guidance, tuple(runs))
     cache = given.runs / "cache"
-    print(
-        pack_stream(given.corpus, cache, runs, scales, given.name, given.out, sampling, not given.last, not given.whole)
+    averaged, differences = not given.last, not given.whole
+    made = pack_stream(
+        given.corpus, cache, runs, scales, given.name, given.out, sampling, averaged, differences, given.smoothing
     )
+    print(made)
 
 
 def guidance_of(given: list[str], networks: tuple[str, ...]) -> dict[str, float]:
