@@ -23,6 +23,14 @@ PANELS = {
     "pcm-1 ": ("train", "discriminator", "PCM-1: discriminator hinge"),
     "pcm-2": ("train", "consistency", "PCM-2: pseudo-Huber"),
     "pcm-4": ("train", "consistency", "PCM-4: pseudo-Huber"),
+    "rdm-7": ("train", "error", "RDM-7: error of the clean segment"),
+    "rdm-7 ": ("val", "error", "RDM-7: val error (average)"),
+    "rdm-7  ": ("train", "flow", "RDM-7: flow's reconstruction"),
+    "md-7": ("val", "error", "MD-7: val error (average)"),
+    "rdm-pcm-1": ("train", "consistency", "RDM student, 1 step: pseudo-Huber"),
+    "rdm-pcm-1 ": ("val", "ema_gap", "RDM student, 1 step: distance to teacher"),
+    "rdm-pcm-2": ("train", "consistency", "RDM student, 2 steps: pseudo-Huber"),
+    "rdm-pcm-4": ("train", "consistency", "RDM student, 4 steps: pseudo-Huber"),
 }
 
 
