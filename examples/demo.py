@@ -1,13 +1,16 @@
-"""What ``make demo`` runs: a few sentences in one, two and four steps, as BVH, GLB, filmstrip and GIF, with timings.
+"""What ``make demo`` runs: sentences as clips in one, two and four steps, and a stream that turns from one to the next.
 
-A model folder may be given as argument.
+All as BVH, GLB, filmstrip and GIF, with timings. A model folder for the clips may be given as argument.
 """
 
 import sys
 import time
+from itertools import islice
 from pathlib import Path
 
-from moveset import Generation, TextToMotion, save
+import torch
+
+from moveset import Generation, Motion, MotionStream, TextToMotion, save
 
 OUT = Path("out")
 FILES, PICTURES = ("bvh", "glb"), ("png", "gif")
@@ -19,6 +22,7 @@ PROMPTS = {
     "raise": "a woman raises both hands",
     "walk-wave": "a person walks forward, then waves with the left hand",
 }
+STREAM = ("a person walks forward", "a person waves with both hands", "a person runs", "a person walks forward")
 SEED = 7
 
 
@@ -37,23 +41,44 @@ def main() -> None:
         for steps in t2m.bundle.config.steps("pcm"):
             made = t2m(prompt, steps=steps, seed=SEED)
             spent = [*made.timings_ms.values()]
-            spent += [write(made, OUT / f"{name}-{steps}", formats) for formats in (FILES, PICTURES)]
+            spent += [write(made.motion, OUT / f"{name}-{steps}", formats, made) for formats in (FILES, PICTURES)]
             made_files += len(FILES + PICTURES)
             times = "".join(f"{ms:>10.1f}" for ms in spent)
             print(f"{f'{name}-{steps}':<10}{made.seconds:>8.2f}{steps:>6}{times}  {prompt}", flush=True)
             for warning in made.warnings:
                 print(f"    note: {warning}")
+    made_files += stream()
     print(
         f"\n{made_files} files in {OUT}/. Open a .png or a .gif to look, a .bvh or a .glb in Blender (File > Import)."
     )
     print("Try your own: .venv/bin/moveset generate 'a person …' -o my.glb")
 
 
-def write(made: Generation, stem: Path, formats: tuple[str, ...]) -> float:
+def stream() -> int:
+    """One motion of four sentences, three segments each; the number of files."""
+    live = MotionStream.from_pretrained(prompt=STREAM, seconds=4.2, seed=SEED)
+    segments = list(islice(live, 3 * len(STREAM)))
+    spent = sorted(segment.latency_ms for segment in segments)[len(segments) // 2]
+    motion = Motion(
+        torch.cat([segment.motion.rotations for segment in segments]).float(),
+        torch.cat([segment.motion.root for segment in segments]).float(),
+        live.codec.fps,
+        live.codec.skeleton,
+    )
+    write(motion, OUT / "stream", FILES + PICTURES)
+    seconds = motion.seconds / len(segments)
+    speed = f"{spent:.1f} ms a segment of {seconds:.1f} s, {1e3 * seconds / spent:.0f} times as fast as it plays"
+    print(f"\nstream: {motion.seconds:.1f} s, {speed}")
+    for segment in segments[::3]:
+        print(f"    from frame {segment.first_frame}: {segment.prompt}")
+    return len(FILES + PICTURES)
+
+
+def write(motion: Motion, stem: Path, formats: tuple[str, ...], made: Generation | None = None) -> float:
     """Write a motion in several formats; the milliseconds it took."""
     start = time.perf_counter()
     for suffix in formats:
-        save(made.motion, stem.with_suffix(f".{suffix}"), metadata=made.metadata)
+        save(motion, stem.with_suffix(f".{suffix}"), metadata=made.metadata if made else None)
     return (time.perf_counter() - start) * 1e3
 
 

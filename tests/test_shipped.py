@@ -7,9 +7,11 @@ from pathlib import Path
 
 import pytest
 
-from moveset import TextToMotion
+from moveset import MotionStream, TextToMotion
 from moveset.io import load
 from moveset.pipelines.bundle import DEFAULT_MODEL, Bundle, shipped
+from moveset.pipelines.stream_bundle import DEFAULT_STREAM, StreamBundle
+from moveset.pipelines.verified_folder import VerifiedFolder
 
 ROOT = Path(__file__).resolve().parents[1]
 EXAMPLES = sorted((ROOT / "examples").glob("0*.py"))
@@ -23,7 +25,8 @@ def t2m():
 
 def test_what_ships_is_whole_and_small():
     assert DEFAULT_MODEL in shipped()
-    assert sum(Bundle(path).verify() for path in shipped().values()) <= 80e6
+    assert DEFAULT_STREAM in shipped()
+    assert sum(VerifiedFolder(path).verify() for path in shipped().values()) <= 80e6
 
 
 def test_every_method_ships():
@@ -32,6 +35,14 @@ def test_every_method_ships():
     assert config.steps("pcm") == (1, 2, 4)
     assert config.steps("lcm") == (1,)
     assert "teacher" in config.models
+    assert config.provenance
+
+
+def test_every_network_of_streams_ships():
+    config = StreamBundle.find(DEFAULT_STREAM).config
+    assert config.name == DEFAULT_STREAM
+    assert {"rdm", "md", "flow", "pcm-1", "pcm-2"} <= set(config.models)
+    assert config.network in config.denoisers
     assert config.provenance
 
 
@@ -67,6 +78,35 @@ def test_bodies_stand_on_the_floor(t2m):
         joints = made(t2m, prompt, 1, 3).joints
         assert 1.3 < float(joints[0, :, 1].max()) < 1.9
         assert -0.1 < float(joints[..., 1].min()) < 0.1
+
+
+def test_a_whole_process_that_streams(tmp_path):
+    prompts = ["a person walks forward", "a person waves with both hands"]
+    command = ["stream", *prompts, "--seconds", "4", "4", "--total", "30", "-o", "take.bvh", "--json"]
+    done = subprocess.run(
+        [sys.executable, "-m", "moveset.cli", *command], cwd=tmp_path, capture_output=True, text=True, check=True
+    )
+    lines = [json.loads(line) for line in done.stdout.splitlines()]
+    assert [line["segment"] for line in lines] == list(range(len(lines)))
+    assert {line["prompt"] for line in lines} == set(prompts)
+    assert len(load(tmp_path / "take.bvh")) == 600
+
+
+@pytest.mark.parametrize("network", ["pcm-1", "pcm-2", "rdm"])
+def test_a_stream_walks_and_then_waves(network):
+    walked, lifted = [], []
+    for seed in SEEDS:
+        stream = MotionStream.from_pretrained(prompt="a person walks forward", seed=seed, network=network, device="cpu")
+        walk = [next(stream).motion for _ in range(4)]
+        stream.prompt("a person waves with both hands")
+        wave = [next(stream).motion for _ in range(4)][1:]
+        start, end = walk[0].root[0], walk[-1].root[-1]
+        walked.append(float((end - start)[[0, 2]].norm()))
+        joints = [motion.joints for motion in wave]
+        wrists, neck = ([j[:, k, 1] for j in joints] for k in (slice(20, 22), 12))
+        lifted.append(max(float((w.amin(1) - n).max()) for w, n in zip(wrists, neck, strict=True)))
+    assert sorted(walked)[2] > 2.5, walked  # half a walking pace for 5.6 s
+    assert sum(both > 0 for both in lifted) >= 3, lifted
 
 
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.stem)
