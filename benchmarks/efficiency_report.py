@@ -215,7 +215,7 @@ def plot(items: list[dict], path: Path) -> None:
     """The paper's Figure 6 with DiP at its own number of steps too: time, and times as fast as that."""
     lines, native = curves(items), dip(items)
     steps = sorted({k for _, k in lines}, reverse=True)
-    figure, axes = plt.subplots(1, 2, figsize=(11, 4.2))
+    figure, axes = plt.subplots(1, 2, figsize=(11, 5.2))
     for (label, k), points in lines.items():
         frames, model = sorted(points), label.split(",")[0]
         default = "parallelogram" in label
@@ -233,8 +233,8 @@ def plot(items: list[dict], path: Path) -> None:
         axis.set_yscale("log")
         axis.set_xlabel("frames")
         axis.grid(alpha=0.3, which="both")
-    axes[0].legend(fontsize=6.5)
-    figure.tight_layout()
+    figure.tight_layout(rect=(0, 0.15, 1, 1))
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="lower center", ncol=len(steps) * 2, fontsize=8)
     figure.savefig(path, dpi=110)
     plt.close(figure)
 
