@@ -265,8 +265,8 @@ def comparisons(judge: Judge, names: list[str], rows: dict[str, dict]) -> dict[s
     """Accuracy of every method less that of the first one, in points, sequence by sequence."""
     out = {}
     hits = {name: rows[name]["hits"] for name in names if "hits" in rows[name]}
-    for name in list(hits)[1:]:
-        first = names[0]
+    first, *others = list(hits) or [""]
+    for name in others:
         found = paired_difference(hits[name], hits[first], judge.said_of)
         out[f"{name} - {first}"] = {k: round(100 * v, 2) for k, v in asdict(found).items()}
         print(f"{name} - {first}: {100 * found.mean:+.2f} points [{100 * found.low:+.2f}, {100 * found.high:+.2f}]")
