@@ -248,28 +248,43 @@ def main() -> None:
             for name, row in made.items():
                 _say(name, row)
         drawn.setdefault(curve, []).append((x, rows[method.name]))
-    compared = comparisons(judge, [method.name for _, _, method in asked], rows)
-    for row in rows.values():
-        row.pop("hits", None)
-    if given.out:
-        given.out.parent.mkdir(parents=True, exist_ok=True)
-        found = {"splits": given.splits, "wording": given.wording, "sequences": len(judge.wanted), "rows": rows}
-        found["comparisons"] = compared
-        found["curves"] = {curve: [[x, m.name] for c, x, m in asked if c == curve] for curve in drawn if curve}
-        given.out.write_text(json.dumps(found, indent=1) + "\n")
-        if given.curves:
-            picture(given.out.with_suffix(".png"), drawn, rows)
+        if given.out:
+            _write(given, judge, asked, rows, drawn)
+    for name, found in comparisons(judge, [method.name for _, _, method in asked], rows).items():
+        print(f"{name}: {found['mean']:+.2f} points [{found['low']:+.2f}, {found['high']:+.2f}]")
+
+
+def _write(
+    given: argparse.Namespace,
+    judge: Judge,
+    asked: list[tuple[str, float, Method]],
+    rows: dict[str, dict],
+    drawn: dict[str, list[tuple[float, dict]]],
+) -> None:
+    """All rows so far, after every row: hours are not lost to the last of them."""
+    names = [m.name for _, _, m in asked]
+    found = {
+        "splits": given.splits,
+        "wording": given.wording,
+        "sequences": len(judge.wanted),
+        "rows": {name: {k: v for k, v in row.items() if k != "hits"} for name, row in rows.items()},
+        "comparisons": comparisons(judge, names, rows),
+        "curves": {curve: [[x, m.name] for c, x, m in asked if c == curve] for curve in drawn if curve},
+    }
+    given.out.parent.mkdir(parents=True, exist_ok=True)
+    given.out.write_text(json.dumps(found, indent=1) + "\n")
+    if given.curves:
+        picture(given.out.with_suffix(".png"), drawn, rows)
 
 
 def comparisons(judge: Judge, names: list[str], rows: dict[str, dict]) -> dict[str, dict]:
     """Accuracy of every method less that of the first one, in points, sequence by sequence."""
     out = {}
-    hits = {name: rows[name]["hits"] for name in names if "hits" in rows[name]}
+    hits = {name: rows[name]["hits"] for name in names if "hits" in rows.get(name, {})}
     first, *others = list(hits) or [""]
     for name in others:
         found = paired_difference(hits[name], hits[first], judge.said_of)
         out[f"{name} - {first}"] = {k: round(100 * v, 2) for k, v in asdict(found).items()}
-        print(f"{name} - {first}: {100 * found.mean:+.2f} points [{100 * found.low:+.2f}, {100 * found.high:+.2f}]")
     return out
 
 
