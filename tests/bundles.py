@@ -11,7 +11,7 @@ from moveset.motion import rotations
 from moveset.motion.clip import Motion
 from moveset.motion.features import get_codec
 from moveset.motion.skeleton import HML22
-from moveset.pipelines.bundle import BundleConfig, save_bundle
+from moveset.pipelines.bundle import BundleConfig, save_folder
 from moveset.text.encoder import get_text_encoder
 
 CAPTIONS = ("a person walks forward", "someone waves with the left hand", "a man runs fast", "a person bows")
@@ -50,7 +50,7 @@ def tiny_bundle(path: Path, *, seed: int = 0) -> Path:
         "latent_std": torch.ones(16, 32),
     }
     pooled = get_text_encoder("minilm").encode(list(CAPTIONS)).pooled
-    return save_bundle(path, config, modules, normalizer, CAPTIONS, pooled)
+    return save_folder(path, config, modules, normalizer, CAPTIONS, pooled)
 
 
 def standing_features() -> torch.Tensor:

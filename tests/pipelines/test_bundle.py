@@ -8,7 +8,7 @@ import torch
 
 from moveset.errors import FormatError, InputError
 from moveset.models.length import LengthPredictorConfig
-from moveset.pipelines.bundle import Bundle, BundleConfig, find_folder, save_bundle
+from moveset.pipelines.bundle import Bundle, BundleConfig, find_folder, save_folder
 from tests.bundles import tiny_bundle
 
 
@@ -41,7 +41,7 @@ def test_networks_come_back_in_half_precision(folder):
         for p in network.parameters():
             p.normal_()
     config = BundleConfig(name="one")
-    save_bundle(folder.parent / "one", config, {"length": network}, {}, ["a"], torch.ones(1, 8))
+    save_folder(folder.parent / "one", config, {"length": network}, {}, ["a"], torch.ones(1, 8))
     bundle = Bundle(folder.parent / "one")
     assert all(value.dtype == torch.float16 for value in bundle.tensors("length.safetensors").values())
     loaded = bundle.module("length")
@@ -149,6 +149,6 @@ def test_a_failed_save_leaves_the_old_folder(folder):
     with torch.no_grad():
         module.layers[1].weight[0, 0] = 1e6
     with pytest.raises(ValueError, match="half precision"):
-        save_bundle(folder, BundleConfig(name="tiny"), {"length": module}, {}, [], torch.zeros(0, 384))
+        save_folder(folder, BundleConfig(name="tiny"), {"length": module}, {}, [], torch.zeros(0, 384))
     Bundle(folder).verify()
     assert [p.name for p in folder.parent.iterdir()] == ["tiny"]

@@ -9,7 +9,7 @@ import torch
 
 from moveset.errors import FormatError, InputError
 from moveset.models.token_denoiser import TokenDenoiserConfig
-from moveset.pipelines.bundle import Bundle, BundleConfig, save_bundle
+from moveset.pipelines.bundle import Bundle, BundleConfig, save_folder
 
 SIZES = {"token_dim": 8, "text_dim": 64, "width": 96, "heads": 2, "feed_forward": 384, "positions": 64}
 SIZES |= {"layers": 3, "time_waves": 64, "guidance_waves": 4}
@@ -31,7 +31,7 @@ def networks():
 
 def save(path, bases, modules=None):
     config = BundleConfig(name="tiny", guidance=GUIDANCE)
-    return save_bundle(path, config, modules or networks(), {}, ["a"], torch.ones(1, 8), bases)
+    return save_folder(path, config, modules or networks(), {}, ["a"], torch.ones(1, 8), bases)
 
 
 BASES = {"pcm-1": "teacher", "pcm-2": "teacher"}

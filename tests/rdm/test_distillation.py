@@ -7,9 +7,9 @@ from torch import nn
 from moveset.diffusion.guidance import cfg
 from moveset.diffusion.phases import PhaseGrid
 from moveset.diffusion.schedule import linear
-from moveset.diffusion.steps import over, predict_z0
+from moveset.diffusion.steps import denoise_step, over, predict_z0
 from moveset.pcm.consistency import phased_target
-from moveset.rdm.distillation import clean_target, implied_clean, jump, share_of_clean
+from moveset.rdm.distillation import clean_target, implied_clean, share_of_clean
 
 SCHEDULE, B = linear(), 10
 EVERY_POINT = torch.arange(B)
@@ -31,18 +31,18 @@ def test_a_jump_is_so_much_clean_and_so_much_of_where_it_starts():
     share = share_of_clean(SCHEDULE, FROM, TO)
     ratio = (SCHEDULE.sigma(TO, torch.float64) / SCHEDULE.sigma(FROM, torch.float64)).float()
     want = over(share, Z) * CLEAN + over(ratio, Z) * Z
-    torch.testing.assert_close(jump(SCHEDULE, Z, CLEAN, FROM, TO), want, rtol=1e-4, atol=1e-4)
+    torch.testing.assert_close(denoise_step(SCHEDULE, Z, CLEAN, FROM, TO), want, rtol=1e-4, atol=1e-4)
 
 
 def test_a_jump_along_the_noising_lands_on_it():
     """z_t and z_s of one clean segment and one noise: the jump from the one with the true y0 is the other."""
     noise = _rand(B, 4, 3, seed=3)
     at = {t: over(SCHEDULE.alpha(t), Z) * CLEAN + over(SCHEDULE.sigma(t), Z) * noise for t in (FROM, TO)}
-    torch.testing.assert_close(jump(SCHEDULE, at[FROM], CLEAN, FROM, TO), at[TO], rtol=1e-3, atol=1e-3)
+    torch.testing.assert_close(denoise_step(SCHEDULE, at[FROM], CLEAN, FROM, TO), at[TO], rtol=1e-3, atol=1e-3)
 
 
 def test_the_implied_clean_segment_undoes_the_jump():
-    landed = jump(SCHEDULE, Z, CLEAN, FROM, TO)
+    landed = denoise_step(SCHEDULE, Z, CLEAN, FROM, TO)
     found = implied_clean(SCHEDULE, Z, landed, FROM, TO)
     loose = share_of_clean(SCHEDULE, FROM, TO) < 0.1  # so little of it is in a short jump
     assert loose.any()
@@ -86,7 +86,7 @@ def test_without_a_flow_the_target_is_that_of_motionpcm(phases):
     target, share = clean_target(SCHEDULE, grid, teacher, ema, same, same, Z, EVERY_POINT, w)
     landed = phased_target(SCHEDULE, grid, lambda z, t: (told(z, t), untold(z, t)), averaged, Z, EVERY_POINT, w)
     t, edge = grid.time(EVERY_POINT), grid.lower(EVERY_POINT)
-    torch.testing.assert_close(jump(SCHEDULE, Z, target, t, edge), landed, rtol=2e-3, atol=2e-3)
+    torch.testing.assert_close(denoise_step(SCHEDULE, Z, target, t, edge), landed, rtol=2e-3, atol=2e-3)
     assert torch.equal(share, share_of_clean(SCHEDULE, t, edge))
     assert float(share.min()) > 0
 
@@ -136,6 +136,6 @@ def test_no_gradient_reaches_teacher_or_average():
 
 def test_a_jump_is_differentiable_in_the_clean_segment():
     clean = CLEAN.clone().requires_grad_()
-    jump(SCHEDULE, Z, clean, FROM, TO).sum().backward()
+    denoise_step(SCHEDULE, Z, clean, FROM, TO).sum().backward()
     share = over(share_of_clean(SCHEDULE, FROM, TO), Z).expand_as(Z)
     torch.testing.assert_close(clean.grad, share, rtol=1e-3, atol=1e-4)

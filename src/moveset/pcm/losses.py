@@ -14,9 +14,14 @@ def pseudo_huber(prediction: Tensor, target: Tensor, c: float = 0.5) -> Tensor:
 
     MotionLCM-V2 uses c = 0.5 with 10 solver points.
     """
-    square = (prediction - target).square()
+    return huber(prediction - target, c).mean()
+
+
+def huber(difference: Tensor, c: float) -> Tensor:
+    """sqrt(d² + c²) - c of every element."""
+    square = difference.square()
     # The same value without subtracting two nearly equal numbers when d is small.
-    return (square / (torch.sqrt(square + c * c) + c)).mean()
+    return square / (torch.sqrt(square + c * c) + c)
 
 
 def hinge_discriminator(real_logits: Tensor, fake_logits: Tensor) -> Tensor:

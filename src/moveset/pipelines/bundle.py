@@ -4,12 +4,9 @@ Networks: ``vae``, ``length``, ``teacher``, ``lcm-1``, ``pcm-1`` … in a folder
 ``normalizer.safetensors`` has feature_mean, feature_std (D,), latent_mean, latent_std (N, d) or (d,).
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, ClassVar, Self
-
-from torch import Tensor, nn
 
 from moveset.pipelines.model_folder import (
     TEXT_TO_MOTION,
@@ -21,7 +18,7 @@ from moveset.pipelines.model_folder import (
 )
 from moveset.pipelines.model_folder import shipped as shipped
 
-__all__ = ["DEFAULT_MODEL", "SOLVERS", "Bundle", "BundleConfig", "ModelSpec", "find_folder", "save_bundle", "shipped"]
+__all__ = ["DEFAULT_MODEL", "SOLVERS", "Bundle", "BundleConfig", "ModelSpec", "find_folder", "save_folder", "shipped"]
 
 DEFAULT_MODEL = "motionpcm-small"
 SOLVERS = ("pcm", "lcm", "teacher")
@@ -74,30 +71,3 @@ class Bundle(ModelFolder[BundleConfig]):
 
     config_class = BundleConfig
     statistics = ("feature_mean", "feature_std", "latent_mean", "latent_std")
-
-
-def save_bundle(
-    path: Path,
-    config: BundleConfig,
-    modules: Mapping[str, nn.Module],
-    normalizer: Mapping[str, Tensor],
-    captions: Sequence[str],
-    pooled: Tensor,
-    bases: Mapping[str, str] | None = None,
-) -> Path:
-    """Write a text-to-motion folder; it appears whole or not at all, and replaces an older one of that name.
-
-    Args:
-        path: the folder to make.
-        config: all but ``models``, which are taken from the networks' own ``.config``.
-        modules: networks by name: "vae", "length", "teacher", "pcm-1", …; stored in half precision.
-        normalizer: feature_mean, feature_std, latent_mean, latent_std; stored in float32.
-        captions: P sentences the model was trained on.
-        pooled: (P, C) their pooled text embeddings.
-        bases: by name of a student, the network it was started from ("teacher"): it is stored as differences.
-
-    Raises:
-        ValueError: weights that half precision cannot hold, or captions that do not fit their embeddings.
-        FormatError: a configuration that could not be read again.
-    """
-    return save_folder(path, config, modules, normalizer, captions, pooled, bases)

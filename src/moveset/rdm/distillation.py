@@ -72,8 +72,3 @@ def clean_target(
     jumped = denoise_step(schedule, stepped, pull(ema(push(stepped), next_B, w_B)), next_B.clamp(min=1), edge_B)
     landed = torch.where(over(at_edge_B, z_BnD), stepped, jumped)
     return push(implied_clean(schedule, z_BnD, landed, t_B, edge_B)), share_of_clean(schedule, t_B, edge_B)
-
-
-def jump(schedule: Schedule, z_BnD: Tensor, y0_BnD: Tensor, t_B: Tensor, s_B: Tensor) -> Tensor:
-    """F(z, t, s) in y, differentiable in y0."""
-    return denoise_step(schedule, z_BnD, y0_BnD, t_B, s_B)

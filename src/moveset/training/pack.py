@@ -8,7 +8,7 @@ from torch import nn
 
 from moveset.data.captions import heldout_captions
 from moveset.data.corpus import Corpus
-from moveset.pipelines.bundle import BundleConfig, save_bundle
+from moveset.pipelines.bundle import BundleConfig, save_folder
 from moveset.text.cache import EmbeddingCache
 from moveset.text.encoder import get_text_encoder
 from moveset.text.familiarity import calibrate
@@ -92,7 +92,7 @@ def pack(
         "latent_std": latents.scale,
     }
     bases = dict.fromkeys(students, "teacher") if differences else None
-    return save_bundle(out, config, modules, normalizer, known, known_pooled, bases)
+    return save_folder(out, config, modules, normalizer, known, known_pooled, bases)
 
 
 def caption_lengths(corpus: Corpus, per_clip: int = 2) -> tuple[list[str], torch.Tensor, torch.Tensor]:

@@ -59,8 +59,8 @@ class RDMConfig:
         optimizer: "momo" (the paper) or "adamw".
         constant_lr: no cosine decay.
         text_drop: share of captions replaced by "", for guidance.
-        weight: of a cell's error: "x0" (1, the paper) or "v" (1/sigma², at most 5, and the mean over levels is 1): more
-            for low noise.
+        weight: of a cell's error: "x0" (1, the paper) or "v" (1/sigma², at most 5): more for low
+            noise.
         root: weight of the four root features, by which a character travels.
         noise: "white" (the paper), or "coloured" with the temporal spectrum of the training segments
             (``diffusion.coloured``).
@@ -114,7 +114,13 @@ class RDMConfig:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "kind", describe(self.model)[0])
-        named = {"optimizer": Optimizer, "weight": Weight, "predict": Prediction, "md_condition": Told}
+        named = {
+            "optimizer": Optimizer,
+            "weight": Weight,
+            "noise": Noise,
+            "predict": Prediction,
+            "md_condition": Told,
+        }
         for name, known in named.items():
             if getattr(self, name) not in get_args(known):
                 raise InputError(f"{name} {getattr(self, name)!r} is not one of {', '.join(get_args(known))}")
@@ -163,6 +169,10 @@ class SegmentData:
         if self.disturbance == Disturbance():
             return self.text.lookup(captions, self.max_tokens)
         return read_captions(self.text, captions, self.disturbance, disturbed_by)
+
+    def pooled(self, captions: list[str]) -> Tensor:
+        """Sentence embeddings (B, C) of captions, without looking up their tokens."""
+        return self.text.pooled[self.text.rows(captions)].float()
 
 
 class RDMTask(Task):
@@ -229,7 +239,7 @@ class RDMTask(Task):
         return report
 
     def validate(self, step: int, loop: Loop) -> dict[str, float]:
-        """Errors of the averaged networks on 512 segments of val: the denoiser's by level, the flow's, and std(y)."""
+        """The averaged denoiser's error on 512 segments of val at levels drawn once, and the deviation of its input."""
         generator = torch.Generator().manual_seed(0)
         flow = None if self.flow_ema is None else self.flow_ema.module
         transport = Transport(cast(CouplingFlow | None, flow), self.config.depth_cap)
@@ -247,7 +257,7 @@ class RDMTask(Task):
         if self.flow is None or not bool(later.any()):
             return {}
         rows = later.nonzero()[:, 0]
-        pooled = self.data.read([batch.captions[k] for k in rows.tolist()]).pooled
+        pooled = self.data.pooled([batch.captions[k] for k in rows.tolist()])
         context = self.flow.context(pooled, batch.index[rows])
         noise = torch.randn(len(rows), *batch.clean.shape[1:], generator=self.draws).to(loop.device)
         noise *= self.config.flow_noise
@@ -281,7 +291,7 @@ class RDMTask(Task):
             noise, other = (self.denoiser.colour(part) for part in noises)
             draws = replace(draws, noise_BnD=noise, prev_noise_BnD=other)
         # The flow always hears the sentence itself: dropping it for guidance is the denoiser's affair.
-        said, before = (self.data.read(c).pooled for c in (batch.captions, batch.previous_captions))
+        said, before = self.data.pooled(batch.captions), self.data.pooled(batch.previous_captions)
         first = batch.first if config.grid.anchor == "first" else None
         clean = batch.clean
         cell = corrupt(config.grid, SCHEDULE, transport, clean, batch.previous, first, batch.index, said, before, draws)
@@ -337,7 +347,9 @@ def _sized(config: RDMConfig, data: SegmentData) -> RDMConfig:
 
 def _check(config: RDMConfig) -> None:
     """Raises InputError for settings that contradict each other (as a whole: they are made one after the other)."""
-    if config.predict == "eps" and (config.flow is not None or config.velocity or config.weight != "x0"):
-        raise InputError('predict="eps" is for models without a flow, with velocity 0 and weight "x0"; change these')
+    if config.predict == "eps" and (config.flow is not None or config.velocity or config.feet or config.weight != "x0"):
+        raise InputError(
+            'predict="eps" is for models without a flow, with velocity 0, feet 0 and weight "x0"; change these'
+        )
     if config.md_condition == "none" and (config.flow is not None or config.grid.condition != "clean"):
         raise InputError('md_condition="none" is for models without a flow and with grid.condition="clean"')

@@ -18,8 +18,9 @@ from moveset.models.discriminator import DiscriminatorConfig
 from moveset.models.registry import describe
 from moveset.models.segment_transformer import SegmentTransformerConfig
 from moveset.pcm.consistency import Draws, draw
-from moveset.pcm.losses import hinge_discriminator, hinge_generator
-from moveset.rdm.distillation import clean_target, jump
+from moveset.pcm.losses import hinge_discriminator, hinge_generator, huber
+from moveset.rdm.distillation import clean_target
+from moveset.rdm.grid import GridConfig
 from moveset.rdm.staircase import levels
 from moveset.rdm.transport import Transport
 from moveset.text.encoder import TextEmbedding, stack
@@ -88,9 +89,8 @@ class RDMStudentTask(Task):
         if teacher.task["flow"] is not None:
             flow = frozen.load(sources.teacher, "flow_ema", loop.device, part="coupling_flow").module
         self.transport = Transport(flow, teacher.task["depth_cap"])
-        grid = RDMConfig().grid
         shared = RDMConfig(
-            grid=replace(grid, frames=teacher.task["grid"]["frames"]),
+            grid=GridConfig(frames=teacher.task["grid"]["frames"]),
             codec=teacher.task["codec"],
             cutting=config.cutting,
             disturbance=config.disturbance,
@@ -176,7 +176,7 @@ class RDMStudentTask(Task):
         loop: Loop,
     ) -> tuple[Tensor, dict[str, Tensor]]:  # fmt: skip
         """How little the discriminator is fooled, after its own step; fake and real are noised to the judged time."""
-        landed = jump(SCHEDULE, z, bound.pull(made), t_B, edge_B)
+        landed = denoise_step(SCHEDULE, z, bound.pull(made), t_B, edge_B)
         fake = bound.push(renoise(SCHEDULE, landed, edge_B, draws.judged_B, draws.fake_noise_BND))
         seen = bound.features(fake, draws.judged_B)
         with torch.no_grad():
@@ -249,7 +249,6 @@ class _Bound:
 
 
 def _distance(made: Tensor, target: Tensor, weight: Tensor, valid_Bn: Tensor, c: float) -> Tensor:
-    """Pseudo-Huber distance over valid frames (``pcm.losses.pseudo_huber``)."""
-    square = ((made - target) * weight).square()
-    each = (square / (torch.sqrt(square + c * c) + c)).mean(dim=-1)
+    """Pseudo-Huber distance over valid frames."""
+    each = huber((made - target) * weight, c).mean(dim=-1)
     return (each * valid_Bn).sum() / valid_Bn.sum().clamp_min(1)
