@@ -1,0 +1,205 @@
+"""The judge of text-to-motion: a co-embedding of sentences and motions in which those that belong together are close.
+
+T2M's evaluator (Guo et al. 2022), by which the field's R-precision, FID, multimodal distance and diversity are measured:
+a convolutional movement encoder turns four frames into one token, a bidirectional recurrent network reads the tokens, and
+another one reads the sentence's words. With the default sizes the parts have the published counts (1,842,688; 15,747,584;
+4,100,288). The movement encoder is trained beforehand, as half of an autoencoder, and frozen.
+
+Shapes: B batch, F frames, D features of a frame, T = F // 4 tokens, C their width, L words, W width of a word, P classes
+of speech, E width of the common space.
+"""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F
+from torch.nn.utils.rnn import pack_padded_sequence
+
+from moveset.errors import InputError
+from moveset.models.registry import register, require_range
+
+FRAMES_PER_TOKEN = 4
+#: The last features of a frame, foot contacts, are not judged.
+CONTACTS = 4
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class MovementConfig:
+    """Sizes of a movement autoencoder; ``features`` counts a frame's contacts too, which only the decoder knows."""
+
+    features: int = 263
+    width: int = 512
+    latent: int = 512
+    dropout: float = 0.2
+
+    def __post_init__(self) -> None:
+        require_range("features", self.features, CONTACTS + 1, 10_000)
+        require_range("movement width", self.width, 1, 4096)
+        require_range("movement latent", self.latent, 1, 4096)
+        require_range("dropout", self.dropout, 0.0, 0.9)
+
+    def build(self) -> "MovementAutoencoder":
+        """The module with fresh weights."""
+        return MovementAutoencoder(self)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class EvaluatorConfig:
+    """Sizes of a ``MatchingEvaluator``.
+
+    Args:
+        movement: the frozen encoder of four frames.
+        word_width: width of a word's vector (GloVe 300, MiniLM 384).
+        speech_classes: length of a word's one-hot class of speech; 0 for word vectors that need none.
+        text_hidden: of each direction of the sentence's network.
+        motion_hidden: of each direction of the motion's network.
+        joint: width E of the common space.
+    """
+
+    movement: MovementConfig = MovementConfig()
+    word_width: int = 300
+    speech_classes: int = 15
+    text_hidden: int = 512
+    motion_hidden: int = 1024
+    joint: int = 512
+
+    def __post_init__(self) -> None:
+        if isinstance(self.movement, dict):
+            object.__setattr__(self, "movement", MovementConfig(**self.movement))
+        require_range("word width", self.word_width, 1, 8192)
+        require_range("speech classes", self.speech_classes, 0, 1000)
+        require_range("text hidden width", self.text_hidden, 1, 4096)
+        require_range("motion hidden width", self.motion_hidden, 1, 4096)
+        require_range("joint width", self.joint, 1, 4096)
+
+    def build(self) -> "MatchingEvaluator":
+        """The module with fresh weights."""
+        return MatchingEvaluator(self)
+
+
+class MovementEncoder(nn.Module):
+    """Features without contacts to one token for every four frames."""
+
+    def __init__(self, config: MovementConfig) -> None:
+        super().__init__()
+        self.config = config
+        self.convolutions = nn.Sequential(
+            nn.Conv1d(config.features - CONTACTS, config.width, 4, 2, 1),
+            nn.Dropout(config.dropout),
+            nn.LeakyReLU(0.2),
+            nn.Conv1d(config.width, config.latent, 4, 2, 1),
+            nn.Dropout(config.dropout),
+            nn.LeakyReLU(0.2),
+        )
+        self.output = nn.Linear(config.latent, config.latent)
+        self.apply(_xavier)
+
+    def forward(self, x_BFD: Tensor) -> Tensor:
+        """Tokens (B, T, C) of features (B, F, D - 4); a token sees the three frames on either side of its own."""
+        return self.output(self.convolutions(x_BFD.transpose(1, 2)).transpose(1, 2))
+
+
+class MovementAutoencoder(nn.Module):
+    """What the movement encoder is trained in: features without contacts in, all features out."""
+
+    def __init__(self, config: MovementConfig) -> None:
+        super().__init__()
+        self.config = config
+        self.encoder = MovementEncoder(config)
+        self.decoder = nn.Sequential(
+            nn.ConvTranspose1d(config.latent, config.width, 4, 2, 1),
+            nn.LeakyReLU(0.2),
+            nn.ConvTranspose1d(config.width, config.features, 4, 2, 1),
+            nn.LeakyReLU(0.2),
+        )
+        self.output = nn.Linear(config.features, config.features)
+        self.decoder.apply(_xavier)
+        _xavier(self.output)
+
+    def forward(self, x_BFD: Tensor) -> tuple[Tensor, Tensor]:
+        """(reconstruction (B, F, D), tokens (B, T, C)) of features (B, F, D) whose F is a multiple of four."""
+        tokens_BTC = self.encoder(x_BFD[..., :-CONTACTS])
+        return self.output(self.decoder(tokens_BTC.transpose(1, 2)).transpose(1, 2)), tokens_BTC
+
+
+class SequenceEncoder(nn.Module):
+    """A bidirectional GRU with learned initial states; its two last states become one vector.
+
+    Args:
+        width: of the sequence's items.
+        hidden: of each direction.
+        joint: of the result.
+    """
+
+    def __init__(self, width: int, hidden: int, joint: int) -> None:
+        super().__init__()
+        self.input = nn.Linear(width, hidden)
+        self.gru = nn.GRU(hidden, hidden, batch_first=True, bidirectional=True)
+        self.hidden = nn.Parameter(torch.randn(2, 1, hidden))
+        self.output = nn.Sequential(
+            nn.Linear(2 * hidden, hidden), nn.LayerNorm(hidden), nn.LeakyReLU(0.2), nn.Linear(hidden, joint)
+        )
+        for layer in (self.input, *self.output):
+            _xavier(layer)
+
+    def forward(self, x_BTC: Tensor, lengths_B: Tensor) -> Tensor:
+        """(B, E) of sequences (B, T, C) of which the first ``lengths_B`` items count, at least one each."""
+        packed = pack_padded_sequence(self.input(x_BTC), lengths_B.cpu(), batch_first=True, enforce_sorted=False)
+        _, last = self.gru(packed, self.hidden.expand(-1, len(x_BTC), -1).contiguous())
+        return self.output(last.transpose(0, 1).flatten(1))
+
+
+class SentenceEncoder(SequenceEncoder):
+    """Word vectors, with their classes of speech where the configuration has any."""
+
+    def __init__(self, config: EvaluatorConfig) -> None:
+        super().__init__(config.word_width, config.text_hidden, config.joint)
+        self.speech = nn.Linear(config.speech_classes, config.word_width) if config.speech_classes else None
+
+    def read(self, words_BLW: Tensor, speech_BLP: Tensor | None, lengths_B: Tensor) -> Tensor:
+        """(B, E) of sentences.
+
+        Raises:
+            InputError: classes of speech are missing, or given to a network that has no use for them.
+        """
+        if (self.speech is None) != (speech_BLP is None):
+            raise InputError("classes of speech and an evaluator trained with them belong together; check its words")
+        if self.speech is not None and speech_BLP is not None:
+            words_BLW = words_BLW + self.speech(speech_BLP)
+        return self(words_BLW, lengths_B)
+
+
+class MatchingEvaluator(nn.Module):
+    """Motions and sentences to one space; distances there are Euclidean."""
+
+    def __init__(self, config: EvaluatorConfig) -> None:
+        super().__init__()
+        self.config = config
+        self.movement = MovementEncoder(config.movement)
+        self.motion = SequenceEncoder(config.movement.latent, config.motion_hidden, config.joint)
+        self.text = SentenceEncoder(config)
+
+    def embed_motion(self, x_BFD: Tensor, lengths_B: Tensor) -> Tensor:
+        """(B, E) of normalised features (B, F, D) of ``lengths_B`` frames each; frames past a clip's end must be zero.
+
+        A clip counts in whole tokens: ``lengths_B // 4``, at least one.
+        """
+        spare = -x_BFD.shape[1] % FRAMES_PER_TOKEN
+        tokens_BTC = self.movement(F.pad(x_BFD[..., :-CONTACTS], (0, 0, 0, spare)))
+        return self.motion(tokens_BTC, lengths_B // FRAMES_PER_TOKEN)
+
+    def embed_text(self, words_BLW: Tensor, speech_BLP: Tensor | None, lengths_B: Tensor) -> Tensor:
+        """(B, E) of sentences of ``lengths_B`` words."""
+        return self.text.read(words_BLW, speech_BLP, lengths_B)
+
+
+def _xavier(layer: nn.Module) -> None:
+    if isinstance(layer, nn.Conv1d | nn.ConvTranspose1d | nn.Linear):
+        nn.init.xavier_normal_(layer.weight)
+        if layer.bias is not None:
+            nn.init.zeros_(layer.bias)
+
+
+register("movement_autoencoder", MovementConfig)
+register("t2m_evaluator", EvaluatorConfig)
