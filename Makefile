@@ -16,7 +16,7 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check
 TORCH := -c constraints.txt $(if $(TORCH_INDEX),--index-url $(TORCH_INDEX)) torch
 SOURCES := $(shell find src -type f -not -path '*/__pycache__/*' -not -path '*.egg-info/*')
 
-.PHONY: demo test lint format clean
+.PHONY: demo test lint format viewer clean
 demo: .venv/.demo
 	$(BIN)/python examples/demo.py
 
@@ -32,6 +32,10 @@ lint: .venv/.dev
 format: .venv/.dev
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
+
+# The pages' builds are committed, so that users need no node; run this after changing anything in viewer/.
+viewer:
+	cd viewer && npm ci --no-audit --no-fund && npm test && npm run build
 
 clean:
 	rm -rf .venv out build *.egg-info src/*.egg-info .pytest_cache .ruff_cache .mypy_cache .hypothesis .import_linter_cache
@@ -51,4 +55,5 @@ clean:
 
 .venv/.dev: .venv/.torch pyproject.toml
 	$(PIP) install -c constraints.txt -e '.[dev]'
+	.ci/chromium
 	touch $@
