@@ -7,14 +7,15 @@ from moveset.errors import InputError
 
 
 def frechet_distance(a: Tensor, b: Tensor) -> float:
-    """Squared Fréchet (2-Wasserstein) distance between Gaussians fitted to the rows of a (N, D) and b (M, D).
+    """Squared Fréchet (2-Wasserstein) distance between Gaussians fitted to the rows of a (N, E) and b (M, E).
 
     |mean_a - mean_b|^2 + tr(A) + tr(B) - 2 tr((A B)^1/2), with sample covariances A and B (Dowson and Landau 1982;
-    Heusel et al. 2017, arXiv 1706.08500). The trace of the root comes from the symmetric A^1/2 B A^1/2, which has the
-    same eigenvalues as A B and no imaginary parts to throw away.
+    Heusel et al. 2017, arXiv 1706.08500). With centred rows X and Y, A = X'X / (N - 1) and B = Y'Y / (M - 1), the
+    trace of the root is the sum of the singular values of X Y' / sqrt((N - 1) (M - 1)). No matrix root is taken: fewer
+    rows than columns (singular covariances) need no added diagonal, and nothing imaginary is thrown away.
 
     Raises:
-        InputError: fewer than two rows, or different numbers of columns.
+        InputError: fewer than two rows, different numbers of columns, or values that are not finite.
 
     >>> x = torch.tensor([[0.0, 1.0], [2.0, 0.0], [1.0, 5.0]])
     >>> round(frechet_distance(x, x), 9), round(frechet_distance(x, x + 3.0), 6)
@@ -26,9 +27,19 @@ def frechet_distance(a: Tensor, b: Tensor) -> float:
             f"{tuple(a.shape)} and {tuple(b.shape)}"
         )
     a, b = a.double(), b.double()
-    cov_a, cov_b = (torch.atleast_2d(torch.cov(x.T)) for x in (a, b))
-    values, vectors = torch.linalg.eigh(cov_a)
-    root = (vectors * values.clamp_min(0.0).sqrt()) @ vectors.T
-    cross = torch.linalg.eigvalsh(root @ cov_b @ root).clamp_min(0.0).sqrt().sum()
-    distance = (a.mean(0) - b.mean(0)).square().sum() + cov_a.trace() + cov_b.trace() - 2.0 * cross
+    for table in (a, b):
+        if bad := int((~torch.isfinite(table).all(dim=1)).sum()):
+            raise InputError(
+                f"{bad} of {len(table)} rows of features are not finite; a Fréchet distance cannot leave any out, so "
+                "repair or drop those motions first"
+            )
+    x, y = _triangle(a), _triangle(b)
+    cross = torch.linalg.svdvals(x @ y.T).sum()
+    distance = (a.mean(0) - b.mean(0)).square().sum() + x.square().sum() + y.square().sum() - 2.0 * cross
     return max(distance.item(), 0.0)
+
+
+def _triangle(rows: Tensor) -> Tensor:
+    """(min(N, E), E) matrix R with R'R the sample covariance of rows (N, E)."""
+    triangle: Tensor = torch.linalg.qr(rows - rows.mean(0), mode="r").R
+    return triangle / (len(rows) - 1) ** 0.5

@@ -1,0 +1,186 @@
+"""Text and motion embeddings to numbers: R-precision, matching score, diversity, multimodality; and joint errors.
+
+Pure functions of embeddings in float64; whoever calls embeds, so no evaluator is known here. The sampling rules are
+those of Guo et al. 2022 ("Generating Diverse and Natural 3D Human Motions from Text") as used by MLD and MotionLCM.
+FID is ``evaluation.frechet.frechet_distance`` of motion embeddings.
+
+Shapes: M items, E embedding width, G groups of S items, T texts with n motions each, F frames, J joints.
+"""
+
+from collections.abc import Hashable, Sequence
+
+import torch
+from torch import Tensor
+
+from moveset.errors import InputError
+
+GROUP = 32
+
+
+def group(
+    labels: Sequence[Hashable] | None, count: int, generator: torch.Generator, size: int = GROUP
+) -> list[list[int]]:
+    """Random groups of ``size`` items for R-precision, as many whole ones as can be made.
+
+    An item is in one group at most. Without labels all items are shuffled and cut (so at most size - 1 are left over).
+    With labels no two items of a group share one, because a text that also describes its neighbour's motion has no
+    right answer. A label that more items have than there are groups then loses the surplus, at random.
+
+    Args:
+        labels: one for each item, e.g. what its motion shows; None where every pairing may be judged.
+        count: number of items M.
+
+    Raises:
+        InputError: not a single whole group can be made, or there are not ``count`` labels.
+    """
+    if labels is not None and len(labels) != count:
+        raise InputError(f"{count} items need {count} labels, not {len(labels)}")
+    if size < 2 or count < size:
+        raise InputError(f"R-precision needs groups of {size} (at least 2) items, and there are {count}; give more")
+    if labels is None:
+        order = torch.randperm(count, generator=generator).tolist()
+        return [order[k : k + size] for k in range(0, count - size + 1, size)]
+    names = list(dict.fromkeys(labels))
+    if len(names) < size:
+        raise InputError(
+            f"R-precision needs groups of {size} items of different labels, and the {count} items have {len(names)} "
+            "distinct ones; give items of more kinds"
+        )
+    members: dict[Hashable, list[int]] = {name: [] for name in names}
+    for item in torch.randperm(count, generator=generator).tolist():
+        members[labels[item]].append(item)
+    # G groups are possible where enough items remain after no label keeps more than G; that holds up to some G.
+    groups = count // size
+    while sum(min(len(items), groups) for items in members.values()) < groups * size:
+        groups -= 1
+    pool = [(name, item) for name in names for item in members[name][:groups]]
+    chosen = torch.randperm(len(pool), generator=generator)[: groups * size].tolist()
+    place = dict(zip(names, torch.randperm(len(names), generator=generator).tolist(), strict=True))
+    # Dealt out label by label like cards: the at most G items of a label fall to different groups.
+    dealt = [item for _, item in sorted((place[pool[k][0]], pool[k][1]) for k in chosen)]
+    return [dealt[k::groups] for k in range(groups)]
+
+
+def r_precision(text_ME: Tensor, motion_ME: Tensor, groups: Sequence[Sequence[int]], top: int = 3) -> Tensor:
+    """Share of texts whose own motion is among the 1, 2, … ``top`` nearest of its group, (top,) float64.
+
+    Distances are Euclidean. Motions at exactly the same distance share the places they take, so that a model that
+    always makes one motion gets k / 32, neither 0 nor 1.
+
+    Raises:
+        InputError: embeddings of different shapes or not finite, no groups, groups of different sizes or smaller than
+            ``top``, or items that are not there.
+    """
+    distances = _distances(text_ME, motion_ME, groups)
+    if not 1 <= top <= distances.shape[1]:
+        raise InputError(f"top {top} is not within a group of {distances.shape[1]} items")
+    own = distances.diagonal(dim1=1, dim2=2)[..., None]
+    nearer = (distances < own).sum(-1).double()
+    equal = (distances == own).sum(-1).double()
+    ranks = torch.arange(1, top + 1, dtype=torch.float64)
+    return ((ranks[:, None, None] - nearer) / equal).clamp(0.0, 1.0).mean(dim=(1, 2))
+
+
+def matching_score(text_ME: Tensor, motion_ME: Tensor, groups: Sequence[Sequence[int]]) -> float:
+    """Mean distance of a text and its own motion ("MM-Dist") over the items of the groups.
+
+    Raises:
+        InputError: as ``r_precision``.
+    """
+    return _distances(text_ME, motion_ME, groups).diagonal(dim1=1, dim2=2).mean().item()
+
+
+def diversity(motion_ME: Tensor, generator: torch.Generator, pairs: int = 300) -> float:
+    """Mean distance of ``pairs`` pairs of motions, whatever their texts.
+
+    Two lists of items are drawn independently, each without replacement, and paired in order; an item may so meet
+    itself.
+
+    Raises:
+        InputError: fewer items than pairs, or embeddings that are not finite.
+    """
+    motion = _finite(motion_ME, 2, "motion")
+    first, second = (_draw(len(motion), pairs, generator, "motions") for _ in range(2))
+    return (motion[first] - motion[second]).norm(dim=-1).mean().item()
+
+
+def multimodality(motion_TnE: Tensor, generator: torch.Generator, pairs: int = 10) -> float:
+    """Mean distance of ``pairs`` pairs of motions made for one text, over all texts.
+
+    Two lists of samples are drawn independently, each without replacement, and are the same for all texts; a sample
+    may so meet itself.
+
+    Raises:
+        InputError: fewer samples of a text than pairs, or embeddings that are not finite.
+    """
+    motion = _finite(motion_TnE, 3, "motion")
+    first, second = (_draw(motion.shape[1], pairs, generator, "motions of one text") for _ in range(2))
+    return (motion[:, first] - motion[:, second]).norm(dim=-1).mean().item()
+
+
+def mpjpe(a: Tensor, b: Tensor, lengths: Tensor | None = None, *, aligned: bool = False) -> Tensor:
+    """Mean distance of joints of a and b (..., F, J, 3), in their unit: one float64 value a clip.
+
+    Args:
+        lengths: (...) frames of each clip that are real; padding does not count.
+        aligned: move the root (joint 0) of every frame to one place first, so that only posture is compared.
+
+    Raises:
+        InputError: shapes that differ, or joints that are not finite where they count.
+    """
+    if a.shape != b.shape or a.ndim < 3 or a.shape[-1] != 3:
+        raise InputError(
+            f"joint errors need two (..., F, J, 3) of one shape, not {tuple(a.shape)} and {tuple(b.shape)}"
+        )
+    a, b = a.double(), b.double()
+    if aligned:
+        a, b = a - a[..., :1, :], b - b[..., :1, :]
+    apart = (a - b).norm(dim=-1).mean(dim=-1)
+    frames = a.shape[-3]
+    if lengths is None:
+        lengths = torch.full(apart.shape[:-1], frames)
+    if lengths.shape != apart.shape[:-1] or (
+        lengths.numel() and not 1 <= int(lengths.min()) <= int(lengths.max()) <= frames
+    ):
+        raise InputError(f"lengths {tuple(lengths.shape)} must be one each of {tuple(apart.shape[:-1])}, 1 to {frames}")
+    real = torch.arange(frames) < lengths[..., None]
+    if not torch.isfinite(apart[real]).all():
+        raise InputError("joint positions must be finite; repair or leave out the clips that are not")
+    return torch.where(real, apart, 0.0).sum(dim=-1) / lengths
+
+
+def _distances(text_ME: Tensor, motion_ME: Tensor, groups: Sequence[Sequence[int]]) -> Tensor:
+    """(G, S, S) distances within each group, texts by motions."""
+    text, motion = _finite(text_ME, 2, "text"), _finite(motion_ME, 2, "motion")
+    if text.shape != motion.shape:
+        raise InputError(
+            f"every motion needs its own text in the same space: {len(text)} texts of width {text.shape[1]} do not fit "
+            f"{len(motion)} motions of width {motion.shape[1]}"
+        )
+    sizes = sorted({len(g) for g in groups})
+    if len(sizes) != 1 or sizes[0] < 1:
+        raise InputError(f"groups must be of one size, not {sizes}; make them with metrics.group")
+    index = torch.tensor([list(g) for g in groups])
+    if not 0 <= int(index.min()) <= int(index.max()) < len(text):
+        raise InputError(f"a group names item {int(index.max())}, and items are 0 to {len(text) - 1}")
+    # Without the quadratic expansion, which would lose the digits of small distances.
+    return torch.cdist(text[index], motion[index], compute_mode="donot_use_mm_for_euclid_dist")
+
+
+def _finite(values: Tensor, dims: int, what: str) -> Tensor:
+    if values.ndim != dims or not values.numel():
+        raise InputError(f"{what} embeddings must be a filled {dims}-dimensional table, not {tuple(values.shape)}")
+    values = values.detach().double().cpu()
+    if bad := int((~torch.isfinite(values).all(dim=-1)).sum()):
+        raise InputError(
+            f"{bad} of {values[..., 0].numel()} {what} embeddings are not finite; repair or drop those items"
+        )
+    return values
+
+
+def _draw(count: int, wanted: int, generator: torch.Generator, what: str) -> Tensor:
+    if not 1 <= wanted <= count:
+        raise InputError(
+            f"{wanted} pairs cannot be drawn without replacement from {count} {what}; ask for 1 to {count}"
+        )
+    return torch.randperm(count, generator=generator)[:wanted]
