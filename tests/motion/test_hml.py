@@ -273,3 +273,21 @@ def test_real_takes_equal_the_oracle_and_survive_the_round_trip(real_data):
         np.testing.assert_allclose(features.numpy(), expected, atol=2e-6)
         assert np.abs(CODEC.joints(features).numpy() - described_[:-1]).max() < 1e-5
         assert np.abs(CODEC.joints_from_rotations(features).numpy() - described_[:-1]).max() < 1e-5
+
+
+def test_clips_at_once_are_clips_alone():
+    clips = [wander(frames, seed=frames).joints for frames in (2, 31, 90)]
+    together = CODEC.encode_clips(clips)
+    assert all(torch.equal(a, CODEC.encode_joints(clip)) for a, clip in zip(together, clips, strict=True))
+    assert [len(a) for a in together] == [1, 30, 89]
+    assert CODEC.encode_clips([]) == []
+    with pytest.raises(InputError, match="finite"):
+        CODEC.encode_clips([clips[0], torch.full((5, 22, 3), torch.nan)])
+
+
+@pytest.mark.parametrize("kind", ["humanml3d", "kit"])
+def test_world_joints_are_encoded_as_their_motion(kind):
+    codec = HmlCodec(kind)
+    motions = [wander(40, seed=k, skeleton=codec.skeleton, fps=codec.fps) for k in range(2)]
+    features = codec.encode_world([motion.joints for motion in motions])
+    assert all(torch.equal(a, codec.encode(motion)) for a, motion in zip(features, motions, strict=True))
