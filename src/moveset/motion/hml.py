@@ -185,7 +185,7 @@ class HmlCodec:
         return torch.tensor((-1.0 if self.convention.reflected else 1.0, 1.0, 1.0), dtype=torch.float64)
 
     def _uniform(self, p: Tensor, lengths: Sequence[int] = ()) -> Tensor:
-        """The clip (or clips, of these lengths) on the dataset's body: same bone directions, its bone lengths, root path scaled by the legs.
+        """Each clip on the dataset's body: same bone directions, its bone lengths, root path scaled by the legs.
 
         The datasets get here by inverse and forward kinematics with shortest arcs, which keep every direction.
         """
