@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from moveset.evaluation.frechet import frechet_distance
+from moveset.evaluation.physical import jerk_sizes, near_seams
 
 FIRST, SECOND, LATER = "first", "second", "later"
 
@@ -70,8 +71,8 @@ def segment_laws(space: SegmentSpace, made: dict[str, Tensor], real: dict[str, T
 
 def seam_jerk(joints_FJ3: Tensor, n: int, fps: float) -> tuple[Tensor, Tensor]:
     """Sizes of the third derivative (m/s³, mean over joints) where four frames span a seam, and where they don't."""
-    size = torch.diff(joints_FJ3.double(), n=3, dim=0).norm(dim=-1).mean(dim=-1) * fps**3
-    spans = (torch.arange(len(size)) + 3) // n > torch.arange(len(size)) // n
+    size = jerk_sizes(joints_FJ3, fps)
+    spans = near_seams(len(joints_FJ3), torch.arange(n, len(joints_FJ3), n), reach=1)
     return size[spans], size[~spans]
 
 

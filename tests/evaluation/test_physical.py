@@ -30,6 +30,7 @@ def moved(frames: int, speed: float, height: float, joint: int = LEFT_TOE) -> to
 def test_a_standing_body_has_no_faults():
     assert physical.measure(standing(10), FPS).mean() == {
         "skating": 0.0, "jerk": 0.0, "acceleration": 0.0, "penetration": 0.0, "floating": 0.0,
+        "root_drift": 0.0,
     }  # fmt: skip
 
 
@@ -95,13 +96,107 @@ def test_penetration_and_floating_are_metres_averaged_over_frames():
     assert physical.floating(joints).item() == pytest.approx(0.15 / 4, rel=1e-5)
 
 
-def test_root_drift_is_the_planar_gap_at_the_last_real_frame():
+def test_path_deviation_is_the_planar_gap_at_the_last_real_frame():
     reference = standing(10)
     joints = reference + torch.tensor([5.0, 1.0, 0.0])  # another start is not drift
     joints[:, :, 0] += 0.3 * torch.arange(10)[:, None]
     joints[:, :, 2] += 0.4 * torch.arange(10)[:, None]
-    assert physical.root_drift(joints, reference).item() == pytest.approx(9 * 0.5, rel=1e-5)
-    assert physical.root_drift(joints, reference[:1], torch.tensor(4)).item() == pytest.approx(3 * 0.5, rel=1e-5)
+    assert physical.path_deviation(joints, reference).item() == pytest.approx(9 * 0.5, rel=1e-5)
+    assert physical.path_deviation(joints, reference[:1], torch.tensor(4)).item() == pytest.approx(3 * 0.5, rel=1e-5)
+
+
+def test_root_drift_compares_the_first_second_with_the_last():
+    joints = standing(100)
+    joints[:, :, 1] -= torch.arange(100)[:, None] * 0.001
+    assert physical.root_drift(joints, FPS).item() == pytest.approx(0.080, rel=1e-4)  # from frame 9.5 to 89.5
+    assert physical.root_drift(joints[:24], FPS).item() == pytest.approx(0.012, rel=1e-4)  # halves
+    dipped = standing(100)
+    dipped[40:60, :, 1] -= 0.4  # a squat in between is no drift
+    assert physical.root_drift(dipped, FPS).item() == 0.0
+    glided = standing(100)
+    glided[:, :, 0] += torch.arange(100)[:, None]
+    assert physical.root_drift(glided, FPS).item() == 0.0
+
+
+def popped(seam: int, frames: int = 60) -> torch.Tensor:
+    """Standing in one place up to a seam, and in another after it."""
+    joints = standing(frames)
+    joints[seam:, :, 0] += 0.01
+    return joints
+
+
+def test_a_jump_at_a_seam_is_near_it_and_nowhere_else():
+    found = physical.boundary_jerk(popped(28), FPS, [28], reach=1)
+    # Third differences of a step of 1 cm: 1, 2, 1 (times fps^3).
+    assert found.near.item() == pytest.approx(0.01 * 4 / 3 * FPS**3, rel=1e-4)
+    assert found.elsewhere.item() == 0.0
+    assert found.ratio == float("inf")
+    wider = physical.boundary_jerk(popped(28), FPS, [28])
+    assert wider.near.item() == pytest.approx(0.01 * 4 / 5 * FPS**3, rel=1e-4)
+    for other in (26, 27, 29, 30):
+        assert physical.boundary_jerk(popped(other), FPS, [28], reach=1).elsewhere.item() > 0
+    assert physical.boundary_jerk(standing(60), FPS, [28]).ratio == 1.0
+
+
+def test_windows_near_a_seam_are_those_that_span_or_touch_it():
+    """Four frames span the seam between s - 1 and s if they hold both of these; they touch it if they hold one."""
+    frames, seam = 20, 9
+    spans = [t <= seam - 1 and t + 3 >= seam for t in range(frames - 3)]
+    touches = [t <= seam and t + 3 >= seam - 1 for t in range(frames - 3)]
+    assert physical.near_seams(frames, torch.tensor([seam]), 1).tolist() == spans
+    assert physical.near_seams(frames, torch.tensor([seam]), 2).tolist() == touches
+    assert not physical.near_seams(frames, torch.tensor([0, -1, 20, 21]), 2).any()
+
+
+def test_jerk_near_seams_and_elsewhere_are_all_of_the_jerk():
+    joints = standing(84) + 0.02 * torch.randn(84, 22, 3, generator=torch.Generator().manual_seed(3))
+    found = physical.boundary_jerk(joints, FPS, [28, 56])
+    whole = (10 * found.near + 71 * found.elsewhere) / 81
+    assert whole.item() == pytest.approx(physical.jerk(joints, FPS).item(), rel=1e-5)
+    assert found.ratio == pytest.approx(1.0, abs=0.15)
+
+
+def test_seams_may_differ_from_clip_to_clip():
+    generator = torch.Generator().manual_seed(4)
+    clips = standing(60) + 0.02 * torch.randn(3, 60, 22, 3, generator=generator, dtype=torch.float64)
+    lengths, seams = torch.tensor([60, 40, 50]), torch.tensor([[28, 56], [28, 56], [10, 0]])
+    found = physical.boundary_jerk(clips, FPS, seams, lengths)
+    for i, own in enumerate(([28, 56], [28], [10])):
+        alone = physical.boundary_jerk(clips[i, : lengths[i]], FPS, own)
+        torch.testing.assert_close((found.near[i], found.elsewhere[i]), (alone.near, alone.elsewhere))
+    with pytest.raises(InputError, match="2 clips have no seam"):
+        physical.boundary_jerk(clips, FPS, [45, 58], torch.tensor([60, 40, 20]))
+    with pytest.raises(InputError, match="no seams"):
+        physical.boundary_jerk(clips, FPS, [])
+
+
+def test_windows_of_a_stream_show_what_drifts():
+    minute = torch.arange(1200) / 1200
+    stream = standing(1230)[None].repeat(2, 1, 1, 1)
+    stream[0, :1200, :, 1] -= 0.3 * minute[:, None]
+    fading = 0.1 * torch.sin(torch.arange(1200) * 2.0) * (1 - minute)
+    stream[1, :1200, :, 2] += fading[:, None]
+    found = physical.windows(stream, FPS)
+    assert found.height.shape == (2, 6)
+    assert found.drift("height").tolist() == pytest.approx([-0.3, 0.0], abs=1e-5)
+    assert found.drift("speed")[1] < -0.5
+    assert found.drift("jerk")[1] < 0
+    torch.testing.assert_close(found.jerk[1, 2], physical.jerk(stream[1, 400:600], FPS))
+    torch.testing.assert_close(found.skating[1, 2], physical.skating(stream[1, 400:600], FPS))
+    with pytest.raises(InputError, match="at least 2 windows"):
+        physical.windows(stream, FPS, 40.0).drift("height")
+    with pytest.raises(InputError, match="no window of 2000 frames"):
+        physical.windows(stream, FPS, 100.0)
+
+
+def test_what_is_not_finite_is_counted():
+    clips = standing(10).repeat(3, 1, 1, 1)
+    clips[1, 4, 3, 2] = float("nan")
+    clips[2, 7, 3, 2] = float("inf")
+    with pytest.raises(InputError, match="2 of 3 clips"):
+        physical.measure(clips, FPS)
+    with pytest.raises(InputError, match="1 of 3 clips"):
+        physical.measure(clips, FPS, torch.tensor([10, 10, 7]))
 
 
 def test_padding_never_counts_and_batches_equal_single_clips():
