@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 What = Literal[
     "vae", "decoder", "teacher", "lcm", "pcm", "rdm-1", "rdm-4", "rdm-7", "rdm-14", "light-rdm-1", "md-4", "md-7",
-    "motiondiffuse", "dip", "rdm-student",
+    "motiondiffuse", "dip", "rdm-student", "movement", "evaluator",
 ]  # fmt: skip
 
 
@@ -52,14 +52,15 @@ def train(
         what: vae: the autoencoder. decoder: more of its decoder, with its latents kept. teacher: the latent diffusion
             model. lcm, pcm: students with few steps. rdm-N: the recurrent model, of endless streams, with the longest
             clip in N segments; rdm-7 ships. light-rdm-1: rdm-1 with Light-T2M's network. rdm-student: a recurrent model
-            with few steps. md-N, motiondiffuse, dip: what it is compared with.
+            with few steps. md-N, motiondiffuse, dip: what it is compared with. movement, evaluator: the judge of them
+            all, in two stages.
         recipe: small: what ships. paper: the published sizes. tiny: seconds, to try the machinery.
         resume: Continue from the latest checkpoint in the folder, or start if there is none.
         folder: Where checkpoints and logs go; by default runs/RECIPE/WHAT.
         corpus: What `moveset data build` wrote, or a HumanML3D or KIT-ML folder.
         vae: Checkpoint or run folder of the autoencoder; by default runs/RECIPE/vae.
         teacher: Checkpoint or run folder of the teacher; by default runs/RECIPE/teacher, or runs/RECIPE/rdm-7
-            for rdm-student.
+            for rdm-student, runs/RECIPE/movement for evaluator.
         steps: Steps in all.
         seed: Of everything random.
         device: Where to compute.
@@ -89,7 +90,7 @@ def train(
     chosen = load_recipe(recipe, what)
     engine = replace(chosen.engine, **{name: value for name, value in given.items() if value is not None})
     config = with_settings(chosen.task, set)
-    teacher = teacher or runs / ("rdm-7" if what == "rdm-student" else "teacher")
+    teacher = teacher or runs / {"rdm-student": "rdm-7", "evaluator": "movement"}.get(what, "teacher")
     sources = Sources(corpus=corpus, vae=vae or runs / "vae", teacher=teacher, cache=runs / "cache")
 
     with warnings.catch_warnings():

@@ -1,12 +1,12 @@
-"""The judge of text-to-motion: a co-embedding of sentences and motions in which those that belong together are close.
+"""The judge of text-to-motion: a co-embedding of sentences and motions where those that belong together are close.
 
-T2M's evaluator (Guo et al. 2022), by which the field's R-precision, FID, multimodal distance and diversity are measured:
-a convolutional movement encoder turns four frames into one token, a bidirectional recurrent network reads the tokens, and
-another one reads the sentence's words. With the default sizes the parts have the published counts (1,842,688; 15,747,584;
-4,100,288). The movement encoder is trained beforehand, as half of an autoencoder, and frozen.
+T2M's evaluator (Guo et al. 2022), by which the field's R-precision, FID, multimodal distance and diversity are
+measured: a convolutional movement encoder turns four frames into one token, a bidirectional recurrent network reads the
+tokens, and another one the sentence's words. With the default sizes the parts have the published counts (1,842,688;
+15,747,584; 4,100,288). The movement encoder is trained beforehand, as half of an autoencoder, and frozen.
 
-Shapes: B batch, F frames, D features of a frame, T = F // 4 tokens, C their width, L words, W width of a word, P classes
-of speech, E width of the common space.
+Shapes: B batch, F frames, D features of a frame, T = F // 4 tokens, C their width, L words, W width of a word,
+P classes of speech, E width of the common space.
 """
 
 from dataclasses import dataclass
@@ -49,7 +49,7 @@ class EvaluatorConfig:
     """Sizes of a ``MatchingEvaluator``.
 
     Args:
-        movement: the frozen encoder of four frames.
+        features, movement_width, movement_latent, dropout: sizes of the frozen movement encoder.
         word_width: width of a word's vector (GloVe 300, MiniLM 384).
         speech_classes: length of a word's one-hot class of speech; 0 for word vectors that need none.
         text_hidden: of each direction of the sentence's network.
@@ -57,7 +57,10 @@ class EvaluatorConfig:
         joint: width E of the common space.
     """
 
-    movement: MovementConfig = MovementConfig()
+    features: int = 263
+    movement_width: int = 512
+    movement_latent: int = 512
+    dropout: float = 0.2
     word_width: int = 300
     speech_classes: int = 15
     text_hidden: int = 512
@@ -65,13 +68,19 @@ class EvaluatorConfig:
     joint: int = 512
 
     def __post_init__(self) -> None:
-        if isinstance(self.movement, dict):
-            object.__setattr__(self, "movement", MovementConfig(**self.movement))
+        _ = self.movement
         require_range("word width", self.word_width, 1, 8192)
         require_range("speech classes", self.speech_classes, 0, 1000)
         require_range("text hidden width", self.text_hidden, 1, 4096)
         require_range("motion hidden width", self.motion_hidden, 1, 4096)
         require_range("joint width", self.joint, 1, 4096)
+
+    @property
+    def movement(self) -> MovementConfig:
+        """Sizes of the autoencoder whose encoder this is."""
+        return MovementConfig(
+            features=self.features, width=self.movement_width, latent=self.movement_latent, dropout=self.dropout
+        )
 
     def build(self) -> "MatchingEvaluator":
         """The module with fresh weights."""
@@ -171,11 +180,19 @@ class SentenceEncoder(SequenceEncoder):
 
 
 class MatchingEvaluator(nn.Module):
-    """Motions and sentences to one space; distances there are Euclidean."""
+    """Motions and sentences to one space; distances there are Euclidean.
+
+    ``mean`` and ``std`` (D,) are those of the features that it was trained on, its weighting of them included.
+    """
+
+    mean: Tensor
+    std: Tensor
 
     def __init__(self, config: EvaluatorConfig) -> None:
         super().__init__()
         self.config = config
+        self.register_buffer("mean", torch.zeros(config.features))
+        self.register_buffer("std", torch.ones(config.features))
         self.movement = MovementEncoder(config.movement)
         self.motion = SequenceEncoder(config.movement.latent, config.motion_hidden, config.joint)
         self.text = SentenceEncoder(config)

@@ -20,6 +20,7 @@ from functools import partial
 
 from moveset.models.dip_decoder import DipDecoderConfig
 from moveset.models.discriminator import DiscriminatorConfig
+from moveset.models.evaluator import EvaluatorConfig
 from moveset.models.flow import FlowConfig
 from moveset.models.light_t2m import LightT2MConfig
 from moveset.models.segment_denoiser import SegmentDenoiserConfig
@@ -29,6 +30,7 @@ from moveset.rdm.grid import GridConfig
 from moveset.training.dip import DiPConfig
 from moveset.training.distill import DistillationConfig
 from moveset.training.engine import EngineConfig
+from moveset.training.evaluator import EvaluatorTrainingConfig, MovementTrainingConfig
 from moveset.training.rdm import RDMConfig
 from moveset.training.segments import SEGMENT_FRAMES, CuttingConfig
 from moveset.training.tasks import Recipe
@@ -54,6 +56,19 @@ def student(text_dim: int = 768) -> TokenDenoiserConfig:
 def discriminator() -> DiscriminatorConfig:
     """Heads on all nine blocks of the teacher: 1.2 M trained parameters."""
     return DiscriminatorConfig(width=256, taps=9)
+
+
+def movement() -> Recipe:
+    """T2M's movement autoencoder; 270 epochs of HumanML3D's windows are about 1.3 M steps at batch 128 as published."""
+    return Recipe(task=MovementTrainingConfig(), engine=_engine(300_000))
+
+
+def evaluator() -> Recipe:
+    """T2M's matching networks over any text encoder's token states; ``speech_classes`` belong to word tables."""
+    model = EvaluatorConfig(word_width=768, speech_classes=0)
+    return Recipe(
+        task=EvaluatorTrainingConfig(model=model, words="sentence-t5-large", ema=0.0), engine=_engine(200_000)
+    )
 
 
 def _engine(steps: int) -> EngineConfig:
@@ -165,4 +180,6 @@ TRAINING: dict[str, Callable[[], Recipe]] = {
     **{f"md-{n}": partial(train_md, n) for n in (4, 7)},
     "motiondiffuse": train_motiondiffuse,
     "dip": train_dip,
+    "movement": movement,
+    "evaluator": evaluator,
 }

@@ -5,6 +5,7 @@ from dataclasses import replace
 from functools import partial
 
 from moveset.models.dip_decoder import DipDecoderConfig
+from moveset.models.evaluator import EvaluatorConfig, MovementConfig
 from moveset.models.flow import FlowConfig
 from moveset.models.light_t2m import LightT2MConfig
 from moveset.models.segment_denoiser import SegmentDenoiserConfig
@@ -13,6 +14,7 @@ from moveset.rdm.grid import GridConfig
 from moveset.training.dip import DiPConfig
 from moveset.training.distill import DistillationConfig
 from moveset.training.engine import EngineConfig
+from moveset.training.evaluator import EvaluatorTrainingConfig, MovementTrainingConfig
 from moveset.training.rdm import RDMConfig
 from moveset.training.rdm_student import RDMStudentConfig
 from moveset.training.reading import Disturbance
@@ -140,6 +142,31 @@ def rdm_student() -> Recipe:
     return Recipe(task=RDMStudentConfig(batch=48, disturbance=DISTURBANCE), engine=_students(700))
 
 
+def movement() -> Recipe:
+    """Half the published width: 0.6 M parameters of the evaluator."""
+    task = MovementTrainingConfig(model=MovementConfig(width=256, latent=256), lr=1e-3, warmup=100)
+    return Recipe(task=task, engine=_judge(3000))
+
+
+def evaluator() -> Recipe:
+    """The judge of this corpus, 2.2 M parameters: it has a hundredth of HumanML3D's texts to learn from."""
+    model = EvaluatorConfig(
+        movement_width=256,
+        movement_latent=256,
+        word_width=384,
+        speech_classes=0,
+        text_hidden=192,
+        motion_hidden=256,
+        joint=128,
+    )
+    task = EvaluatorTrainingConfig(model=model, batch=64, lr=5e-4, warmup=100, negatives="all")
+    return Recipe(task=task, engine=_judge(3000))
+
+
+def _judge(steps: int) -> EngineConfig:
+    return EngineConfig(steps=steps, save_every=500, validate_every=250, grad_clip=0.5, precision="32-true", threads=1)
+
+
 # The published range [5, 15] is far too strong here: the teacher says what validation prompts say in 78, 83 and 80 % of
 # clips at w = 1, 2 and 3.
 GUIDANCE = (1.0, 4.0)
@@ -177,4 +204,6 @@ TRAINING: dict[str, Callable[[], Recipe]] = {
     "motiondiffuse": motiondiffuse,
     "dip": dip,
     "rdm-student": rdm_student,
+    "movement": movement,
+    "evaluator": evaluator,
 }

@@ -5,6 +5,7 @@ from dataclasses import replace
 from functools import partial
 
 from moveset.models.dip_decoder import DipDecoderConfig
+from moveset.models.evaluator import EvaluatorConfig, MovementConfig
 from moveset.models.flow import FlowConfig
 from moveset.models.latent_denoiser import LatentDenoiserConfig
 from moveset.models.light_t2m import LightT2MConfig
@@ -15,6 +16,7 @@ from moveset.rdm.grid import GridConfig
 from moveset.training.dip import DiPConfig
 from moveset.training.distill import DistillationConfig
 from moveset.training.engine import EngineConfig
+from moveset.training.evaluator import EvaluatorTrainingConfig, MovementTrainingConfig
 from moveset.training.rdm import RDMConfig
 from moveset.training.rdm_student import RDMStudentConfig
 from moveset.training.reading import Disturbance
@@ -103,6 +105,25 @@ def rdm_student() -> Recipe:
     return Recipe(task=RDMStudentConfig(batch=4, warmup=1, cutting=_CUTTING, disturbance=_ROUGH), engine=_ENGINE)
 
 
+def movement() -> Recipe:
+    """A width of 16."""
+    return Recipe(task=MovementTrainingConfig(model=MovementConfig(width=16, latent=16), batch=4), engine=_ENGINE)
+
+
+def evaluator() -> Recipe:
+    """Widths of 16."""
+    model = EvaluatorConfig(
+        movement_width=16,
+        movement_latent=16,
+        word_width=384,
+        speech_classes=0,
+        text_hidden=16,
+        motion_hidden=16,
+        joint=8,
+    )
+    return Recipe(task=EvaluatorTrainingConfig(model=model, batch=4), engine=_ENGINE)
+
+
 def _volume(task: RDMConfig) -> Recipe:
     cutting = CuttingConfig(aligned=True, whole_caption=1.0, continuations=0)
     grid = GridConfig(frames=SEGMENT_FRAMES[1])
@@ -124,4 +145,6 @@ TRAINING: dict[str, Callable[[], Recipe]] = {
     "motiondiffuse": motiondiffuse,
     "dip": dip,
     "rdm-student": rdm_student,
+    "movement": movement,
+    "evaluator": evaluator,
 }

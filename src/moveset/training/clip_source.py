@@ -3,7 +3,7 @@
 A source numbers its clips as networks see them: a mirror image is a clip of its own. F frames, D features.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from pathlib import Path
 from typing import Protocol
 
@@ -42,6 +42,9 @@ class ClipSource(Protocol):
 
     def captions(self, clip: int) -> tuple[str, ...]:
         """Sentences of a clip."""
+
+    def label(self, clip: int) -> Hashable:
+        """What a clip shows: clips of one label may answer each other's sentences."""
 
     def divisible(self, clip: int) -> bool:
         """Whether the sentences of a clip also hold for most of it, so that a window of it may be learned from."""
@@ -89,6 +92,9 @@ class CorpusClips:
 
     def captions(self, clip: int) -> tuple[str, ...]:
         return self.corpus.captions(clip // 2, clip % 2 == 1)
+
+    def label(self, clip: int) -> Hashable:
+        return self.corpus.contents(clip // 2, clip % 2 == 1)
 
     def divisible(self, clip: int) -> bool:
         """A window of a composition may miss half of what its caption says."""
@@ -153,6 +159,10 @@ class FolderClips:
 
     def captions(self, clip: int) -> tuple[str, ...]:
         return tuple(caption.text for caption in self.items[clip].captions)
+
+    def label(self, clip: int) -> Hashable:
+        """The motion that it is a part of: nothing is known of what the clips show."""
+        return self.items[clip].name
 
     def divisible(self, clip: int) -> bool:
         """Sentences tell of one thing after another, and a window may miss some of it."""

@@ -8,6 +8,7 @@ import torch
 from torch import nn
 
 from moveset.models import (  # noqa: F401  (they register their kinds)
+    evaluator,
     flow,
     latent_denoiser,
     segment_denoiser,

@@ -31,6 +31,8 @@ TASKS = {
     "motiondiffuse": "moveset.training.rdm:RDMTask",
     "dip": "moveset.training.dip:DiPTask",
     "rdm-student": "moveset.training.rdm_student:RDMStudentTask",
+    "movement": "moveset.training.evaluator:MovementTask",
+    "evaluator": "moveset.training.evaluator:EvaluatorTask",
 }
 RECIPES = ("small", "paper", "tiny")
 
@@ -44,7 +46,8 @@ class Sources:
     Args:
         corpus: the motions and captions.
         vae: run folder or checkpoint of the autoencoder; tasks after it need one.
-        teacher: run folder or checkpoint of the teacher; the students need one.
+        teacher: run folder or checkpoint of what was trained before: the students' teacher, the evaluator's movement
+            autoencoder.
         cache: folder for features and latents that are computed once.
     """
 

@@ -1,0 +1,264 @@
+"""Training the evaluator: a movement autoencoder, then a common space of sentences and motions by contrast.
+
+T2M's recipe (Guo et al. 2022) without its slips: a "negative" is never the positive, nor another motion that shows just
+what the sentence says; validation is in evaluation mode on the validation split; the statistics that features are
+normalised by, root and contacts weighing ``feat_bias`` times more, are part of the weights.
+
+Shapes: B batch, F frames, D features, E width of the common space.
+"""
+
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as fn
+
+from moveset.models.evaluator import EvaluatorConfig, MatchingEvaluator, MovementConfig
+from moveset.models.registry import describe
+from moveset.motion.features import Normalizer, get_codec
+from moveset.text.cache import EmbeddingCache
+from moveset.text.encoder import get_text_encoder
+from moveset.text.words import as_words
+from moveset.training import frozen
+from moveset.training.clip_source import open_clips
+from moveset.training.clips import Crop, CropSampler, FeatureStore
+from moveset.training.ema import Ema, ema_warmup
+from moveset.training.engine import Loop, Task
+from moveset.training.optim import cosine_lr
+from moveset.training.tasks import Sources
+
+
+@dataclass(frozen=True, kw_only=True)
+class MovementTrainingConfig:
+    """What ``MovementTask`` trains and how.
+
+    Args:
+        window: frames of a training window.
+        small, smooth: weights of the tokens' size and of their change from one to the next.
+        feat_bias: how much more root and contacts weigh (T2M: 5 by intention, 25 in its checkpoints).
+    """
+
+    model: MovementConfig = field(default_factory=MovementConfig)
+    window: int = 24
+    batch: int = 128
+    lr: float = 1e-4
+    warmup: int = 0
+    small: float = 1e-3
+    smooth: float = 1e-3
+    feat_bias: float = 5.0
+    codec: str = "hml"
+    kind: str = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "kind", describe(self.model)[0])
+
+
+@dataclass(frozen=True, kw_only=True)
+class EvaluatorTrainingConfig:
+    """What ``EvaluatorTask`` trains and how.
+
+    Args:
+        margin: distance beyond which a negative pair is left alone.
+        negatives: "roll": one motion of the batch for each sentence, as published. "all": all that may serve.
+        ema: decay of the averaged copy that ships; 0 for none.
+        words: whose token states are a sentence's words.
+        feat_bias, codec: those of the movement encoder; filled in from it.
+    """
+
+    model: EvaluatorConfig = field(default_factory=EvaluatorConfig)
+    margin: float = 10.0
+    negatives: Literal["roll", "all"] = "roll"
+    batch: int = 32
+    lr: float = 1e-4
+    warmup: int = 0
+    ema: float = 0.999
+    words: str = "minilm"
+    max_words: int = 32
+    feat_bias: float = 5.0
+    codec: str = "hml"
+    kind: str = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "kind", describe(self.model)[0])
+
+
+class MovementTask(Task):
+    """The movement autoencoder: L1 on windows, tokens kept small and smooth."""
+
+    name = "movement"
+
+    def __init__(self, config: MovementTrainingConfig, sources: Sources, loop: Loop) -> None:
+        self.config, self.steps = config, loop.config.steps
+        source = open_clips(sources.corpus)
+        self.store = _features(source, config.codec, sources.cache, loop)
+        self.scale = _emphasis(self.store.normalizer, config.codec, config.feat_bias).to(loop.device)
+        self.autoencoder = config.model.build().to(loop.device)
+        # Betas are Adam's own; T2M gives none.
+        self.optimizer = torch.optim.Adam(self.autoencoder.parameters(), config.lr)
+        self.train_clips, self.val_clips = (
+            [clip for clip in source.clips(split) if self.store.clips[clip].frames >= config.window]
+            for split in ("train", "val")
+        )
+        self.seed = loop.config.seed * 64 + loop.rank
+
+    def modules(self) -> dict[str, nn.Module]:
+        return {"movement": self.autoencoder}
+
+    def optimizers(self) -> dict[str, torch.optim.Optimizer]:
+        return {"movement": self.optimizer}
+
+    def learning_rates(self, step: int) -> dict[str, float]:
+        return {"movement": cosine_lr(step, self.config.lr, self.config.warmup, self.steps)}
+
+    def training_step(self, step: int, loop: Loop) -> dict[str, Tensor]:
+        loss, parts = self._loss(self._windows(self.train_clips, self.seed * 1_000_003 + step).to(loop.device))
+        norm = loop.minimise(loss, "movement")
+        return {"loss": loss.detach(), "gradient_norm": norm} | {k: v.detach() for k, v in parts.items()}
+
+    def validate(self, step: int, loop: Loop) -> dict[str, float]:
+        batches = [self._windows(self.val_clips, k).to(loop.device) for k in range(4)]
+        return {"reconstruction": sum(float(self._loss(batch)[1]["reconstruction"]) for batch in batches) / 4}
+
+    def _windows(self, clips: Sequence[int], seed: int) -> Tensor:
+        generator, window = torch.Generator().manual_seed(seed), self.config.window
+        # Every frame has the same chance, as if all windows of all clips were listed.
+        places = torch.tensor([self.store.clips[clip].frames - window + 1 for clip in clips], dtype=torch.float64)
+        drawn = torch.multinomial(places, self.config.batch, replacement=True, generator=generator)
+        at = (torch.rand(len(drawn), generator=generator, dtype=torch.float64) * places[drawn]).long()
+        crops = [Crop(clips[k], start, window) for k, start in zip(drawn.tolist(), at.tolist(), strict=True)]
+        return self.store.batch(crops)[0]
+
+    def _loss(self, x_BFD: Tensor) -> tuple[Tensor, dict[str, Tensor]]:
+        x_BFD = x_BFD * self.scale
+        made_BFD, tokens_BTC = (made.float() for made in self.autoencoder(x_BFD))
+        parts = {
+            "reconstruction": fn.l1_loss(made_BFD, x_BFD),
+            "size": tokens_BTC.abs().mean(),
+            "change": fn.l1_loss(tokens_BTC[:, 1:], tokens_BTC[:, :-1]),
+        }
+        loss = parts["reconstruction"] + self.config.small * parts["size"] + self.config.smooth * parts["change"]
+        return loss, parts
+
+
+class EvaluatorTask(Task):
+    """Sentences and motions to one space; the movement encoder is given (``Sources.teacher``) and frozen."""
+
+    name = "evaluator"
+
+    def __init__(self, config: EvaluatorTrainingConfig, sources: Sources, loop: Loop) -> None:
+        self.config, self.steps = config, loop.config.steps
+        movement = frozen.load(sources.teacher, "movement")
+        self.source, codec = open_clips(sources.corpus), movement.task["codec"]
+        self.store = _features(self.source, codec, sources.cache, loop)
+        bias = movement.task["feat_bias"]
+        self.scale = _emphasis(self.store.normalizer, codec, bias).to(loop.device)
+        self.evaluator: MatchingEvaluator = config.model.build().to(loop.device)
+        self.evaluator.movement.load_state_dict(movement.module.encoder.state_dict())
+        self.evaluator.movement.requires_grad_(False)
+        self.evaluator.mean.copy_(self.store.normalizer.mean)
+        self.evaluator.std.copy_(self.store.normalizer.std / self.scale.cpu())
+        self.ema = Ema(self.evaluator, config.ema)
+        trained = [parameter for parameter in self.evaluator.parameters() if parameter.requires_grad]
+        self.optimizer = torch.optim.Adam(trained, config.lr)
+        train, self.val = self.source.clips("train"), self.source.clips("val")
+        weights = self.source.weights(train, power=0.5, composed_share=0.4)
+        self.seed = loop.config.seed * 64 + loop.rank
+        # Whole clips, or for those that may be divided most of them: a shorter window may miss what its sentence says.
+        self.sampler = CropSampler(self.store, train, weights, config.batch, self.seed, whole=0.5, shortest=(0.7, 24))
+        said = sorted({text for clip in (*train, *self.val) for text in self.source.captions(clip)})
+        path = sources.cache / f"evaluator-text-{config.words.replace('/', '-').replace(':', '-')}.safetensors"
+        with loop.fabric.rank_zero_first():
+            self.text = EmbeddingCache.build(get_text_encoder(config.words), said, path).to(loop.device)
+
+    def modules(self) -> dict[str, nn.Module]:
+        return {"evaluator": self.evaluator}
+
+    def averages(self) -> dict[str, nn.Module]:
+        return {"evaluator_ema": self.ema.module}
+
+    def optimizers(self) -> dict[str, torch.optim.Optimizer]:
+        return {"evaluator": self.optimizer}
+
+    def learning_rates(self, step: int) -> dict[str, float]:
+        return {"evaluator": cosine_lr(step, self.config.lr, self.config.warmup, self.steps)}
+
+    def training_step(self, step: int, loop: Loop) -> dict[str, Tensor]:
+        # T2M keeps the movement encoder in evaluation mode: its dropout would blur what the others are to tell apart.
+        self.evaluator.movement.eval()
+        generator = torch.Generator().manual_seed(self.seed * 1_000_003 + step)
+        crops = [self._undivided(crop) for crop in self.sampler.crops(step)]
+        motion, text, labels = self._embed(self.evaluator, crops, generator, loop)
+        loss, right = contrast(text, motion, labels, self.config.margin, self._shift(len(crops), generator))
+        norm = loop.minimise(loss, "evaluator")
+        self.ema.update(self.evaluator, ema_warmup(step, self.config.ema))
+        return {"loss": loss.detach(), "nearest": right.detach(), "gradient_norm": norm}
+
+    def validate(self, step: int, loop: Loop) -> dict[str, float]:
+        order = sorted(self.val, key=lambda clip: self.store.clips[clip].frames)
+        losses, rights = [], []
+        # Interleaved, so that a group holds short and long clips alike: length must not give the answer away.
+        for k in range(groups := max(1, len(order) // 32)):
+            crops, generator = [self.store.whole(c) for c in order[k::groups]], torch.Generator().manual_seed(k)
+            motion, text, labels = self._embed(self.ema.module, crops, generator, loop)
+            loss, right = contrast(text, motion, labels, self.config.margin, None)
+            losses.append(float(loss))
+            rights.append(float(right))
+        return {"loss": sum(losses) / len(losses), "nearest": sum(rights) / len(rights)}
+
+    def _undivided(self, crop: Crop) -> Crop:
+        return crop if self.source.divisible(crop.clip) else self.store.whole(crop.clip)
+
+    def _embed(
+        self, network: MatchingEvaluator, crops: Sequence[Crop], generator: torch.Generator, loop: Loop
+    ) -> tuple[Tensor, Tensor, list[Hashable]]:
+        features, lengths = (x.to(loop.device) for x in self.store.batch(crops))
+        said = [self.source.captions(crop.clip) for crop in crops]
+        pick = torch.rand(len(said), generator=generator).tolist()
+        captions = [options[int(share * len(options))] for options, share in zip(said, pick, strict=True)]
+        words, _, counts = as_words(self.text.lookup(captions, self.config.max_words), self.config.max_words)
+        motion = network.embed_motion(features * self.scale, lengths).float()
+        return motion, network.embed_text(words, None, counts).float(), [self.source.label(c.clip) for c in crops]
+
+    def _shift(self, batch: int, generator: torch.Generator) -> int | None:
+        return int(torch.randint(1, batch, (), generator=generator)) if self.config.negatives == "roll" else None
+
+
+def contrast(
+    text_BE: Tensor, motion_BE: Tensor, labels: Sequence[Hashable], margin: float, shift: int | None
+) -> tuple[Tensor, Tensor]:
+    """(loss, share of sentences whose own motion is nearest): mean d² of pairs + mean max(0, margin - d)² of others.
+
+    Args:
+        text_BE, motion_BE: row k of one belongs to row k of the other.
+        labels: what each pair shows; other pairs of the same label are no negatives.
+        margin: distance at which a negative is far enough.
+        shift: negatives are the motions rolled by this many rows; None takes all of the batch.
+
+    Source: motionpcm.md 6.2; Hadsell et al. 2006, Eq. 4.
+    """
+    distance_BB = torch.cdist(text_BE, motion_BE, compute_mode="donot_use_mm_for_euclid_dist")
+    names = {label: k for k, label in enumerate(dict.fromkeys(labels))}
+    number = torch.tensor([names[label] for label in labels], device=text_BE.device)
+    other_BB = number[:, None] != number
+    used_BB = other_BB
+    if shift is not None:
+        used_BB = other_BB & torch.eye(len(labels), dtype=torch.bool, device=text_BE.device).roll(shift, 1)
+    lacking = (margin - distance_BB).clamp_min(0).square()
+    negative = lacking[used_BB].mean() if used_BB.any() else lacking.new_zeros(())
+    own = distance_BB.diagonal()
+    right = own < distance_BB.masked_fill(~other_BB, torch.inf).amin(1)
+    return own.square().mean() + negative, right.float().mean()
+
+
+def _features(source: object, codec: str, cache: Path, loop: Loop) -> FeatureStore:
+    # Whoever comes first makes the cache; the other processes open it.
+    with loop.fabric.rank_zero_first():
+        return FeatureStore.of(source, get_codec(codec), cache / f"features-{codec}", progress=loop.rank == 0)  # type: ignore[arg-type]
+
+
+def _emphasis(normalizer: Normalizer, codec: str, feat_bias: float) -> Tensor:
+    """(D,) by which features normalised without bias are to be multiplied."""
+    return normalizer.std / normalizer.biased(get_codec(codec).groups, feat_bias).std
