@@ -66,9 +66,8 @@ def movement() -> Recipe:
 def evaluator() -> Recipe:
     """T2M's matching networks over any text encoder's token states; ``speech_classes`` belong to word tables."""
     model = EvaluatorConfig(word_width=768, speech_classes=0)
-    return Recipe(
-        task=EvaluatorTrainingConfig(model=model, words="sentence-t5-large", ema=0.0), engine=_engine(200_000)
-    )
+    task = EvaluatorTrainingConfig(model=model, words="t5:sentence-transformers/sentence-t5-large", ema=0.0)
+    return Recipe(task=task, engine=_engine(200_000))
 
 
 def _engine(steps: int) -> EngineConfig:
