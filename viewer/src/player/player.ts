@@ -151,9 +151,9 @@ export class Player {
     this.resize();
   }
 
-  /** Add a packet to a take that is shown. */
-  append(packet: Packet, takeIndex = 0): void {
-    this.entries[takeIndex].take.append(packet);
+  /** Add a packet to a take that is shown; without one: look again, since a take or its prompts grew. */
+  append(packet?: Packet, takeIndex = 0): void {
+    if (packet) this.entries[takeIndex].take.append(packet);
     this.touch();
   }
 
@@ -466,7 +466,8 @@ export class Player {
     this.touch();
   }
 
-  private toggle(what: Toggle): void {
+  /** What the bar's buttons do; by default play or pause. */
+  toggle(what: Toggle = "playing"): void {
     if (what === "playing") this.isPlaying ? this.pause() : this.play();
     else if (what === "loop") this.loop = !this.loop;
     else if (what === "follow") this.camera = this.mode === "follow" ? "orbit" : "follow";
