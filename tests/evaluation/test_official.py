@@ -1,16 +1,21 @@
 """The published evaluators: fake checkpoints of the authors' form, an oracle written from the specification."""
 
+import json
 import math
 import os
+import pickle
 
 import numpy as np
 import pytest
 import torch
 from torch.nn import functional as F
 
-from moveset.data.humanml3d import HUMANML3D, KIT
+from moveset.cli.__main__ import main
+from moveset.data.humanml3d import HUMANML3D, KIT, parse_caption
 from moveset.errors import FormatError, InputError
-from moveset.evaluation.official import BIAS, biased, read_checkpoint, read_official
+from moveset.evaluation.evaluator import Evaluator
+from moveset.evaluation.official import BIAS, biased, import_official, read_checkpoint, read_official
+from moveset.text.glove import CLASSES
 
 SMALL = {"features": 263, "movement": 6, "latent": 5, "word": 7, "classes": 15, "text": 4, "motion": 3, "joint": 8}
 PUBLISHED = SMALL | dict.fromkeys(("movement", "latent", "text", "joint"), 512) | {"word": 300, "motion": 1024}
@@ -94,12 +99,13 @@ def encode(x, state):
 
 
 def movement(x, state):
-    """Tokens of one clip (F, D - 4), by four taps of every second frame."""
+    """Tokens of one clip (F, D - 4) that zeros follow, as in the authors' batches, by four taps of every second frame."""
+    tokens, x = len(x) // 4, F.pad(x, (0, 0, 0, 8))
     for name in ("main.0", "main.3"):
         x = F.pad(x, (0, 0, 1, 1))
         taps = torch.stack([x[k : len(x) - 3 + k : 2] for k in range(4)])
         x = F.leaky_relu(torch.einsum("kfc,ock->fo", taps, state[f"{name}.weight"]) + state[f"{name}.bias"], 0.2)
-    return x @ state["out_net.weight"].T + state["out_net.bias"]
+    return (x @ state["out_net.weight"].T + state["out_net.bias"])[:tokens]
 
 
 @pytest.fixture
@@ -115,9 +121,10 @@ def test_motions_equal_the_specification(official):
     for k, length in enumerate(lengths):
         x[k, length:] = 0
     got = found.module.embed_motion(x, lengths)
+    # The published loader pads every clip with zeros to 196 frames; a clip counts in whole tokens.
+    padded = F.pad(x, (0, 0, 0, 196 - 24))
     for k, length in enumerate(lengths):
-        # A clip counts in whole tokens, whose last one sees zeros where the clip has ended.
-        tokens = movement(x[k, :, :-4], state["movement_encoder"])[: length // 4]
+        tokens = movement(padded[k, :, :-4], state["movement_encoder"])[: length // 4]
         torch.testing.assert_close(got[k], encode(tokens, state["motion_encoder"]), rtol=1e-4, atol=1e-5)
     x[..., -4:] = 9.0
     torch.testing.assert_close(found.module.embed_motion(x, lengths), got)
@@ -268,3 +275,62 @@ def test_statistics_that_do_not_fit(tmp_path):
     (meta / "mean.npy").unlink()
     with pytest.raises(InputError, match=r"no Comp_v6_KLD\*/meta"):
         read_official(tmp_path)
+
+
+VOCABULARY = ("sos", "eos", "unk", "a", "man", "walk", "left")
+
+
+@pytest.fixture
+def glove(tmp_path):
+    folder = tmp_path / "glove"
+    folder.mkdir()
+    np.save(folder / "our_vab_data.npy", np.random.default_rng(4).standard_normal((len(VOCABULARY), 7)))
+    (folder / "our_vab_words.pkl").write_bytes(pickle.dumps(list(VOCABULARY)))
+    (folder / "our_vab_idx.pkl").write_bytes(pickle.dumps({word: k for k, word in enumerate(VOCABULARY)}))
+    return folder
+
+
+@pytest.mark.parametrize("dataset", ["t2m", "kit"])
+def test_the_command_makes_an_evaluator_that_judges_as_specified(tmp_path, glove, capsys, dataset):
+    state, mean, std = write_official(tmp_path / "checkpoints", dataset)
+    out = tmp_path / "evaluator"
+    assert main(["data", "import-evaluator", str(tmp_path / "checkpoints"), str(glove), str(out), "--json"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert said["name"] == f"{dataset}-official"
+    opened = Evaluator.open(out)
+    assert (opened.card.codec, opened.card.fps) == {"t2m": ("hml", 20.0), "kit": ("kit", 12.5)}[dataset]
+    assert said["parameters"] == sum(p.numel() for p in opened.module.parameters())
+
+    # A whole item by the specification: normalised, cut to tokens, without contacts; tokens by table and class.
+    x = mean + std * torch.randn(23, len(mean), generator=torch.Generator().manual_seed(5))
+    tokens = movement(((x - mean) / std)[:20, :-4], state["movement_encoder"])
+    expected = encode(tokens, state["motion_encoder"])
+    torch.testing.assert_close(opened.embed_motions([x, x[:8]])[0], expected.double(), rtol=1e-3, atol=1e-4)
+
+    caption = parse_caption("A man walks left, zorbing.#man/NOUN walk/VERB left/ADV zorb/VERB#0.0#0.0")
+    table = torch.from_numpy(np.load(glove / "our_vab_data.npy")).float()
+    rows = [VOCABULARY.index(word) for word in ("sos", "man", "walk", "left", "unk", "eos")]
+    kinds = [CLASSES.index(kind) for kind in ("OTHER", "NOUN", "Act_VIP", "Loc_VIP", "OTHER", "OTHER")]
+    text = state["text_encoder"]
+    words = table[rows] + F.one_hot(torch.tensor(kinds), 15).float() @ text["pos_emb.weight"].T + text["pos_emb.bias"]
+    torch.testing.assert_close(opened.embed_texts([caption])[0], encode(words, text).double(), rtol=1e-3, atol=1e-4)
+    with pytest.raises(InputError, match="no word/PART_OF_SPEECH tokens"):
+        opened.embed_texts(["a man walks"])
+
+
+def test_a_table_of_another_width_does_not_fit(tmp_path, glove):
+    write_official(tmp_path)
+    np.save(glove / "our_vab_data.npy", np.zeros((len(VOCABULARY), 6)))
+    with pytest.raises(FormatError, match="words of 6 numbers and 15 classes do not fit"):
+        import_official(tmp_path, glove)
+
+
+def test_the_command_fails_with_one_line(tmp_path, glove, capsys):
+    write_official(tmp_path)
+    path = tmp_path / "t2m" / "text_mot_match" / "model" / "finest.tar"
+    path.write_bytes(path.read_bytes()[:1000])
+    assert main(["data", "import-evaluator", str(tmp_path), str(glove), str(tmp_path / "out")]) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert "truncated or no checkpoint" in said
+    assert not (tmp_path / "out").exists()

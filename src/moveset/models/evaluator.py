@@ -20,6 +20,7 @@ from moveset.errors import InputError
 from moveset.models.registry import register, require_range
 
 FRAMES_PER_TOKEN = 4
+MAX_FRAMES = 196
 #: The last features of a frame, foot contacts, are not judged.
 CONTACTS = 4
 
@@ -200,10 +201,14 @@ class MatchingEvaluator(nn.Module):
     def embed_motion(self, x_BFD: Tensor, lengths_B: Tensor) -> Tensor:
         """(B, E) of normalised features (B, F, D) of ``lengths_B`` frames each; frames past a clip's end must be zero.
 
-        A clip counts in whole tokens: ``lengths_B // 4``, at least one.
+        A clip counts in whole tokens: ``lengths_B // 4``, at least one. As in T2M, whose batches all have 196 frames,
+        zeros follow every clip but those of 196 frames: a last token sees what follows it, and a clip's place in a
+        batch must not matter.
         """
-        spare = -x_BFD.shape[1] % FRAMES_PER_TOKEN
-        tokens_BTC = self.movement(F.pad(x_BFD[..., :-CONTACTS], (0, 0, 0, spare)))
+        frames = x_BFD.shape[1]
+        padded = max(frames, min(frames + FRAMES_PER_TOKEN, MAX_FRAMES))
+        padded += -padded % FRAMES_PER_TOKEN
+        tokens_BTC = self.movement(F.pad(x_BFD[..., :-CONTACTS], (0, 0, 0, padded - frames)))
         return self.motion(tokens_BTC, lengths_B // FRAMES_PER_TOKEN)
 
     def embed_text(self, words_BLW: Tensor, speech_BLP: Tensor | None, lengths_B: Tensor) -> Tensor:

@@ -8,7 +8,7 @@ Shapes: B batch, F frames, D features, E width of the common space.
 """
 
 from collections.abc import Hashable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
@@ -23,7 +23,7 @@ from moveset.text.cache import EmbeddingCache
 from moveset.text.encoder import get_text_encoder
 from moveset.text.words import as_words
 from moveset.training import frozen
-from moveset.training.clip_source import open_clips
+from moveset.training.clip_source import ClipSource, open_clips
 from moveset.training.clips import Crop, CropSampler, FeatureStore
 from moveset.training.ema import Ema, ema_warmup
 from moveset.training.engine import Loop, Task
@@ -149,12 +149,11 @@ class EvaluatorTask(Task):
     name = "evaluator"
 
     def __init__(self, config: EvaluatorTrainingConfig, sources: Sources, loop: Loop) -> None:
-        self.config, self.steps = config, loop.config.steps
         movement = frozen.load(sources.teacher, "movement")
-        self.source, codec = open_clips(sources.corpus), movement.task["codec"]
-        self.store = _features(self.source, codec, sources.cache, loop)
-        bias = movement.task["feat_bias"]
-        self.scale = _emphasis(self.store.normalizer, codec, bias).to(loop.device)
+        self.config = config = replace(config, codec=movement.task["codec"], feat_bias=movement.task["feat_bias"])
+        self.steps, self.source = loop.config.steps, open_clips(sources.corpus)
+        self.store = _features(self.source, config.codec, sources.cache, loop)
+        self.scale = _emphasis(self.store.normalizer, config.codec, config.feat_bias).to(loop.device)
         self.evaluator: MatchingEvaluator = config.model.build().to(loop.device)
         self.evaluator.movement.load_state_dict(movement.module.encoder.state_dict())
         self.evaluator.movement.requires_grad_(False)
@@ -253,10 +252,10 @@ def contrast(
     return own.square().mean() + negative, right.float().mean()
 
 
-def _features(source: object, codec: str, cache: Path, loop: Loop) -> FeatureStore:
+def _features(source: ClipSource, codec: str, cache: Path, loop: Loop) -> FeatureStore:
     # Whoever comes first makes the cache; the other processes open it.
     with loop.fabric.rank_zero_first():
-        return FeatureStore.of(source, get_codec(codec), cache / f"features-{codec}", progress=loop.rank == 0)  # type: ignore[arg-type]
+        return FeatureStore.of(source, get_codec(codec), cache / f"features-{codec}", progress=loop.rank == 0)
 
 
 def _emphasis(normalizer: Normalizer, codec: str, feat_bias: float) -> Tensor:
