@@ -99,7 +99,7 @@ def encode(x, state):
 
 
 def movement(x, state):
-    """Tokens of one clip (F, D - 4) that zeros follow, as in the authors' batches, by four taps of every second frame."""
+    """Tokens of one clip (F, D - 4) that zeros follow (as in a batch), by four taps of every second frame."""
     tokens, x = len(x) // 4, F.pad(x, (0, 0, 0, 8))
     for name in ("main.0", "main.3"):
         x = F.pad(x, (0, 0, 1, 1))

@@ -1,11 +1,11 @@
-"""``moveset data``: build and inspect training data."""
+"""``moveset data``: build and inspect training data; import the published evaluators."""
 
 import json as jsonlib
 import os
 import sys
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
@@ -108,6 +108,43 @@ def info(
     return 0
 
 
+def import_evaluator(
+    checkpoints: tyro.conf.Positional[Path],
+    glove: tyro.conf.Positional[Path],
+    output: tyro.conf.Positional[Path],
+    *,
+    dataset: Literal["t2m", "kit"] | None = None,
+    statistics: Path | None = None,
+    bias: float | None = None,
+    json: tyro.conf.FlagCreatePairsOff[bool] = False,
+) -> int:
+    """Make an evaluator's folder of the published checkpoints of HumanML3D or KIT-ML.
+
+    Nothing in them is run; use the result as `moveset evaluate … --evaluator OUTPUT`.
+
+    Args:
+        checkpoints: Their folder, with t2m/text_mot_match/model/finest.tar and t2m/Comp_v6_KLD005/meta (or kit).
+        glove: Folder with our_vab_data.npy, our_vab_idx.pkl and our_vab_words.pkl, or a GloVe text file.
+        output: The folder to make.
+        dataset: Which one, where both are there.
+        statistics: Folder with mean.npy and std.npy, if not that of the published generator.
+        bias: What the standard deviations of root and contacts are still to be divided by: 25 for Std.npy of the data
+            set. The published std.npy has it in it.
+        json: Print one JSON object on stdout and nothing else.
+    """
+    from moveset.evaluation.official import import_official
+
+    made = import_official(checkpoints, glove, dataset, statistics=statistics, bias=bias)
+    made.save(output)
+    weights = sum(p.numel() for p in made.module.parameters())
+    if json:
+        facts = {"codec": made.card.codec, "parameters": weights, "provenance": dict(made.card.provenance)}
+        print(jsonlib.dumps({"evaluator": str(output), "name": made.card.name, **facts}))
+    else:
+        print(f"{output}: {made.card.name}, {weights:,} parameters, {made.card.provenance['words']} words")
+    return 0
+
+
 def _print_summary(path: Path, summary: dict[str, Any], corpus: "Corpus", captions: int) -> None:
     print(f"{path}: {summary['clips']} clips, {summary['hours']:.2f} h, {summary['compositions']} compositions")
     print("          clips   hours   in time   bodies")
@@ -145,4 +182,4 @@ def _folder_info(folder: Path, captions: int, json: bool) -> int:
     return 0
 
 
-COMMANDS = {"build": build, "info": info}
+COMMANDS = {"build": build, "info": info, "import-evaluator": import_evaluator}

@@ -10,6 +10,7 @@ twice, so that an evaluator sees these features 25 times as large as its data se
 Shapes: D features.
 """
 
+import hashlib
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -19,14 +20,18 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from moveset.data.glove_files import read_glove
 from moveset.data.humanml3d import HUMANML3D, KIT, Layout
 from moveset.data.numpy_files import read_npy
 from moveset.errors import FormatError, InputError
+from moveset.evaluation.evaluator import Evaluator, EvaluatorCard
 from moveset.models.evaluator import CONTACTS, EvaluatorConfig, MatchingEvaluator
+from moveset.text.glove import GloveWords
 
 #: What the data set's standard deviations of root and contacts are divided by.
 BIAS = 25.0
 MAX_BYTES = 2 * 2**30
+_MAX_FRAMES = 196
 _FOLDERS = {"t2m": HUMANML3D, "kit": KIT}
 _ROOT = 4
 # Contacts are 0 or 1: over a whole data set their standard deviation is 0.36 (HumanML3D) or 0.13 (KIT-ML), which the
@@ -58,6 +63,42 @@ class Official:
     layout: Layout
     module: MatchingEvaluator
     sources: Mapping[str, Path]
+
+
+def import_official(
+    folder: str | Path,
+    glove: str | Path,
+    dataset: str | None = None,
+    *,
+    statistics: str | Path | None = None,
+    bias: float | None = None,
+) -> Evaluator:
+    """The authors' evaluator as one of ours, to be saved as a folder.
+
+    Args:
+        folder: their ``checkpoints``.
+        glove: the folder with their ``our_vab`` files, or a text file of GloVe (see ``data.glove_files``).
+        dataset, statistics, bias: as for ``read_official``.
+
+    Raises:
+        InputError: files are missing, or it is not clear which are meant.
+        FormatError: a file that is damaged, foreign or does not fit the others.
+    """
+    found = read_official(folder, dataset, statistics=statistics, bias=bias)
+    words = GloveWords(*read_glove(glove))
+    card = EvaluatorCard(
+        name=f"{'kit' if found.layout is KIT else 't2m'}-official",
+        codec=found.layout.codec,
+        fps=found.layout.fps,
+        max_frames=_MAX_FRAMES,
+        words=words.name,
+        provenance={
+            "source": "checkpoints of Guo et al. 2022, Generating Diverse and Natural 3D Human Motions from Text",
+            "words": len(words.vocabulary),
+            **{f"{name}_sha256": _sha256(path) for name, path in found.sources.items()},
+        },
+    )
+    return Evaluator(card, found.module, words)
 
 
 def read_official(
@@ -233,3 +274,8 @@ def _renamed(found: dict[str, Any], path: Path) -> dict[str, Tensor]:
                 )
             state[f"{ours}.{_NAMES[first]}{dot}{rest}"] = value.float()
     return state
+
+
+def _sha256(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
