@@ -303,7 +303,8 @@ def test_the_command_makes_an_evaluator_that_judges_as_specified(tmp_path, glove
 
     # A whole item by the specification: normalised, cut to tokens, without contacts; tokens by table and class.
     x = mean + std * torch.randn(23, len(mean), generator=torch.Generator().manual_seed(5))
-    tokens = movement(((x - mean) / std)[:20, :-4], state["movement_encoder"])
+    padded = F.pad(((x - mean) / std)[:20], (0, 0, 0, 196 - 20))
+    tokens = movement(padded[:, :-4], state["movement_encoder"])[: 20 // 4]
     expected = encode(tokens, state["motion_encoder"])
     torch.testing.assert_close(opened.embed_motions([x, x[:8]])[0], expected.double(), rtol=1e-3, atol=1e-4)
 

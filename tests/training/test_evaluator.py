@@ -1,0 +1,111 @@
+"""The evaluator learns which sentence belongs to which motion, resumes exactly, and its loss is what it says."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from moveset.motion.features import get_codec
+from moveset.recipes import tiny
+from moveset.training import evaluator as training
+from moveset.training import frozen
+from moveset.training.engine import run
+from moveset.training.evaluator import contrast
+from moveset.training.pack_evaluator import pack_evaluator
+from moveset.training.tasks import Sources, task_maker, with_settings
+from tests.training.hml_folder import write_folder
+from tests.training.segment_corpus import Words, write_corpus
+
+WORDS = ("model.word_width=8", "max_words=16")
+
+
+@pytest.fixture(scope="module", autouse=True)
+def words():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(training, "get_text_encoder", lambda name: Words())
+        patch.setattr("moveset.training.pack_evaluator.get_text_encoder", lambda name: Words())
+        patch.setattr("moveset.evaluation.evaluator.get_text_encoder", lambda name: Words())
+        yield
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    made = tmp_path_factory.mktemp("judge")
+    write_corpus(made)
+    trained(made, "movement", steps=30)
+    return made
+
+
+def trained(folder, what, *settings, into=None, resume=False, corpus="corpus.safetensors", **engine):
+    recipe = tiny.TRAINING[what]()
+    sources = Sources(corpus=folder / corpus, vae=folder, teacher=folder / "movement", cache=folder / f"cache-{corpus}")
+    maker = task_maker(what, with_settings(recipe.task, settings), sources)
+    given = {"save_every": 1000, "validate_every": 1000, "log_every": 1000, **engine}
+    return run(maker, replace(recipe.engine, **given), into or folder / what, resume)
+
+
+def test_the_movement_autoencoder_learns(folder):
+    result = trained(folder, "movement", "lr=0.003", into=folder / "longer", steps=150)
+    early = trained(folder, "movement", "lr=0.003", into=folder / "shorter", steps=2)
+    assert result.validation["reconstruction"] < 0.8 * early.validation["reconstruction"]
+
+
+def test_it_learns_what_belongs_together(folder):
+    chosen = (*WORDS, "negatives=all", "batch=24", "lr=0.005", "ema=0.9")
+    before = trained(folder, "evaluator", *chosen, into=folder / "none", steps=1)
+    after = trained(folder, "evaluator", *chosen, into=folder / "some", steps=120)
+    assert after.validation["loss"] < 0.5 * before.validation["loss"]
+    assert after.validation["nearest"] > before.validation["nearest"]
+
+
+def test_statistics_and_the_frozen_encoder_are_in_the_checkpoint(folder):
+    trained(folder, "evaluator", *WORDS, into=folder / "e", steps=2)
+    found, movement = frozen.load(folder / "e", "evaluator_ema"), frozen.load(folder / "movement", "movement")
+    for name, value in movement.module.encoder.state_dict().items():
+        assert torch.equal(found.module.movement.state_dict()[name], value)
+    groups = get_codec("hml").groups
+    from moveset.training.clips import FeatureStore
+
+    plain = FeatureStore(folder / "cache-corpus.safetensors/features-hml").normalizer
+    assert torch.equal(found.module.mean, plain.mean)
+    torch.testing.assert_close(found.module.std[groups["root_yaw"]] * 5, plain.std[groups["root_yaw"]])
+    torch.testing.assert_close(found.module.std[groups["positions"]], plain.std[groups["positions"]])
+    packed = pack_evaluator(folder / "e", folder / "packed")
+    from moveset.evaluation.evaluator import Evaluator
+
+    assert Evaluator.open(packed).card.provenance["steps"] == 2
+
+
+def test_resuming_is_exact(folder):
+    trained(folder, "evaluator", *WORDS, into=folder / "whole", steps=6)
+    trained(folder, "evaluator", *WORDS, into=folder / "parts", steps=6, save_every=3)
+    for later in (folder / "parts").glob("step_6"):
+        later.rename(folder / "set-aside")
+    trained(folder, "evaluator", *WORDS, into=folder / "parts", steps=6, resume=True)
+    one, other = (frozen.load(folder / name, "evaluator") for name in ("whole", "parts"))
+    assert one.digest == other.digest
+
+
+def test_a_public_folder_is_read(folder):
+    write_folder(folder / "hml")
+    trained(folder, "movement", corpus="hml", into=folder / "hml-movement", steps=2)
+    result = trained(folder, "evaluator", *WORDS, corpus="hml", into=folder / "hml-evaluator", steps=2)
+    assert result.step == 2
+
+
+def test_contrast_by_hand():
+    text, motion = torch.tensor([[0.0], [3.0], [7.0]]), torch.tensor([[1.0], [5.0], [7.0]])
+    labels, pairs = ["a", "b", "a"], (1 + 4 + 0) / 3
+    # Pairs of "a" with the other "a" are no negatives: left are (0,1) 5, (1,0) 2, (1,2) 4, (2,1) 2.
+    loss, right = contrast(text, motion, labels, 10.0, None)
+    assert float(loss) == pytest.approx(pairs + (25 + 64 + 36 + 64) / 4)
+    assert float(right) == pytest.approx(2 / 3)
+    # Rolled by one: sentence 0 against motion 1, 1 against 2, and 2 against 0, which is of its own label.
+    loss, _ = contrast(text, motion, labels, 10.0, 1)
+    assert float(loss) == pytest.approx(pairs + (25 + 36) / 2)
+    # Nothing but one label: no negatives, and no number that is not one.
+    assert float(contrast(text, motion, ["a"] * 3, 10.0, None)[0]) == pytest.approx(pairs)
+    # Beyond the margin nothing pushes.
+    assert float(contrast(text, motion + 100, ["a", "b", "c"], 10.0, 1)[0]) == pytest.approx(
+        float((motion + 100 - text).square().mean())
+    )
