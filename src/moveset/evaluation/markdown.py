@@ -1,0 +1,191 @@
+"""A table of results as Markdown: quality, physical metrics, what differs, targets, settings, and what is published.
+
+Published numbers stand in a block of their own, said to be not comparable.
+"""
+
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+
+from moveset.evaluation.columns import PHYSICAL, QUALITY, Column, Place
+from moveset.evaluation.intervals import Interval
+from moveset.evaluation.published import PublishedTable, tables
+from moveset.evaluation.suites import REAL
+from moveset.evaluation.table import Table
+
+ROUGH = 10  # intervals from fewer repeats than these are rough themselves
+WORDINGS = {
+    "known": "Prompts are sentences that the models were trained with.",
+    "held-out": "Prompts are worded as no training sentence is.",
+}
+
+
+def markdown(table: Table, pictures: Sequence[str] = (), level: int = 1) -> str:
+    """The whole report of a suite.
+
+    Args:
+        table: what there is.
+        pictures: names of images, relative to where the text will be.
+        level: of its heading.
+
+    Raises:
+        InputError: rows that were judged by different evaluators, on different data or wordings.
+    """
+    sharp = "#" * (level + 1)
+    parts = [f"{'#' * level} {table.suite.title}", about(table), grid(table)]
+    if physical := physical_grid(table):
+        parts += [f"{sharp} Physical metrics", physical]
+    parts += [f"![{Path(name).stem}]({name})" for name in pictures]
+    if found := table.differences():
+        labels = table.labels
+        lines = [f"- {difference.sentence(labels)}" for difference in found]
+        parts += [f"{sharp} What differs outside the intervals", "\n".join(lines)]
+    parts += [f"{sharp} Targets", targets(table)]
+    parts += [f"{sharp} How the rows were made", settings(table)]
+    parts += [published(printed, level + 1) for printed in tables(table.suite.name)]
+    return "\n\n".join(parts) + "\n"
+
+
+def about(table: Table) -> str:
+    """What was measured on what, by what; the same for all rows.
+
+    Raises:
+        InputError: it is not the same for all rows.
+    """
+    if not table.measured:
+        return "No row has been evaluated yet."
+    first = table.common()
+    rough = any(result.repeats < ROUGH for result in table.measured.values())
+    labels = "" if first.labels is None else f", {first.labels} distinct contents"
+    lines = [
+        f"**{first.items} items, {first.texts} distinct texts{labels}** of the split “{first.split}” of "
+        f"{first.data[0]} ({_short(first.data[1])}); evaluator {first.evaluator[0]} ({_short(first.evaluator[1])}). "
+        f"{WORDINGS[first.wording]}",
+        f"R@k: how often the own sentence's motion is among the k nearest of {first.group}. "
+        "Mean ± 95 % interval over repeats (1.96 standard deviations / √repeats), in which captions, lengths, noise "
+        "and groups were drawn again; it does not say what other test items would give. ↑ more is better, ↓ less is "
+        "better, → nearer to real motion is better. **Best** and <u>second best</u> of the rows that generate. "
+        "Milliseconds an item are those of this run: in batches, on whatever the machine was doing besides.",
+    ]
+    if rough:
+        lines.append(f"Rows that cost much have fewer repeats; fewer than {ROUGH} make a rough interval.")
+    return "\n\n".join(lines)
+
+
+def grid(table: Table) -> str:
+    """The table of quality."""
+    columns = table.columns(QUALITY)
+    if not columns:
+        return lined(["", ""], [[entry.row.label, entry.missing or "–"] for entry in table.rows])
+    ranks = {column.name: table.places(column) for column in columns}
+    timed = any(found.seconds is not None for found in table.measured.values())
+    head = ["", "repeats", *(column.head for column in columns), *(["ms an item"] if timed else [])]
+    body, group = [], None
+    for entry in table.rows:
+        if entry.row.group != group:
+            group = entry.row.group
+            body.append([f"*{group}*", *[""] * (len(head) - 1)])
+        if entry.result is None:
+            body.append([entry.row.label, entry.missing, *["–"] * (len(head) - 2)])
+            continue
+        key, metrics = entry.row.key, entry.result.metrics
+        cells = [_cell(column, metrics.get(column.name), ranks[column.name].get(key, "")) for column in columns]
+        body.append(
+            [entry.row.label, str(entry.result.repeats), *cells, *([_ms(entry.result.seconds)] if timed else [])]
+        )
+    return lined(head, body)
+
+
+def physical_grid(table: Table) -> str:
+    """Physical metrics, each with its ratio to real motion; "" if none was measured."""
+    columns = table.columns(PHYSICAL)
+    real = table.metrics.get(REAL, {})
+    body = []
+    for entry in table.rows:
+        if entry.result is None or not columns:
+            continue
+        cells = []
+        for column in columns:
+            value = entry.result.metrics.get(column.name)
+            reference = real.get(column.name)
+            ratio = f" ({value.mean / reference.mean:.2f} ×)" if value and reference and reference.mean > 0 else ""
+            cells.append(_cell(column, value, "") + (ratio if entry.row.key != REAL else ""))
+        body.append([entry.row.label, *cells])
+    if not body:
+        return ""
+    return "In parentheses: times the value of real motion.\n\n" + lined(["", *(c.head for c in columns)], body)
+
+
+def targets(table: Table) -> str:
+    """How many targets are met, and each with its numbers."""
+    found = table.checks()
+    counts = Counter(check.verdict for check in found)
+    summary = ", ".join(f"{count} {verdict}" for verdict, count in counts.most_common())
+    body = [[check.target, f"**{check.verdict}**", check.numbers or "–"] for check in found]
+    return f"{summary}.\n\n" + lined(["target", "", "numbers"], body)
+
+
+def settings(table: Table) -> str:
+    """Which weights and which sampler made a row."""
+    body = []
+    for entry in table.rows:
+        row, words = entry.row, [f"{key} = {value}" for key, value in entry.row.settings.items()]
+        body.append(
+            [
+                row.label, row.model, row.network or "–", str(row.steps or "–"), ", ".join(words) or "–",
+                _short(entry.result.weights) if entry.result else entry.missing,
+            ]
+        )  # fmt: skip
+    return lined(["", "model", "network", "steps", "other settings than the folder's", "weights"], body)
+
+
+def published(printed: PublishedTable, level: int) -> str:
+    """A paper's own table, labelled as what it is."""
+    other = "other evaluator" if "fid" in printed.columns else "other machine"
+    heads = [_published_head(name) for name in printed.columns]
+    body = []
+    for row in printed.rows:
+        cells = [number.printed if number else "–" for number in row.numbers.values()]
+        body.append([f"**{row.method}**" if row.own else row.method, *cells])
+    return "\n\n".join(
+        [
+            f"{'#' * level} The paper's Table {printed.number}: {printed.about[:1].lower()}{printed.about[1:]}",
+            f"**Published, on {printed.dataset}, {other}: not comparable.** {printed.source}; ± is the "
+            f"{printed.spread}; "
+            "bold rows are the paper's own method.",
+            lined(["", *heads], body),
+            "\n".join(f"- {note}" for note in printed.notes),
+        ]
+    )
+
+
+def lined(head: Sequence[str], body: Sequence[Sequence[str]]) -> str:
+    """A Markdown table."""
+    rows = [head, ["---"] * len(head), *body]
+    return "\n".join(f"| {' | '.join(row)} |" for row in rows)
+
+
+def _cell(column: Column, value: Interval | None, place: Place) -> str:
+    if value is None:
+        return "–"
+    mean, half = column.format(value)
+    text = f"{mean} ± {half}" if half else mean
+    return {"best": f"**{text}**", "second": f"<u>{text}</u>", "": text}[place]
+
+
+def _ms(seconds: float | None) -> str:
+    if seconds is None:
+        return "–"
+    return f"{1e3 * seconds:.1f}" if seconds < 0.1 else f"{1e3 * seconds:.0f}"
+
+
+def _short(sha256: str) -> str:
+    return f"`{sha256[:8]}`" if sha256 else "–"
+
+
+def _published_head(name: str) -> str:
+    known = {column.name: column.head for column in QUALITY} | {"aits": "AITS, s ↓"}
+    if name in known:
+        return known[name]
+    kind, steps = name.split("_")
+    return f"{'s' if kind == 'time' else '10¹²'}, {steps} steps"

@@ -1,0 +1,93 @@
+"""The report of a suite: tables as Markdown, LaTeX and JSON, and plots, from the result files in its folder.
+
+It is a function of these files alone, so it can be written again at any time.
+"""
+
+import argparse
+import json
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from moveset.evaluation.columns import QUALITY
+from moveset.evaluation.latex import latex
+from moveset.evaluation.markdown import markdown
+from moveset.evaluation.plots import draw
+from moveset.evaluation.table import Table, load_table
+
+PAGE = """# Results
+
+Written by `make tables` from the results of `moveset evaluate --suite motionpcm` and `--suite rdm`; do not edit by
+hand. The protocol is that of the papers, the data and the evaluator are this repository's own, so numbers compare
+within a table and with nothing else. What the papers print stands below each table for the order of its rows only."""
+
+
+def write_report(folder: Path) -> Path:
+    """Writes ``table.md``, ``table.tex``, ``table.json`` and the plots into a suite's folder; the Markdown's path.
+
+    Raises:
+        InputError: no such folder, or rows that were judged by different evaluators or on different data.
+        FormatError: something in it cannot be read.
+    """
+    table = load_table(folder)
+    pictures = draw(table, folder)
+    (folder / "table.md").write_text(markdown(table, pictures))
+    (folder / "table.tex").write_text(latex(table))
+    (folder / "table.json").write_text(json.dumps(to_json(table), indent=1, ensure_ascii=False) + "\n")
+    return folder / "table.md"
+
+
+def to_json(table: Table) -> dict[str, Any]:
+    """Numbers, places, differences and targets of a table."""
+    return {
+        "suite": table.suite.name,
+        "rows": [
+            {
+                **{name: getattr(entry.row, name) for name in ("key", "label", "group", "model", "network", "steps")},
+                "settings": dict(entry.row.settings),
+                "missing": entry.missing,
+                "repeats": entry.result.repeats if entry.result else 0,
+                "weights_sha256": entry.result.weights if entry.result else None,
+                "seconds_per_item": entry.result.seconds if entry.result else None,
+                "metrics": {k: v.to_json() for k, v in entry.result.metrics.items()} if entry.result else {},
+            }
+            for entry in table.rows
+        ],
+        "places": {column.name: table.places(column) for column in table.columns(QUALITY)},
+        "differences": [asdict(found) for found in table.differences()],
+        "targets": [asdict(check) for check in table.checks()],
+    }
+
+
+def page(folders: Sequence[Path], path: Path) -> None:
+    """One page of several suites, with their plots in ``images`` beside it.
+
+    Raises:
+        InputError: no such folder, or rows that were judged in different ways.
+        FormatError: something in one cannot be read.
+    """
+    parts = [PAGE]
+    for folder in folders:
+        table = load_table(folder)
+        images = path.parent / "images"
+        names = [f"{images.name}/{name}" for name in draw(table, images)]
+        parts.append(markdown(table, names, level=2))
+    path.write_text("\n\n".join(part.strip() for part in parts) + "\n")
+
+
+def main() -> None:
+    """Command line: ``python -m moveset.evaluation.report results/motionpcm results/rdm --page docs/results.md``."""
+    parser = argparse.ArgumentParser(description=main.__doc__)
+    parser.add_argument("folders", type=Path, nargs="+")
+    parser.add_argument("--page", type=Path, help="one Markdown file of all")
+    given = parser.parse_args()
+    for folder in given.folders:
+        print(write_report(folder))
+    if given.page:
+        page(given.folders, given.page)
+        print(given.page)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,313 @@
+"""Which models, with which settings, are the rows of the papers' tables; and running them one after the other.
+
+A row names a model folder, one of its networks, and how it is sampled. Folders are found by the name in their
+``config.json``: those that ship, and any that are given. A row whose weights are not there stays in the table and says
+so. Folders given that no row asks for become rows of their own.
+
+N segments, K sampler steps, R steps that a later segment takes (``rdm.staircase``).
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Generic, TypeVar
+
+from moveset.errors import InputError
+from moveset.pipelines.model_folder import shipped
+from moveset.pipelines.verified_folder import json_object
+
+CLIPS, STREAMS = "motionpcm-small", "rdm-small"
+REAL, RECONSTRUCTION = "real", "vae"
+DENOISERS = ("teacher", "lcm-", "pcm-", "rdm", "md", "dip")
+FEW, FEWER = 5, 3  # repeats of rows that cost ten times as much as others, and of those that only compare settings
+
+Result_ = TypeVar("Result_")
+Setting = str | int | float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Row:
+    """A row of a table.
+
+    Args:
+        key: its name in files.
+        label: its name in the table.
+        group: what it stands under.
+        model: name of a model folder, or REAL.
+        network: of that folder; RECONSTRUCTION is its autoencoder alone. None for REAL.
+        steps: K; None where nothing is sampled.
+        settings: of the sampler, where they are not the folder's: start, lag, shape, guidance, eta.
+        repeats: at most so many, for rows that cost much more than others.
+        ranked: whether it takes part in best and second best.
+        shipped: whether the targets for what ships apply.
+        against: keys of the rows that it is compared with.
+    """
+
+    key: str
+    label: str
+    group: str
+    model: str
+    network: str | None = None
+    steps: int | None = None
+    settings: Mapping[str, Setting] = field(default_factory=dict)
+    repeats: int | None = None
+    ranked: bool = True
+    shipped: bool = False
+    against: Sequence[str] = ()
+
+    def times(self, asked: int) -> int:
+        """Repeats of this row when so many were asked for."""
+        return min(asked, self.repeats or asked)
+
+
+@dataclass(frozen=True)
+class Suite:
+    """A table.
+
+    Args:
+        name: of the published tables too.
+        title: of the report.
+        rows: in order.
+        references: keys of the rows that folders given besides are compared with.
+        seams: seconds between the places where real motion's jerk is measured as at seams; 0 for none.
+    """
+
+    name: str
+    title: str
+    rows: tuple[Row, ...]
+    references: tuple[str, ...]
+    seams: float = 0.0
+
+
+@dataclass(frozen=True)
+class RowResult(Generic[Result_]):
+    """A row with what came out, or with the reason why there is nothing."""
+
+    row: Row
+    result: Result_ | None
+    missing: str = ""
+
+
+def get_suite(name: str) -> Suite:
+    """A suite by name.
+
+    Raises:
+        InputError: no such suite.
+
+    >>> [row.label for row in get_suite("motionpcm").rows][:2]
+    ['Real', 'VAE, reconstruction']
+    """
+    if name not in _SUITES:
+        raise InputError(f"{name!r} is no suite; there are {', '.join(_SUITES)}")
+    return _SUITES[name]()
+
+
+def motionpcm() -> Suite:
+    """Text to clips: MotionPCM's Table 1, and its ablations (Table 2)."""
+    held = ("teacher", "lcm-1")
+    full = Row(
+        key="teacher",
+        label="Teacher, 50 guided steps",
+        group="Diffusion",
+        model=CLIPS,
+        network="teacher",
+        steps=50,
+        repeats=FEW,
+    )
+    student = Row(key="", label="", group="", model=CLIPS, shipped=True, against=held)
+    rows = [
+        Row(key="real", label="Real", group="Reference", model=REAL, ranked=False),
+        Row(key="vae", label="VAE, reconstruction", group="Reference", model=CLIPS, network=RECONSTRUCTION,
+            ranked=False),
+        full,
+        replace(full, key="mld", label="MLD-style, one latent token, 50 guided steps", model="mld-small",
+                against=("teacher",)),
+        *(
+            replace(student, key=f"lcm-{n}", label=f"LCM, {_steps(n)}", group="Consistency model", network="lcm-1",
+                    steps=n)
+            for n in (1, 2, 4)
+        ),
+        *(
+            replace(student, key=f"pcm-{n}", label=f"PCM, {_steps(n)}", group="MotionPCM", network=f"pcm-{n}", steps=n)
+            for n in (1, 2, 4)
+        ),
+        *(
+            Row(key=key, label=f"PCM, 1 step, {what}", group="Ablations", model=f"{CLIPS}-{key}", network="pcm-1",
+                steps=1, against=("pcm-1",))
+            for key, what in (
+                ("k20", "k = 20"), ("no-ema", "without EMA"), ("no-discriminator", "without discriminator"),
+            )
+        ),
+    ]  # fmt: skip
+    return Suite("motionpcm", "MotionPCM: text to clips", tuple(rows), held)
+
+
+def rdm() -> Suite:
+    """Streams and what they are compared with: RDM's Tables 1 to 3, and its ablations (Tables 4 and 5)."""
+    autoregressive, recurrent = "Autoregressive", "Recurrent"
+    volume = Row(
+        key="", label="", group="Whole clips", model="", network="rdm", steps=10, repeats=FEW, against=("md-7",)
+    )
+    stream = replace(volume, group=recurrent, model=STREAMS)
+    staircase = replace(stream, group="RDM-7 with overlapping segments", repeats=FEWER, against=("rdm-7",))
+
+    def overlapping(key: str, what: str, start: int, shape: str) -> Row:
+        settings = {"start": start, "lag": 1, "shape": shape}
+        return replace(staircase, key=key, label=f"RDM-7 overlapping, {what}", settings=settings)
+
+    rows = [
+        Row(key="real", label="Real", group="Reference", model=REAL, ranked=False),
+        replace(volume, key="motiondiffuse", label="MotionDiffuse, 50 steps", model="motiondiffuse-small", steps=50),
+        replace(volume, key="rdm-1", label="RDM-1", model="rdm-1-small"),
+        replace(volume, key="light-rdm-1", label="Light-RDM-1", model="light-rdm-1-small"),
+        replace(volume, key="dip", label="DiP, 10 steps", group=autoregressive, model="dip-small", network="dip"),
+        replace(stream, key="md-4", label="MD-4", group=autoregressive, model="rdm-4-small", network="md"),
+        replace(stream, key="md-7", label="MD-7", group=autoregressive, network="md", shipped=True, against=()),
+        replace(stream, key="rdm-4", label="RDM-4", model="rdm-4-small"),
+        replace(stream, key="rdm-7", label="RDM-7", shipped=True),
+        replace(stream, key="rdm-14", label="RDM-14", model="rdm-14-small"),
+        *(
+            replace(stream, key=f"rdm-pcm-{n}", label=f"RDM-7's student, {_steps(n)}", network=f"pcm-{n}", steps=n,
+                    repeats=None, shipped=True, against=("md-7", "rdm-7"))
+            for n in (1, 2)
+        ),
+        overlapping("disentangled", "R = 0 (the flow alone)", 0, "parallelogram"),
+        overlapping("triangle-1", "R = 1, triangle", 1, "triangle"),
+        overlapping("triangle-2", "R = 2, triangle", 2, "triangle"),
+        overlapping("triangle-7", "R = 7 = N, triangle", 7, "triangle"),
+        overlapping("parallelogram-4", "R = 4, parallelogram", 4, "parallelogram"),
+        overlapping("parallelogram-10", "R = 10 = K (all cells)", 10, "parallelogram"),
+    ]  # fmt: skip
+    return Suite("rdm", "RDM: motion without end", tuple(rows), ("md-7", "rdm-7"), seams=28 / 20)
+
+
+_SUITES: dict[str, Callable[[], Suite]] = {"motionpcm": motionpcm, "rdm": rdm}
+
+
+@dataclass(frozen=True)
+class SuiteSettings:
+    """How a suite is run.
+
+    Args:
+        folders: model folders besides those that ship; one with a shipped one's name takes its place.
+        repeats: of every row that does not say fewer.
+        only: keys of rows; all if empty.
+    """
+
+    folders: tuple[Path, ...] = ()
+    repeats: int = 20
+    only: tuple[str, ...] = ()
+
+
+Evaluate = Callable[[Row, Path | None, int], Result_]
+
+
+def run_suite(
+    name: str,
+    settings: SuiteSettings,
+    evaluate: Evaluate[Result_],
+    progress: Callable[[str], None] = lambda line: None,
+) -> list[RowResult[Result_]]:
+    """Every row of a suite, evaluated if its weights are there.
+
+    Args:
+        name: "motionpcm" or "rdm".
+        settings: how.
+        evaluate: the result of a row, given its model folder (None for real motion) and its number of repeats.
+        progress: told of every row before it starts.
+
+    Raises:
+        InputError: no such suite or row, two folders of one name, or a folder that is none.
+        FormatError: a damaged folder.
+    """
+    folders = named_folders(settings.folders)
+    rows = [*get_suite(name).rows, *extra_rows(get_suite(name), folders)]
+    if unknown := set(settings.only) - {row.key for row in rows}:
+        raise InputError(f"suite {name!r} has no row {sorted(unknown)[0]!r}; it has {', '.join(r.key for r in rows)}")
+    out: list[RowResult[Result_]] = []
+    for row in rows:
+        if settings.only and row.key not in settings.only:
+            continue
+        folder, missing = find_weights(row, folders)
+        progress(f"{row.label}: {missing or _repeats(row.times(settings.repeats))}")
+        out.append(RowResult(row, None if missing else evaluate(row, folder, row.times(settings.repeats)), missing))
+    return out
+
+
+def find_weights(row: Row, folders: Mapping[str, Path]) -> tuple[Path | None, str]:
+    """The model folder of a row, and why it cannot be evaluated: "" if it can.
+
+    Raises:
+        FormatError: a damaged folder.
+    """
+    if row.model == REAL:
+        return None, ""
+    folder = folders.get(row.model) or shipped().get(row.model)
+    if folder is None:
+        return None, "not trained"
+    if row.network not in networks(folder):
+        return None, f"not in {row.model}"
+    return folder, ""
+
+
+def named_folders(paths: Sequence[Path]) -> dict[str, Path]:
+    """Model folders by the name in their configuration.
+
+    Raises:
+        InputError: no model folder, or two of one name.
+        FormatError: a damaged configuration.
+    """
+    found: dict[str, Path] = {}
+    for path in paths:
+        if not (path / "config.json").is_file():
+            raise InputError(f"{path} is no model folder: it has no config.json; give a folder that a packing wrote")
+        name = str(_config(path).get("name", path.name))
+        if name in found:
+            raise InputError(f"{found[name]} and {path} are both called {name!r}; pack one of them by another --name")
+        found[name] = path
+    return found
+
+
+def networks(folder: Path) -> tuple[str, ...]:
+    """Names of the networks of a model folder.
+
+    Raises:
+        FormatError: a damaged configuration.
+    """
+    return tuple(_config(folder)["models"])
+
+
+def extra_rows(suite: Suite, folders: Mapping[str, Path]) -> list[Row]:
+    """Rows for folders that no row of a suite asks for, one for each of their denoisers, in the folder's order."""
+    asked = {row.model for row in suite.rows}
+    return [
+        Row(
+            key=f"{name}-{network}", label=f"{name}, {network}", group="Others given", model=name, network=network,
+            steps=_usual_steps(network), repeats=None if _student(network) else FEW,
+            against=suite.references,
+        )
+        for name, path in folders.items() if name not in asked
+        for network in networks(path) if network.startswith(DENOISERS)
+    ]  # fmt: skip
+
+
+def _config(folder: Path) -> dict:
+    return json_object((folder / "config.json").read_bytes(), folder / "config.json")
+
+
+def _student(network: str) -> bool:
+    return network.startswith(("pcm-", "lcm-"))
+
+
+def _usual_steps(network: str) -> int:
+    if _student(network):
+        return int(network.split("-")[1])
+    return 50 if network == "teacher" else 10
+
+
+def _steps(count: int) -> str:
+    return "1 step" if count == 1 else f"{count} steps"
+
+
+def _repeats(count: int) -> str:
+    return "1 repeat" if count == 1 else f"{count} repeats"

@@ -1,0 +1,189 @@
+"""A suite's rows with what was measured of them, from the files of a results folder.
+
+``rows.json`` says which rows there are, where their result files lie, and why some have no numbers.
+"""
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from moveset.errors import FormatError, InputError
+from moveset.evaluation.columns import Column, Place, places
+from moveset.evaluation.intervals import Interval
+from moveset.evaluation.suites import REAL, Row, RowResult, Suite, get_suite
+from moveset.evaluation.targets import Check, Difference, checks, differences
+from moveset.pipelines.verified_folder import json_object
+
+ROWS = "rows.json"
+OWN = ("result", "missing")  # of an entry of that file, beside the row itself
+
+
+@dataclass(frozen=True)
+class Measured:
+    """What a report needs of a result.
+
+    Args:
+        metrics: by name.
+        repeats: how many there were.
+        items, texts, labels: how many test items, distinct texts and distinct label combinations; None if unlabelled.
+        evaluator, data: name and sha256.
+        weights: one sha256 for all files that take part, "" where there are none.
+        wording: of the generator's prompts, "known" or "held-out".
+        split: of the data.
+        group: items among which R-precision looks.
+        seconds: what an item took to generate, in batches: the fastest repeat's mean. None if nothing was generated.
+    """
+
+    metrics: Mapping[str, Interval]
+    repeats: int
+    items: int
+    texts: int
+    labels: int | None
+    evaluator: tuple[str, str]
+    data: tuple[str, str]
+    weights: str
+    wording: str
+    split: str
+    group: int
+    seconds: float | None
+
+    @classmethod
+    def of(cls, raw: Mapping[str, Any], where: str) -> "Measured":
+        """From a result's JSON.
+
+        Raises:
+            FormatError: something is missing, or of another type.
+        """
+        try:
+            protocol = raw["protocol"]
+            return cls(
+                metrics={k: Interval.from_json(v) for k, v in raw["metrics"].items()},
+                repeats=len(raw["repeats"]),
+                items=int(raw["items"]),
+                texts=int(raw["distinct_texts"]),
+                labels=None if raw["labels"] is None else int(raw["labels"]),
+                evaluator=(str(raw["evaluator"]["name"]), str(raw["evaluator"]["sha256"])),
+                data=(str(raw["data"]["name"]), str(raw["data"]["sha256"])),
+                weights=_combined(raw["weights_sha256"]),
+                wording=str(protocol["wording"]),
+                split=str(protocol["split"]),
+                group=int(protocol["group"]),
+                seconds=_seconds(raw),
+            )
+        except (KeyError, TypeError, ValueError, AttributeError, InputError) as error:
+            raise FormatError(f"{where} is no result of an evaluation: {error}; evaluate that row again") from error
+
+
+@dataclass(frozen=True)
+class Table:
+    """A suite with its numbers: what every form of the report is made from."""
+
+    suite: Suite
+    rows: tuple[RowResult[Measured], ...]
+
+    @property
+    def measured(self) -> dict[str, Measured]:
+        """Results by key, of the rows that have one."""
+        return {entry.row.key: entry.result for entry in self.rows if entry.result is not None}
+
+    @property
+    def metrics(self) -> dict[str, Mapping[str, Interval]]:
+        """Intervals by key and metric."""
+        return {key: found.metrics for key, found in self.measured.items()}
+
+    @property
+    def labels(self) -> dict[str, str]:
+        """Names of the rows by key."""
+        return {entry.row.key: entry.row.label for entry in self.rows}
+
+    def columns(self, of: Sequence[Column]) -> list[Column]:
+        """Those that some row has."""
+        return [column for column in of if any(column.name in metrics for metrics in self.metrics.values())]
+
+    def places(self, column: Column) -> dict[str, Place]:
+        """Best and second best among the rows that are ranked."""
+        ranked = {entry.row.key for entry in self.rows if entry.row.ranked}
+        values = {k: m[column.name] for k, m in self.metrics.items() if k in ranked and column.name in m}
+        return places(column, values, self.metrics.get(REAL, {}).get(column.name))
+
+    def differences(self) -> list[Difference]:
+        """Of every row against those it is compared with."""
+        return differences(self.metrics, {entry.row.key: entry.row.against for entry in self.rows})
+
+    def checks(self) -> list[Check]:
+        """Of the targets; of rows that are in the table."""
+        labels = {row.key: row.label for row in self.suite.rows} | self.labels
+        shipped = [entry.row.key for entry in self.rows if entry.row.shipped and entry.result is not None]
+        return checks(self.suite.name, self.metrics, shipped, labels)
+
+    def common(self) -> Measured:
+        """What all results have in common: items, texts, labels, evaluator, data, wording, split and group.
+
+        Raises:
+            InputError: they have not, or there are none.
+        """
+        if not self.measured:
+            raise InputError(f"no row of {self.suite.name!r} has been evaluated yet")
+        first, *others = self.measured.values()
+        for name in ("items", "texts", "labels", "evaluator", "data", "wording", "split", "group"):
+            found = {getattr(result, name) for result in (first, *others)}
+            if len(found) > 1:
+                raise InputError(
+                    f"the rows of {self.suite.name!r} have different {name}: {', '.join(sorted(map(str, found)))}; "
+                    "evaluate all of them in one way"
+                )
+        return first
+
+
+def save_rows(name: str, rows: Sequence[tuple[Row, str, str]], out: Path) -> None:
+    """Writes ``rows.json``: every row with its result file's path below OUT, or with what is missing."""
+    out.mkdir(parents=True, exist_ok=True)
+    entries = [{**asdict(row), "result": result or None, "missing": missing} for row, result, missing in rows]
+    (out / ROWS).write_text(json.dumps({"suite": name, "rows": entries}, indent=1, ensure_ascii=False) + "\n")
+
+
+def load_table(folder: Path) -> Table:
+    """A suite's table from its folder.
+
+    Raises:
+        InputError: no such folder.
+        FormatError: something in it cannot be read.
+    """
+    index = folder / ROWS
+    if not index.is_file():
+        raise InputError(f"{folder} has no {ROWS}; run `moveset evaluate --suite …` first")
+    raw = json_object(index.read_bytes(), index)
+    try:
+        entries = [
+            (Row(**{k: v for k, v in e.items() if k not in OWN}), e["result"], e["missing"]) for e in raw["rows"]
+        ]
+        suite = get_suite(raw["suite"])
+    except (KeyError, TypeError, AttributeError, InputError) as error:
+        raise FormatError(f"{index} is no list of rows: {error}; run `moveset evaluate --suite …` again") from error
+    return Table(suite, tuple(RowResult(row, _read(folder, file), missing) for row, file, missing in entries))
+
+
+def _combined(weights: Mapping[str, str] | str | None) -> str:
+    """One hash of several files' hashes, whatever their order; that of a single file is its own."""
+    if not weights or isinstance(weights, str):
+        return weights or ""
+    hashes = [f"{name}:{weights[name]}" for name in sorted(weights)]
+    return hashlib.sha256("\n".join(hashes).encode()).hexdigest()
+
+
+def _seconds(raw: Mapping[str, Any]) -> float | None:
+    if raw["model"] == REAL:
+        return None
+    return min(float(repeat["seconds"]["generating"]) for repeat in raw["repeats"]) / int(raw["items"])
+
+
+def _read(folder: Path, name: str | None) -> Measured | None:
+    if name is None:
+        return None
+    file = folder / name
+    if not file.is_file():
+        raise FormatError(f"{folder / ROWS} names {name}, which is not there; evaluate that row again")
+    return Measured.of(json_object(file.read_bytes(), file), str(file))

@@ -1,0 +1,41 @@
+"""Result files as an evaluation writes them, with numbers that a test chooses."""
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+
+from moveset.evaluation.suites import Row, get_suite
+from moveset.evaluation.table import save_rows
+
+Numbers = Mapping[str, tuple[float, float | None]]
+
+
+def result_json(numbers: Numbers, *, repeats: int = 20, seconds: float = 0.02, **changed: object) -> dict:
+    """A result with these means and half widths; ``seconds`` an item."""
+    return {
+        "model": "m", "network": "n", "steps": 1,
+        "protocol": {"split": "test", "wording": "known", "group": 32},
+        "items": 320, "distinct_texts": 300, "labels": 90,
+        "evaluator": {"name": "t2m-small", "sha256": "e" * 64},
+        "data": {"name": "corpus.safetensors", "sha256": "d" * 64},
+        "weights_sha256": {"vae.safetensors": "a" * 64, "pcm-1.safetensors": "b" * 64},
+        "repeats": [
+            {"metrics": {name: mean for name, (mean, _) in numbers.items()}, "seconds": {"generating": 320 * seconds}}
+        ] * repeats,
+        "metrics": {name: {"mean": mean, "interval": half} for name, (mean, half) in numbers.items()},
+        "versions": {},
+        **changed,
+    }  # fmt: skip
+
+
+def suite_folder(path: Path, suite: str, results: Mapping[str, dict], rows: tuple[Row, ...] | None = None) -> Path:
+    """A suite's results folder: the given rows' results; of every other row it says "not trained"."""
+    entries = []
+    for row in rows or get_suite(suite).rows:
+        name = f"{row.key}.json" if row.key in results else ""
+        if name:
+            path.mkdir(parents=True, exist_ok=True)
+            (path / name).write_text(json.dumps(results[row.key]))
+        entries.append((row, name, "" if name else "not trained"))
+    save_rows(suite, entries, path)
+    return path

@@ -1,0 +1,287 @@
+"""Tables say what the results say: best, intervals, differences, targets, what is missing, what is only published."""
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+
+from moveset.errors import FormatError, InputError
+from moveset.evaluation.columns import ALL, Column, places
+from moveset.evaluation.intervals import Interval
+from moveset.evaluation.latex import latex
+from moveset.evaluation.markdown import markdown
+from moveset.evaluation.plots import front
+from moveset.evaluation.report import page, to_json, write_report
+from moveset.evaluation.table import Measured, Table, load_table
+from moveset.evaluation.targets import at_least, checks, differences, outside, physical, within
+from tests.evaluation.results import result_json, suite_folder
+
+REAL = {"r1": (0.6, 0.01), "fid": (0.01, 0.001), "diversity": (9.0, 0.1), "skating": (0.1, 0.0), "jerk": (60.0, 0.1)}
+RESULTS = {
+    "real": result_json(REAL, model="real"),
+    "vae": result_json({"r1": (0.59, 0.01), "fid": (0.05, 0.001)}),
+    "teacher": result_json({"r1": (0.5, 0.01), "fid": (0.3, 0.02)}, repeats=5, seconds=0.5),
+    "lcm-1": result_json({"r1": (0.4, 0.01), "fid": (0.5, 0.02), "diversity": (8.0, 0.1)}, seconds=0.01),
+    "pcm-1": result_json(
+        {"r1": (0.45, 0.01), "fid": (0.49, 0.02), "diversity": (9.5, 0.1), "skating": (0.12, 0.0), "jerk": (90.0, 0.1)},
+        seconds=0.01,
+    ),
+    "pcm-4": result_json({"r1": (0.495, 0.01), "fid": (0.2, 0.02)}, seconds=0.04),
+}
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    return suite_folder(tmp_path / "motionpcm", "motionpcm", RESULTS)
+
+
+@pytest.fixture
+def table(folder: Path) -> Table:
+    return load_table(folder)
+
+
+def line(text: str, label: str) -> str:
+    """The only row of that label."""
+    found = [row for row in text.splitlines() if row.startswith(f"| {label} |")]
+    assert len(found) == 1, found
+    return found[0]
+
+
+def ours(text: str) -> str:
+    return text[: text.index("The paper's Table 1")]
+
+
+def test_the_best_is_bold_and_the_second_underlined_among_generated_motion_only(table: Table):
+    text = ours(markdown(table)).split("## Physical")[0]
+    assert line(text, "PCM, 4 steps") == "| PCM, 4 steps | 20 | <u>0.495 ± 0.010</u> | **0.200 ± 0.020** | – | 40.0 |"
+    assert line(text, "Teacher, 50 guided steps") == (
+        "| Teacher, 50 guided steps | 5 | **0.500 ± 0.010** | <u>0.300 ± 0.020</u> | – | 500 |"
+    )
+    assert "**" not in line(text, "Real")
+    assert "**" not in line(text, "VAE, reconstruction")
+    # The nearer to real motion's 9.0 is better, whichever is more.
+    assert "**9.500 ± 0.100**" in line(text, "PCM, 1 step")
+    assert "<u>8.000 ± 0.100</u>" in line(text, "LCM, 1 step")
+
+
+def test_equal_printed_numbers_share_a_place():
+    column = ALL["fid"]
+    rows = {"a": Interval(0.10004, 0.0), "b": Interval(0.09996, 0.0), "c": Interval(0.2, 0.0), "d": Interval(0.3, 0.0)}
+    assert places(column, rows, None) == {"a": "best", "b": "best", "c": "second", "d": ""}
+    assert places(Column("x", "X", "real"), rows, None) == dict.fromkeys(rows, "")
+
+
+def test_what_has_not_been_trained_is_said_in_its_place(table: Table):
+    text = ours(markdown(table))
+    order = [row.split("|")[1].strip() for row in text.splitlines() if row.startswith("| ")]
+    assert "not trained" in text.split("## Physical")[0].split("PCM, 1 step, without discriminator")[1].splitlines()[0]
+    assert (
+        order.index("Real")
+        < order.index("VAE, reconstruction")
+        < order.index("LCM, 1 step")
+        < order.index("PCM, 1 step, k = 20")
+    )
+
+
+def test_numbers_of_the_evaluation_stand_above_the_table(table: Table):
+    text = markdown(table)
+    assert "**320 items, 300 distinct texts, 90 distinct contents** of the split “test”" in text
+    assert "evaluator t2m-small (`eeeeeeee`)" in text
+    assert "corpus.safetensors (`dddddddd`)" in text
+    assert "fewer than 10 make a rough interval" in text
+    assert "among the k nearest of 32" in text
+
+
+def test_published_numbers_are_labelled_and_below_ours(table: Table):
+    text = markdown(table)
+    block = text[len(ours(text)) :]
+    assert "**Published, on HumanML3D, other evaluator: not comparable.**" in block
+    assert "MotionPCM (1-step)" in block
+    assert "0.054±.003" not in ours(text)
+    assert "MotionLCM" not in ours(text)
+
+
+def test_differences_count_only_outside_the_intervals(table: Table):
+    found = {(d.row, d.reference): d for d in table.differences()}
+    pcm = found["pcm-1", "lcm-1"]
+    assert pcm.better == ("R@1", "Diversity")
+    assert pcm.tied == ("FID",)
+    assert found["pcm-1", "teacher"].worse == ("R@1", "FID")
+    assert not {row for row, _ in found} & {"real", "vae"}
+    sentence = "- PCM, 1 step against LCM, 1 step: better in R@1, Diversity; no difference outside the intervals"
+    assert sentence in markdown(table)
+
+
+def test_one_repeat_has_no_interval_and_proves_nothing():
+    alone = {"a": {"fid": Interval(0.1, float("inf"))}, "b": {"fid": Interval(9.0, 0.0)}}
+    (found,) = differences(alone, {"a": ["b"]})
+    assert found.tied == ("FID",)
+    assert outside(alone, "a", "b", "fid", "{}").verdict == "not met"
+    raw = result_json({"fid": (0.1, None)}, repeats=1)
+    assert Measured.of(raw, "x").metrics["fid"].half_width == float("inf")
+
+
+ROWS = {
+    "good": {"fid": Interval(0.1, 0.01), "r1": Interval(0.6, 0.01), "jerk": Interval(60.0, 0.1)},
+    "near": {"fid": Interval(0.115, 0.01), "r1": Interval(0.59, 0.01), "jerk": Interval(77.9, 0.1)},
+    "bad": {"fid": Interval(1.0, 0.01), "r1": Interval(0.3, 0.01), "jerk": Interval(78.1, 0.1)},
+    "real": {"jerk": Interval(60.0, 0.1), "skating": Interval(0.0, 0.0)},
+}
+
+
+@pytest.mark.parametrize(
+    ("key", "reference", "metric", "verdict"),
+    [
+        ("good", "bad", "fid", "met"), ("good", "near", "fid", "not met"), ("bad", "good", "fid", "not met"),
+        ("good", "bad", "r1", "met"), ("bad", "good", "r1", "not met"), ("good", "none", "fid", "not measured"),
+    ],
+)  # fmt: skip
+def test_better_means_outside_the_intervals(key: str, reference: str, metric: str, verdict: str):
+    assert outside(ROWS, key, reference, metric, "{}").verdict == verdict
+
+
+@pytest.mark.parametrize(
+    ("key", "reference", "metric", "verdict"),
+    [
+        ("good", "near", "fid", "met"), ("near", "good", "fid", "met within the intervals"),
+        ("bad", "good", "fid", "not met"), ("near", "good", "r1", "met within the intervals"),
+        ("bad", "good", "r1", "not met"), ("good", "bad", "r1", "met"),
+    ],
+)  # fmt: skip
+def test_at_least_allows_a_tie(key: str, reference: str, metric: str, verdict: str):
+    assert at_least(ROWS, key, reference, metric, "{}").verdict == verdict
+
+
+def test_a_factor_bounds_from_above_or_below():
+    assert within(ROWS, "good", "bad", "fid", 0.1, "").verdict == "met"
+    assert within(ROWS, "near", "bad", "fid", 0.1, "").verdict == "not met"
+    assert within(ROWS, "bad", "good", "r1", 0.5, "").verdict == "met"
+    assert within(ROWS, "bad", "good", "r1", 0.51, "").verdict == "not met"
+    assert within(ROWS, "near", "bad", "fid", 0.1, "").numbers.endswith(", 0.12 times")
+
+
+def test_physical_metrics_are_held_to_real_motion():
+    assert physical(ROWS, "near", ALL["jerk"], "").verdict == "met"
+    assert physical(ROWS, "bad", ALL["jerk"], "").verdict == "not met"
+    rows = {"a": {"skating": Interval(0.1, 0.0)}, **ROWS}
+    assert physical(rows, "a", ALL["skating"], "").numbers.endswith("no ratio to zero")
+
+
+def test_targets_are_checked_one_by_one(table: Table):
+    found = {check.target: check for check in table.checks()}
+    assert found["One-step PCM is better than one-step LCM in R@1"].verdict == "met"
+    assert found["One-step PCM is better than one-step LCM in FID"].verdict == "not met"
+    assert found["One-step PCM is better than one-step LCM in R@2"].verdict == "not measured"
+    assert found["Four-step PCM is at or above the 50-step teacher in FID"].verdict == "met"
+    assert found["Four-step PCM is at or above the 50-step teacher in R@1"].verdict == "met within the intervals"
+    assert found["PCM, 1 step: Skating at most 1.3 times that of real motion"].verdict == "met"
+    assert found["PCM, 1 step: Jerk at most 1.3 times that of real motion"].verdict == "not met"
+    text = markdown(table)
+    assert (
+        "| One-step PCM is better than one-step LCM in FID | **not met** | 0.490 ± 0.020 against 0.500 ± 0.020 |"
+        in text
+    )
+
+
+def test_targets_of_streams():
+    rows = {
+        "md-7": {"fid": Interval(2.0, 0.1), "r1": Interval(0.3, 0.0)},
+        "rdm-7": {"fid": Interval(0.3, 0.1), "r1": Interval(0.5, 0.0)},
+        "rdm-pcm-1": {"fid": Interval(0.35, 0.1), "r1": Interval(0.39, 0.0)},
+    }
+    labels = {"rdm-pcm-1": "One", "rdm-pcm-2": "Two"}
+    found = {check.target: check.verdict for check in checks("rdm", rows, [], labels)}
+    assert found["RDM-7's FID is at most a tenth of MD-7's"] == "not met"
+    assert found["One: FID within 20 % of RDM-7's"] == "met"
+    assert found["One: R@1 within 20 % of RDM-7's"] == "not met"
+    assert found["Two: FID within 20 % of RDM-7's"] == "not measured"
+
+
+def test_physical_metrics_have_ratios_to_real(table: Table):
+    text = markdown(table).split("## Physical metrics")[1].split("##")[0]
+    assert "0.120 ± 0.000 (1.20 ×) | 90.0 ± 0.1 (1.50 ×)" in line(text, "PCM, 1 step")
+    assert "×" not in line(text, "Real")
+
+
+def test_rows_that_were_judged_differently_are_not_put_side_by_side(tmp_path: Path):
+    for changed in ({"items": 319}, {"evaluator": {"name": "t2m-small", "sha256": "f" * 64}}):
+        mixed = {**RESULTS, "pcm-4": {**RESULTS["pcm-4"], **changed}}
+        with pytest.raises(InputError, match="the rows of 'motionpcm' have different"):
+            markdown(load_table(suite_folder(tmp_path, "motionpcm", mixed)))
+
+
+def test_latex_compiles_by_the_look_of_it(table: Table):
+    text = latex(table)
+    for opened, closed in (("{", "}"), (r"\begin", r"\end")):
+        assert text.count(opened) == text.count(closed)
+    assert text.count("$") % 2 == 0
+    assert r"PCM, 4 steps & $\underline{0.495}^{\pm .010}$ & $\mathbf{0.200}^{\pm .020}$ & -- \\" in text
+    assert r"\multicolumn{3}{c}{not trained}" in text
+    rows = [row for row in text.splitlines() if row.endswith(r"\\") and "multicolumn" not in row]
+    quality = text.split(r"\end{table*}")[0].splitlines()
+    assert {row.count("&") for row in rows if row in quality} == {3}
+    assert not re.search(r"(?<!\\)%(?! needs)", text)
+
+
+def test_the_json_says_the_same(table: Table):
+    found = json.loads(json.dumps(to_json(table)))
+    rows = {row["key"]: row for row in found["rows"]}
+    assert rows["pcm-4"]["metrics"]["fid"] == {"mean": 0.2, "interval": 0.02}
+    assert rows["k20"]["missing"] == "not trained"
+    assert found["places"]["fid"]["pcm-4"] == "best"
+    assert "real" not in found["places"]["fid"]
+    assert len(found["targets"]) == len(table.checks())
+
+
+def test_a_report_is_files_and_plots_and_can_be_written_again(folder: Path):
+    write_report(folder)
+    first = {path.name: path.read_bytes() for path in folder.iterdir()}
+    assert {"table.md", "table.tex", "table.json", "motionpcm-time.png", "motionpcm-bars.png"} <= set(first)
+    assert "![motionpcm-time](motionpcm-time.png)" in (folder / "table.md").read_text()
+    assert all(0 < len(data) < 60_000 for name, data in first.items() if name.endswith(".png"))
+    write_report(folder)
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == first
+
+
+def test_a_page_of_both_suites(folder: Path, tmp_path: Path):
+    other = suite_folder(tmp_path / "rdm", "rdm", {"real": RESULTS["real"]})
+    page([folder, other], tmp_path / "results.md")
+    text = (tmp_path / "results.md").read_text()
+    assert text.startswith("# Results\n")
+    assert re.findall(r"^## (.*)$", text, re.M) == ["MotionPCM: text to clips", "RDM: motion without end"]
+    for name in re.findall(r"!\[.*?\]\((.*?)\)", text):
+        assert (tmp_path / name).is_file()
+
+
+def test_a_suite_without_results_still_has_a_table(tmp_path: Path):
+    path = write_report(suite_folder(tmp_path, "rdm", {}))
+    text = path.read_text()
+    assert "No row has been evaluated yet." in text
+    assert "| RDM-7 | not trained |" in text
+
+
+def test_the_front_is_what_nothing_beats_in_both():
+    points = {"slow and good": (9.0, 1.0), "fast and bad": (1.0, 9.0), "beaten": (9.0, 9.0), "between": (5.0, 5.0)}
+    assert front(points) == ["fast and bad", "between", "slow and good"]
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "message"),
+    [
+        ("pcm-4.json", "{", "is not JSON"),
+        ("pcm-4.json", "{}", "is no result of an evaluation"),
+        ("pcm-4.json", None, "names pcm-4.json, which is not there"),
+        ("rows.json", '{"suite": "motionpcm", "rows": [{"key": "x"}]}', "is no list of rows"),
+        ("rows.json", '{"suite": "mdm", "rows": []}', "is no list of rows"),
+    ],
+)
+def test_damaged_files_are_named(folder: Path, name: str, text: str | None, message: str):
+    (folder / name).unlink() if text is None else (folder / name).write_text(text)
+    with pytest.raises(FormatError, match=message):
+        load_table(folder)
+
+
+def test_a_folder_that_is_none_is_refused(tmp_path: Path):
+    with pytest.raises(InputError, match=r"has no rows\.json"):
+        write_report(tmp_path)
