@@ -41,10 +41,12 @@ class Verb:
 VERBS = {
     "generate": Verb("moveset.cli.generate", "generate", "Turn text into a motion file.", "prepare"),
     "stream": Verb("moveset.cli.stream", "stream", "Turn text into motion that never ends.", "prepare"),
+    "serve": Verb("moveset.cli.serve", "serve", "Open the studio in a browser, and serve other programs."),
     "convert": Verb("moveset.cli.convert", "convert", "Convert a motion file; retarget or resample it on the way."),
     "models": Verb("moveset.cli.models", "models", "List the models that come with this installation."),
     "doctor": Verb("moveset.cli.doctor", "doctor", "Check this installation and time a short self-test."),
     "data": Verb("moveset.cli.data", "COMMANDS", "Build and inspect training data."),
+    "evaluate": Verb("moveset.cli.evaluate", "evaluate", "Measure models as the papers do, with intervals."),
     "train": Verb("moveset.cli.train", "train", "Train or distil a model."),
 }
 

@@ -29,10 +29,18 @@ class Denoise:
         encoder: its text encoder, for the empty prompt of guidance.
         method: network, steps and guidance scale.
         device: where to compute.
+        between: called before every evaluation; what it raises ends the work.
     """
 
-    def __init__(self, bundle: Bundle, encoder: TextEncoder, method: Method, device: torch.device) -> None:
-        self._method = method
+    def __init__(
+        self,
+        bundle: Bundle,
+        encoder: TextEncoder,
+        method: Method,
+        device: torch.device,
+        between: Callable[[], None] | None = None,
+    ) -> None:
+        self._method, self._between = method, between
         self._device = device
         self._network = bundle.module(method.network, device)
         self._schedule = scaled_linear()
@@ -73,6 +81,8 @@ class Denoise:
         call = _read_once(self._network, text, frames_B)
 
         def counted(z_BND: Tensor, t_B: Tensor, w_B: Tensor | None) -> Tensor:
+            if self._between is not None:
+                self._between()
             self.evaluations += len(z_BND)
             return call(z_BND, t_B, w_B)
 

@@ -14,7 +14,7 @@ from moveset.text.encoder import TextEmbedding, stack
 
 
 @runtime_checkable
-class _Reader(Protocol):
+class Reader(Protocol):
     """A denoiser that reads text and previous segment apart from denoising."""
 
     def read(
@@ -51,7 +51,7 @@ class SegmentDenoise:
         self._network, self._guided, self._guidance = network, guided, guidance
         self._twice = bool(guidance) and not guided
         self._empty, self._seeded, self._device = empty.to(device), seeded, device
-        self._once = clean_left and isinstance(network, _Reader)
+        self._once = clean_left and isinstance(network, Reader)
         self._texts: dict[int, TextEmbedding] = {}
         self._context: tuple[int, object] | None = None
         self.evaluations = 0
@@ -79,7 +79,7 @@ class SegmentDenoise:
             t_B, prev_t_B, index_B = (z.repeat(2) for z in (t_B, prev_t_B, index_B))
         w_B = torch.full((rows,), self._guidance, device=self._device) if self._guided else None
         if self._once:
-            network = cast(_Reader, self._network)
+            network = cast(Reader, self._network)
             if self._context is None or self._context[0] != segments[0]:
                 text = self._text(segments)
                 read = network.read(text.tokens, text.mask, prev_BnD, prev_t_B, index_B)

@@ -3,9 +3,10 @@
 Shapes: B rows (one clip each), N latent tokens, d numbers in each, F frames, D features.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import accumulate
 from pathlib import Path
 from typing import cast
 
@@ -47,6 +48,7 @@ class Generation:
         network_evaluations: of the denoiser, for one variant; guidance by two evaluations counts both.
         timings_ms: "text", "sample", "decode" and "finish" (joining and foot locking), for all variants together.
         warnings: what the user should know about the prompts.
+        starts: frame of the first motion with which each prompt begins.
     """
 
     motions: tuple[Motion, ...]
@@ -60,6 +62,7 @@ class Generation:
     network_evaluations: int
     timings_ms: Mapping[str, float]
     warnings: tuple[str, ...] = ()
+    starts: tuple[int, ...] = ()
 
     @property
     def motion(self) -> Motion:
@@ -144,12 +147,29 @@ class TextToMotion:
 
     @torch.inference_mode()
     def generate(
-        self, requests: Sequence[Request], method: Method, *, foot_lock: bool = True, batch: int = 1
+        self,
+        requests: Sequence[Request],
+        method: Method,
+        *,
+        foot_lock: bool = True,
+        batch: int = 1,
+        between: Callable[[float], None] | None = None,
     ) -> tuple[Generation, ...]:
-        """One ``Generation`` for every request, whatever their prompts and lengths; their timings are those of all."""
+        """One ``Generation`` for every request, whatever their prompts and lengths; their timings are those of all.
+
+        ``between`` is called before every evaluation of a network, with the share of the work that is done; what it
+        raises ends the work.
+        """
         if batch < 1:
             raise InputError(f"batch {batch} is not at least 1; give 1 unless there is a GPU")
-        denoise = Denoise(self.bundle, self.encoder, method, self.device)
+        rows = [slice(k, k + batch) for k in range(0, sum(len(r.prompts) for r in requests), batch)]
+        done = 0
+
+        def pause() -> None:
+            if between is not None:
+                between(done / (2 * len(rows)))
+
+        denoise = Denoise(self.bundle, self.encoder, method, self.device, pause)
         vae = self.bundle.module("vae", self.device)
         if any(frames is None for request in requests for frames in request.frames):
             self.bundle.module("length", self.device)
@@ -164,11 +184,17 @@ class TextToMotion:
 
         # The clips of a timeline take one after the other from their motion's seed.
         noise = torch.cat([item_noise([r.seed], (len(r.prompts), *self.bundle.config.latent))[0] for r in requests])
-        rows = [slice(k, k + batch) for k in range(0, len(prompts), batch)]
-        latents = [denoise(noise[part], stack([known[p] for p in prompts[part]]), frames[part]) for part in rows]
+        latents = []
+        for part in rows:
+            latents.append(denoise(noise[part], stack([known[p] for p in prompts[part]]), frames[part]))
+            done += 1
         clock.lap("sample")
 
-        decoded = [self._decode(vae, z, frames[part]) for z, part in zip(latents, rows, strict=True)]
+        decoded = []
+        for z, part in zip(latents, rows, strict=True):
+            pause()
+            decoded.append(self._decode(vae, z, frames[part]))
+            done += 1
         clips = iter([clip for batch_of_clips in decoded for clip in batch_of_clips])
         clock.lap("decode")
 
@@ -191,6 +217,7 @@ class TextToMotion:
                 network_evaluations=denoise.evaluations // len(prompts) * len(request.prompts),
                 timings_ms=clock.laps,
                 warnings=warnings[request.prompts],
+                starts=tuple(accumulate((len(motion) for motion, _ in takes[k][:-1]), initial=0)),
             )
             for k, request in enumerate(requests)
         )

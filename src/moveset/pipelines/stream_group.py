@@ -1,0 +1,247 @@
+"""``StreamGroup``: several streams of one model by the same settings, advanced by one batched call of the network.
+
+A lane is what one stream remembers between two segments; it may join, leave, be copied and go back at any segment.
+Noise is keyed by seed, segment and step, and rows never see each other, so a lane gives what ``MotionStream`` gives
+alone with the same seed and prompts, to float tolerance.
+
+Shapes: B lanes, n frames of a segment, D features.
+"""
+
+import time
+from collections.abc import Callable, Sequence
+from copy import copy
+from dataclasses import dataclass, replace
+from typing import cast
+
+import torch
+from torch import Tensor
+
+from moveset.diffusion.guidance import cfg
+from moveset.diffusion.steps import denoise_step
+from moveset.errors import FormatError, InputError
+from moveset.models.flow import CouplingFlow
+from moveset.motion.clip import Motion
+from moveset.motion.features import get_codec
+from moveset.motion.foot_lock import FootLock
+from moveset.motion.incremental import IncrementalDecoder
+from moveset.motion.native import NativeCodec
+from moveset.pipelines.device import pick_device
+from moveset.pipelines.motion_stream import Segment
+from moveset.pipelines.prompt_memory import PromptMemory
+from moveset.pipelines.segment_denoise import Reader
+from moveset.pipelines.stream_bundle import FLOW, StreamBundle
+from moveset.pipelines.stream_settings import StreamSettings, get_schedule, held
+from moveset.pipelines.text_to_motion import CONTACT
+from moveset.pipelines.warnings import too_long, unfamiliar
+from moveset.rdm.noise import START, segment_noise
+from moveset.rdm.transport import Transport
+from moveset.text.encoder import TextEmbedding, TextEncoder, get_text_encoder, stack
+
+
+@dataclass(frozen=True, eq=False)
+class Piece:
+    """A segment, and which feet it has planted by the model's own account.
+
+    Args:
+        segment: as ``MotionStream`` gives it; its latency is that of the whole batch.
+        planted: (n, 4) bool left ankle, left toe, right ankle, right toe.
+    """
+
+    segment: Segment
+    planted: Tensor
+
+
+@dataclass(eq=False)
+class Lane:
+    """One stream between two segments. Made by ``StreamGroup.open``; fits every group of the same model.
+
+    Attributes:
+        seed: what its noise is drawn from.
+        guidance: scale w.
+        prompt: what the next segments are told.
+        text: the same, encoded.
+        number: of the next segment.
+        left: (1, n, D) the last finished segment, normalised.
+        reading_ms: what encoding took since the last segment.
+    """
+
+    seed: int
+    guidance: float
+    prompt: str
+    text: TextEmbedding
+    decoder: IncrementalDecoder
+    feet: FootLock
+    number: int = 0
+    left: Tensor | None = None
+    reading_ms: float = 0.0
+
+    def copy(self) -> "Lane":
+        """An independent copy, to go back to."""
+        # The decoder replaces what it remembers; the foot lock writes into it.
+        feet = FootLock.from_state(self.feet.skeleton, self.feet.fps, self.feet.state())
+        return replace(self, decoder=copy(self.decoder), feet=feet)
+
+
+class StreamGroup:
+    """Makes segments of lanes.
+
+    Args:
+        bundle: the model.
+        settings: how segments are made; ``guidance`` is the default of its lanes.
+        device: where to compute.
+        encoder: the model's text encoder, if it is there already.
+
+    Raises:
+        InputError: settings by which several segments of a stream are in work at once.
+        FormatError: a damaged model.
+    """
+
+    def __init__(
+        self,
+        bundle: StreamBundle,
+        settings: StreamSettings,
+        *,
+        device: torch.device | str = "auto",
+        encoder: TextEncoder | None = None,
+    ) -> None:
+        config = bundle.config
+        if not (settings.clean_left and settings.start == settings.steps):
+            raise InputError(
+                f"network {settings.network!r} works on several segments of a stream at once (lag {settings.lag} of "
+                f"{settings.steps} steps); streams are grouped where a segment follows a finished one: set start and "
+                "lag to the steps, or use a student"
+            )
+        codec = get_codec(config.codec)
+        if not isinstance(codec, NativeCodec):
+            raise FormatError(f"model {config.name!r} has the codec {codec.name!r}; a stream needs 'native'")
+        self.bundle, self.settings, self.codec, self.device = bundle, settings, codec, pick_device(str(device))
+        self.encoder = encoder or get_text_encoder(config.text_encoder, device=self.device)
+        self._texts = PromptMemory(self.encoder)
+        self._mean, self._std = (bundle.normalizer[name].to(self.device) for name in ("feature_mean", "feature_std"))
+        self._network = bundle.module(settings.network, self.device)
+        self._guided = bool(config.models[settings.network].config.get("guided"))
+        self._colour: Callable[[Tensor], Tensor] | None = getattr(self._network, "colour", None)
+        flows = FLOW in config.models and settings.network != "md"
+        flow = cast(CouplingFlow, bundle.module(FLOW, self.device)) if flows else None
+        self._transport = Transport(flow, max(config.depth_cap, 1))
+        self._schedule, self._levels = get_schedule(config), settings.levels(config)
+        self._shape = (config.segment, codec.dim)
+
+    def open(self, prompt: str, seed: int, guidance: float | None = None) -> Lane:
+        """A stream at its beginning.
+
+        Raises:
+            InputError: an empty or absurd prompt.
+        """
+        held(prompt)
+        start = time.perf_counter()
+        text = self._texts(prompt).to(self.device)
+        return Lane(
+            seed,
+            self.settings.guidance if guidance is None else guidance,
+            prompt,
+            text,
+            IncrementalDecoder(self.codec, self.settings.blend_seconds),
+            FootLock(self.codec.skeleton, self.codec.fps),
+            reading_ms=(time.perf_counter() - start) * 1e3,
+        )
+
+    def prompt(self, lane: Lane, text: str) -> int:
+        """Go on with another prompt.
+
+        Returns:
+            The first frame that it has an effect on: that of the next segment.
+
+        Raises:
+            InputError: an empty or absurd prompt; the lane is as it was.
+        """
+        held(text)
+        start = time.perf_counter()
+        lane.text = self._texts(text).to(self.device)
+        lane.prompt = text
+        lane.reading_ms += (time.perf_counter() - start) * 1e3
+        return lane.number * self.bundle.config.segment
+
+    def warnings(self, lane: Lane) -> tuple[str, ...]:
+        """What the user should know about a lane's prompt."""
+        prompts = (lane.prompt,)
+        return (*too_long(self.encoder, prompts), *unfamiliar(self.bundle, prompts, lane.text.pooled))
+
+    def advance(self, lanes: Sequence[Lane]) -> list[Piece]:
+        """The next segment of every lane."""
+        start = time.perf_counter()
+        with torch.inference_mode():
+            clean = self._sample(lanes)
+            features = clean * self._std + self._mean
+        # Outside, so that what users get are ordinary tensors.
+        features = features.cpu().clone()
+        decoded = [self._decoded(*row) for row in zip(lanes, features, strict=True)]
+        spent = (time.perf_counter() - start) * 1e3
+        return [self._piece(*row, spent) for row in zip(lanes, clean, decoded, strict=True)]
+
+    def _decoded(self, lane: Lane, features: Tensor) -> tuple[Motion, Tensor]:
+        planted = features[:, self.codec.groups["contacts"]] > CONTACT
+        motion = lane.decoder(features)
+        if self.settings.foot_lock:
+            motion = lane.feet(motion, planted)
+        return motion, planted
+
+    def _piece(self, lane: Lane, clean: Tensor, decoded: tuple[Motion, Tensor], spent: float) -> Piece:
+        motion, planted = decoded
+        number, frames = lane.number, len(motion)
+        evaluations = self.settings.steps * (2 if lane.guidance and not self._guided else 1)
+        latency = round(spent + lane.reading_ms, 3)
+        lane.left, lane.number, lane.reading_ms = clean[None].clone(), number + 1, 0.0
+        return Piece(Segment(number, number * frames, frames, lane.prompt, motion, latency, evaluations), planted)
+
+    def _sample(self, lanes: Sequence[Lane]) -> Tensor:
+        """Clean segments (B, n, D), normalised: ``rdm.sampler`` where one segment is in work at a time."""
+        levels, last = self._levels, self.settings.steps
+        index_B = torch.tensor([lane.number for lane in lanes], device=self.device)
+        text = lanes[0].text if len(lanes) == 1 else stack([lane.text for lane in lanes])
+        zeros = torch.zeros(1, *self._shape, device=self.device)
+        left_BnD = torch.cat([zeros if lane.left is None else lane.left for lane in lanes])
+        denoise = self._denoiser(lanes, text, left_BnD, index_B)
+        y_BnD = self._noise(lanes, START)
+        for k in range(last):
+            t_B, s_B = (torch.full_like(index_B, level) for level in (levels[k], levels[k + 1]))
+            x0_BnD = denoise(self._transport.push(y_BnD, index_B, text.pooled), t_B).to(y_BnD.dtype)
+            if k + 1 < last:
+                y0_BnD = self._transport.pull(x0_BnD, index_B, text.pooled)
+                noise = self._noise(lanes, k) if self.settings.eta else None
+                y_BnD = denoise_step(self._schedule, y_BnD, y0_BnD, t_B, s_B, self.settings.eta, noise)
+        return x0_BnD
+
+    def _denoiser(
+        self, lanes: Sequence[Lane], text: TextEmbedding, left_BnD: Tensor, index_B: Tensor
+    ) -> Callable[[Tensor, Tensor], Tensor]:
+        """The network with everything bound but the noisy segments and their level."""
+        w_B = torch.tensor([lane.guidance for lane in lanes], device=self.device)
+        twice = not self._guided and bool(w_B.any())
+        scale_B = w_B if self._guided else None
+        if twice:
+            text = stack([text, *[self._texts("").to(self.device)] * len(lanes)])
+            left_BnD, index_B = left_BnD.repeat(2, 1, 1), index_B.repeat(2)
+        clean_B = torch.zeros_like(index_B)
+        network = self._network
+        if isinstance(network, Reader):
+            context = network.read(text.tokens, text.mask, left_BnD, clean_B, index_B)
+
+        def denoise(x_BnD: Tensor, t_B: Tensor) -> Tensor:
+            if twice:
+                x_BnD, t_B = x_BnD.repeat(2, 1, 1), t_B.repeat(2)
+            if isinstance(network, Reader):
+                made = network.denoise(x_BnD, t_B, context, scale_B)
+            else:
+                made = network(x_BnD, t_B, left_BnD, clean_B, index_B, text.tokens, text.mask, scale_B)
+            if not twice:
+                return made
+            told, untold = made.chunk(2)
+            return cfg(told, untold, w_B)
+
+        return denoise
+
+    def _noise(self, lanes: Sequence[Lane], step: int) -> Tensor:
+        noise = torch.stack([segment_noise(lane.seed, lane.number, step, self._shape) for lane in lanes])
+        noise = noise.to(self.device)
+        return noise if self._colour is None else self._colour(noise)

@@ -1,0 +1,86 @@
+"""The application: every route, behind one guard, and every error as JSON."""
+
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+
+from fastapi import FastAPI, Request
+from fastapi.exceptions import RequestValidationError
+from fastapi.responses import JSONResponse
+from starlette.exceptions import HTTPException
+
+from moveset import __version__
+from moveset.errors import InputError, MovesetError
+from moveset.server import page, rest, socket
+from moveset.server.failures import RequestError
+from moveset.server.guard import Guard
+from moveset.server.protocol import sentence
+from moveset.server.service import Options, Service
+
+_CODES = {404: "not_found", 405: "wrong_method"}
+
+
+def create_app(options: Options | None = None) -> FastAPI:
+    """A server's application; its ``state.service`` is what ``run`` stops.
+
+    Raises:
+        InputError: no such model or device.
+        FormatError: a damaged model.
+    """
+    the = Service(options or Options())
+
+    @asynccontextmanager
+    async def life(app: FastAPI) -> AsyncIterator[None]:
+        the.start()
+        yield
+        await the.stop()
+
+    app = FastAPI(
+        title="moveset",
+        version=__version__,
+        description="Text to human motion: clips by HTTP, endless streams by WebSocket.",
+        docs_url=None,
+        redoc_url=None,
+        lifespan=life,
+    )
+    app.state.service = the
+    app.include_router(rest.router)
+    app.include_router(socket.router)
+    page.add_page(app, the)
+    app.add_exception_handler(RequestError, _refused)
+    app.add_exception_handler(MovesetError, _refused)
+    app.add_exception_handler(RequestValidationError, _refused)
+    app.add_exception_handler(HTTPException, _refused)
+    app.add_exception_handler(Exception, _failed)
+    app.add_middleware(
+        Guard,
+        limits=the.limits,
+        hosts=the.options.hosts,
+        origins=the.options.origins,
+        metrics=the.metrics,
+    )
+    return app
+
+
+async def _refused(request: Request, error: Exception) -> JSONResponse:
+    found = _as_request_error(error)
+    request.app.state.service.metrics.refused.labels(found.code).inc()
+    return JSONResponse(found.body(), found.status, found.headers())
+
+
+def _as_request_error(error: Exception) -> RequestError:
+    if isinstance(error, RequestError):
+        return error
+    if isinstance(error, InputError):
+        return RequestError(400, "invalid", str(error))
+    if isinstance(error, RequestValidationError):
+        return RequestError(422, "invalid", sentence(list(error.errors())))
+    if isinstance(error, HTTPException):
+        status = error.status_code
+        found = RequestError(status, _CODES.get(status, "invalid"), str(error.detail))
+        return found
+    return RequestError(500, "internal", str(error))
+
+
+async def _failed(request: Request, error: Exception) -> JSONResponse:
+    """A fault of ours: its kind, but nothing of where. The log has the traceback."""
+    return JSONResponse(RequestError(500, "internal", f"{type(error).__name__} in the server; see its log").body(), 500)

@@ -1,0 +1,204 @@
+"""The models that a server offers, by name; what is read of them is read when it is first needed, and once."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from moveset.errors import InputError
+from moveset.pipelines.bundle import DEFAULT_MODEL, Bundle
+from moveset.pipelines.device import pick_device
+from moveset.pipelines.model_folder import STREAM, find_folder, shipped, task_of
+from moveset.pipelines.request import TEACHER_STEPS, Method, check_method
+from moveset.pipelines.stream_bundle import DEFAULT_STREAM, StreamBundle
+from moveset.pipelines.stream_group import StreamGroup
+from moveset.pipelines.stream_settings import StreamRequest, StreamSettings, check_stream
+from moveset.pipelines.text_to_motion import TextToMotion
+from moveset.server.failures import RequestError
+from moveset.text.encoder import TextEncoder, get_text_encoder
+
+SUGGESTIONS = 24
+_LONGEST = 60  # characters of a suggestion
+_SHIPPED_LICENSE = "CC-BY-NC-4.0"  # weights/LICENSE.md
+
+
+class Catalog:
+    """Models by name.
+
+    Args:
+        models: names of shipped models, or folders; by default everything that is shipped. A folder's model is known
+            by its own name. The first one of a kind is its default, unless there is moveset's own.
+        device: where to compute.
+
+    Raises:
+        InputError: no such model or device, or two models of one name.
+        FormatError: a damaged model folder.
+    """
+
+    def __init__(self, models: Sequence[str | Path] = (), device: torch.device | str = "auto") -> None:
+        self.device = pick_device(str(device))
+        self.clips: dict[str, TextToMotion] = {}
+        self.streams: dict[str, StreamBundle] = {}
+        for folder in map(find_folder, models or shipped()):
+            bundle = StreamBundle(folder) if task_of(folder) == STREAM else Bundle(folder)
+            name = bundle.config.name
+            if name in self.clips or name in self.streams:
+                raise InputError(f"two models are called {name!r}; give one of them")
+            if isinstance(bundle, StreamBundle):
+                self.streams[name] = bundle
+            else:
+                self.clips[name] = TextToMotion(bundle, self.device)
+        self._encoders: dict[str, TextEncoder] = {}
+        self._groups: dict[tuple[str, StreamSettings], StreamGroup] = {}
+        self._suggestions: dict[str, list[str]] = {}
+
+    @property
+    def default(self) -> dict[str, str | None]:
+        """Name of the clip and of the stream model that are used where none is named."""
+        return {"clip": _first(self.clips, DEFAULT_MODEL), "stream": _first(self.streams, DEFAULT_STREAM)}
+
+    def describe(self) -> list[dict[str, Any]]:
+        """What each model is and can."""
+        return [*map(_clip_row, self.clips.values()), *map(_stream_row, self.streams.values())]
+
+    def clip(self, name: str | None) -> TextToMotion:
+        """A model of clips; None is the default.
+
+        Raises:
+            RequestError: no such model.
+        """
+        return self._found(self.clips, "clip", name)
+
+    def stream(self, name: str | None) -> StreamBundle:
+        """A model of streams; None is the default.
+
+        Raises:
+            RequestError: no such model.
+        """
+        return self._found(self.streams, "stream", name)
+
+    def method(self, t2m: TextToMotion, steps: int | None, guidance: float | None) -> Method:
+        """How clips are sampled: by a student, or by the teacher in its usual number of steps.
+
+        Raises:
+            InputError: no such number of steps, or guidance out of range.
+        """
+        teacher = steps == TEACHER_STEPS and "teacher" in t2m.bundle.config.models
+        return check_method(t2m.bundle.config, "teacher" if teacher else "pcm", steps, guidance)
+
+    def request(
+        self, bundle: StreamBundle, prompt: str | None, seed: int, steps: int | None, guidance: float | None
+    ) -> StreamRequest:
+        """A checked request of a stream.
+
+        Raises:
+            InputError: anything out of range.
+        """
+        return check_stream(bundle.config, prompt, seed=seed, steps=steps, guidance=guidance)
+
+    def group(self, bundle: StreamBundle, settings: StreamSettings) -> StreamGroup:
+        """What makes streams of these settings, whatever their guidance."""
+        key = (bundle.config.name, replace(settings, guidance=0.0))
+        if key not in self._groups:
+            encoder = self.encoder(bundle.config.text_encoder)
+            self._groups[key] = StreamGroup(bundle, settings, device=self.device, encoder=encoder)
+        return self._groups[key]
+
+    def encoder(self, name: str) -> TextEncoder:
+        """A text encoder, shared by the models that use it."""
+        if name not in self._encoders:
+            self._encoders[name] = get_text_encoder(name, device=self.device)
+        return self._encoders[name]
+
+    def ready(self, t2m: TextToMotion) -> TextToMotion:
+        """The model with the shared text encoder."""
+        t2m.encoder = self.encoder(t2m.bundle.config.text_encoder)
+        return t2m
+
+    def suggestions(self, name: str | None) -> list[str]:
+        """Varied sentences that a model knows; None is the default model of clips.
+
+        Raises:
+            RequestError: no such model.
+        """
+        known = {**{k: t2m.bundle for k, t2m in self.clips.items()}, **self.streams}
+        found = self._found(known, "clip" if self.clips else "stream", name)
+        if found.config.name not in self._suggestions:
+            captions = found.captions
+            self._suggestions[found.config.name] = varied(captions.sentences, captions.pooled)
+        return self._suggestions[found.config.name]
+
+    def _found(self, models: dict[str, Any], kind: str, name: str | None) -> Any:
+        wanted = self.default[kind] if name is None else name
+        if wanted not in models:
+            what = f"model {name!r}" if name is not None else f"{kind} model"
+            choice = f"choose one of {', '.join(models)}" if models else "start the server with one"
+            raise RequestError(404, "unknown_model", f"there is no {what} here; {choice}")
+        return models[wanted]
+
+
+def varied(sentences: Sequence[str], pooled: torch.Tensor, count: int = SUGGESTIONS) -> list[str]:
+    """Sentences far from one another, each time the one farthest from all before it, beginning with the most central.
+
+    Args:
+        sentences: K of them.
+        pooled: (K, C) unit vectors.
+        count: how many are wanted.
+    """
+    short = [k for k, text in enumerate(sentences) if len(text) <= _LONGEST] or list(range(len(sentences)))
+    rows = pooled[short].float()
+    chosen = [int((rows @ rows.mean(dim=0)).argmax())]
+    nearest = rows @ rows[chosen[0]]
+    while len(chosen) < min(count, len(short)):
+        chosen.append(int(nearest.argmin()))
+        nearest = torch.maximum(nearest, rows @ rows[chosen[-1]])
+    return [sentences[short[k]] for k in chosen]
+
+
+def _first(models: dict[str, Any], preferred: str) -> str | None:
+    return preferred if preferred in models else next(iter(models), None)
+
+
+def _clip_row(t2m: TextToMotion) -> dict[str, Any]:
+    config = t2m.bundle.config
+    students = list(config.steps("pcm"))
+    steps = students + [TEACHER_STEPS] * ("teacher" in config.models)
+    default = students[0] if students else TEACHER_STEPS
+    network = f"pcm-{default}" if students else "teacher"
+    return {
+        "name": config.name,
+        "task": "clip",
+        "fps": config.fps,
+        "steps": steps,
+        "default_steps": default,
+        "guidance": config.guidance[network],
+        "min_seconds": config.min_frames / config.fps,
+        "max_seconds": config.max_frames / config.fps,
+        "license": _license(t2m.bundle),
+    }
+
+
+def _stream_row(bundle: StreamBundle) -> dict[str, Any]:
+    config = bundle.config
+    settings = check_stream(config).settings
+    return {
+        "name": config.name,
+        "task": "stream",
+        "fps": config.fps,
+        "steps": list(config.steps("pcm")) or [settings.steps],
+        "default_steps": settings.steps,
+        "guidance": settings.guidance,
+        "max_seconds": None,
+        "segment_frames": config.segment,
+        "idle": config.idle,
+        "license": _license(bundle),
+    }
+
+
+def _license(bundle: Bundle | StreamBundle) -> str | None:
+    if bundle.path in shipped().values():
+        return _SHIPPED_LICENSE
+    found = bundle.config.provenance.get("license")
+    return None if found is None else str(found)

@@ -1,0 +1,36 @@
+"""What goes wrong, said to a client: a status, a code for programs and a sentence for people."""
+
+from typing import Any
+
+
+class RequestError(Exception):
+    """A request that cannot be answered.
+
+    Args:
+        status: of HTTP.
+        code: a word for programs.
+        message: one sentence: value, limit, remedy.
+        retry_after: seconds after which to try again, if that helps.
+    """
+
+    def __init__(self, status: int, code: str, message: str, retry_after: int | None = None) -> None:
+        super().__init__(message)
+        self.status, self.code, self.message, self.retry_after = status, code, message, retry_after
+
+    def body(self) -> dict[str, Any]:
+        """The JSON answer."""
+        return {"error": {"code": self.code, "message": self.message}}
+
+    def headers(self) -> dict[str, str]:
+        """With the JSON answer."""
+        return {} if self.retry_after is None else {"Retry-After": str(self.retry_after)}
+
+
+def busy(what: str, limit: int) -> RequestError:
+    """There is no room for more of it."""
+    return RequestError(503, "busy", f"{limit} {what} are in work, which is the limit; try again in a moment", 2)
+
+
+def stopping() -> RequestError:
+    """The server takes nothing more."""
+    return RequestError(503, "stopping", "the server is stopping; try again when it is back", 5)

@@ -1,0 +1,133 @@
+"""What stands before every route: who may ask, how much may be sent, and what browsers are told of the page."""
+
+import re
+from collections.abc import Mapping, Sequence
+from urllib.parse import urlsplit
+
+from fastapi.responses import JSONResponse
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from moveset.server.failures import RequestError
+from moveset.server.limits import Limits
+from moveset.server.metrics import Metrics
+from moveset.server.wire import MEDIA_TYPE
+
+_HOST = re.compile(r"(\[[0-9a-fA-F:.]+\]|[A-Za-z0-9.-]+)(?::(\d{1,5}))?")
+_SAFE = ("GET", "HEAD", "OPTIONS")
+_HEADERS = {
+    "X-Content-Type-Options": "nosniff",
+    "X-Frame-Options": "DENY",
+    "Referrer-Policy": "no-referrer",
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Permissions-Policy": "camera=(), microphone=(), geolocation=()",
+}
+
+
+class Guard:
+    """Middleware.
+
+    - Host: where the server listens on this machine alone, only its own names are answered, so that a page that makes
+      its name point here (DNS rebinding) gets nothing.
+    - Origin: other sites' pages may neither change anything nor open a WebSocket.
+    - Size and type of what is sent.
+
+    Args:
+        app: what is guarded.
+        limits: sizes.
+        hosts: names without port; None allows any.
+        origins: other sites that may.
+        metrics: what is counted.
+    """
+
+    def __init__(
+        self, app: ASGIApp, limits: Limits, hosts: Sequence[str] | None, origins: Sequence[str], metrics: Metrics
+    ) -> None:
+        self._app, self._limits, self._metrics = app, limits, metrics
+        self._hosts, self._origins = hosts, origins
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] not in ("http", "websocket"):
+            await self._app(scope, receive, send)
+            return
+        headers = Headers(scope=scope)
+        host = headers.get("host", "")
+        answer = self._answering(scope, host, send)
+        try:
+            self._check(scope, headers, host)
+            if scope["type"] == "http":
+                receive = self._limited(scope, headers, receive)
+            await self._app(scope, receive, answer)
+        except RequestError as error:
+            self._metrics.refused.labels(error.code).inc()
+            # A WebSocket that is refused before it is accepted is answered as HTTP, too.
+            await JSONResponse(error.body(), error.status, error.headers())(scope, receive, answer)
+
+    def _check(self, scope: Scope, headers: Headers, host: str) -> None:
+        match = _HOST.fullmatch(host)
+        if match is None or (self._hosts is not None and match[1].lower() not in self._hosts):
+            raise RequestError(403, "foreign_host", "this server is not known by that name; use 127.0.0.1")
+        origin = headers.get("origin")
+        changes = scope["type"] == "websocket" or scope["method"] not in _SAFE
+        if changes and origin is not None and not self._own(origin, host):
+            raise RequestError(
+                403, "foreign_origin", "pages of other sites may not use this server; start it with --allow-origin"
+            )
+        if scope["type"] == "http" and scope["method"] == "POST":
+            self._check_type(scope["path"], headers.get("content-type", ""))
+
+    def _own(self, origin: str, host: str) -> bool:
+        return urlsplit(origin).netloc.lower() == host.lower() or origin in self._origins
+
+    @staticmethod
+    def _check_type(path: str, given: str) -> None:
+        wanted = MEDIA_TYPE if path == "/v1/export" else "application/json"
+        if given.partition(";")[0].strip().lower() != wanted:
+            raise RequestError(415, "wrong_type", f"send this with the content type {wanted}")
+
+    def _limited(self, scope: Scope, headers: Headers, receive: Receive) -> Receive:
+        limit = self._limits.export if scope["path"] == "/v1/export" else self._limits.body
+        error = RequestError(413, "too_large", f"what was sent is larger than the limit of {limit:,} bytes; send less")
+        length = headers.get("content-length", "")
+        if length.isdecimal() and int(length[:20]) > limit:
+            raise error
+        size = 0
+
+        async def counted() -> Message:
+            nonlocal size
+            message = await receive()
+            size += len(message.get("body", b""))
+            if size > limit:
+                raise error
+            return message
+
+        return counted
+
+    def _answering(self, scope: Scope, host: str, send: Send) -> Send:
+        """Sends with the headers that every answer has."""
+        known = host if _HOST.fullmatch(host) else ""
+
+        async def answer(message: Message) -> None:
+            if message["type"] in ("http.response.start", "websocket.http.response.start"):
+                own = MutableHeaders(scope=message)
+                for name, value in _with_policy(known).items():
+                    own.setdefault(name, value)
+                if scope["path"].startswith("/v1") or scope["path"] in ("/healthz", "/metrics"):
+                    own.setdefault("Cache-Control", "no-store")
+                if scope["type"] == "http":
+                    self._metrics.requests.labels(str(message["status"])).inc()
+            await send(message)
+
+        return answer
+
+
+def _with_policy(host: str) -> Mapping[str, str]:
+    # Some browsers do not count WebSockets of the same host as 'self'.
+    sockets = f" ws://{host} wss://{host}" if host else ""
+    policy = (
+        "default-src 'self'; img-src 'self' data: blob:; media-src 'self' blob:; "
+        f"connect-src 'self'{sockets}; style-src 'self'; script-src 'self'; object-src 'none'; base-uri 'none'; "
+        "form-action 'self'; frame-ancestors 'none'"
+    )
+    return {"Content-Security-Policy": policy, **_HEADERS}

@@ -1,0 +1,140 @@
+"""Serving an application until it is told to stop."""
+
+import asyncio
+import contextlib
+import signal
+import socket
+import threading
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import uvicorn
+from fastapi import FastAPI
+from uvicorn.protocols.http.h11_impl import H11Protocol
+from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
+
+from moveset.errors import InputError
+from moveset.server.limits import Limits
+from moveset.server.service import Service
+
+_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+_FRAMES = 16  # times the longest message: what is longer is not even read
+
+
+class Server(uvicorn.Server):
+    """uvicorn, which tells streams before it closes them and for which being asked to stop is no failure."""
+
+    def __init__(self, config: uvicorn.Config, the: Service, opened: Callable[[], None] | None) -> None:
+        super().__init__(config)
+        self._the, self._opened = the, opened
+
+    async def startup(self, sockets: Any = None) -> None:
+        """Listen, and say so."""
+        await super().startup(sockets)
+        if self.started and self._opened is not None:
+            self._opened()
+
+    async def shutdown(self, sockets: Any = None) -> None:
+        """Stop the service while connections are still open, then these."""
+        for server in self.servers:
+            server.close()
+        await self._the.stop()
+        await super().shutdown(sockets)
+
+    @contextlib.contextmanager
+    def capture_signals(self) -> Iterator[None]:
+        """As uvicorn's, without sending the signals again afterwards."""
+        if threading.current_thread() is not threading.main_thread():
+            yield
+            return
+        before = {number: signal.signal(number, self.handle_exit) for number in _SIGNALS}
+        try:
+            yield
+        finally:
+            for number, handler in before.items():
+                signal.signal(number, handler)
+
+
+def listen(host: str, port: int) -> socket.socket:
+    """A socket that listens.
+
+    Args:
+        host: name or address.
+        port: 0 takes any that is free.
+
+    Raises:
+        InputError: it cannot be had.
+    """
+    try:
+        found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+        bound = socket.socket(found[0], socket.SOCK_STREAM)
+        bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        bound.bind(found[4])
+    except OSError as error:
+        raise InputError(
+            f"cannot listen on {host} port {port}: {error.strerror or error}; choose another with --host or --port"
+        ) from error
+    return bound
+
+
+def make_server(app: FastAPI, *, opened: Callable[[], None] | None = None, log_level: str = "warning") -> Server:
+    """A server; ``run([listen(…)])`` serves until it is told to stop.
+
+    Args:
+        app: of ``create_app``.
+        opened: called when it accepts connections.
+        log_level: of uvicorn.
+    """
+    the: Service = app.state.service
+    limits = the.limits
+    config = uvicorn.Config(
+        app,
+        http=_patient(limits),
+        ws=_Reading,
+        ws_max_size=_FRAMES * limits.message,
+        ws_per_message_deflate=False,
+        timeout_graceful_shutdown=round(limits.stopping),
+        log_level=log_level,
+        access_log=False,
+        server_header=False,
+        proxy_headers=False,
+    )
+    return Server(config, the, opened)
+
+
+class _Reading(WebSocketsSansIOProtocol):
+    """Reads no more from a client that does not read: answers to its pings would pile up."""
+
+    def pause_writing(self) -> None:
+        super().pause_writing()
+        self.transport.pause_reading()
+
+    def resume_writing(self) -> None:
+        super().resume_writing()
+        if not self.read_paused:
+            self.transport.resume_reading()
+
+
+def _patient(limits: Limits) -> type[H11Protocol]:
+    """HTTP for a limited number of connections, which say what they want before patience ends."""
+
+    class Patient(H11Protocol):
+        _timer: asyncio.TimerHandle | None = None
+
+        def connection_made(self, transport: Any) -> None:
+            if len(self.connections) >= limits.sockets:
+                transport.abort()
+                return
+            super().connection_made(transport)
+            self._timer = self.loop.call_later(limits.patience, self._too_slow)
+
+        def connection_lost(self, exc: Exception | None) -> None:
+            if self._timer is not None:
+                self._timer.cancel()
+                super().connection_lost(exc)
+
+        def _too_slow(self) -> None:
+            if self.cycle is None and not self.transport.is_closing():
+                self.transport.abort()
+
+    return Patient

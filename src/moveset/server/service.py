@@ -1,0 +1,224 @@
+"""What the routes share: the models, the worker, the jobs, and how all of it ends."""
+
+import asyncio
+import secrets
+from collections.abc import Callable, Coroutine
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from moveset import __version__
+from moveset.errors import InputError, MovesetError
+from moveset.pipelines.finish import Finish
+from moveset.pipelines.request import check_request
+from moveset.server import files
+from moveset.server.catalog import Catalog
+from moveset.server.failures import RequestError, busy, stopping
+from moveset.server.jobs import Answer, Job, JobBook, Order
+from moveset.server.limits import Limits
+from moveset.server.metrics import Metrics
+from moveset.server.protocol import GenerateBody
+from moveset.server.wire import skeleton_json, unpack_packets
+from moveset.server.worker import Worker
+
+
+@dataclass(frozen=True)
+class Options:
+    """How a server is set up.
+
+    Args:
+        models: names of shipped models, or folders; by default everything that is shipped.
+        device: where to compute.
+        limits: what clients may ask for.
+        origins: other sites whose pages may use this server, such as "https://example.org".
+        hosts: names under which the server may be addressed; None allows any.
+        page: folder of the page's files; None is the one that is shipped.
+    """
+
+    models: tuple[str | Path, ...] = ()
+    device: str = "auto"
+    limits: Limits = field(default_factory=Limits)
+    origins: tuple[str, ...] = ()
+    hosts: tuple[str, ...] | None = ("127.0.0.1", "localhost", "[::1]")
+    page: Path | None = None
+
+
+class Service:
+    """One server's state; made and used on its event loop.
+
+    Args:
+        options: how it is set up.
+
+    Raises:
+        InputError: no such model or device.
+    """
+
+    def __init__(self, options: Options) -> None:
+        self.options, self.limits = options, options.limits
+        self.metrics = Metrics()
+        self.catalog = Catalog(options.models, options.device)
+        self.worker = Worker(self.catalog, self.limits, self.metrics, self._made)
+        self.book = JobBook(self.limits, self.worker.position)
+        self.stopping = False
+        self.connections = 0
+        self.farewells: set[Callable[[], Coroutine[Any, Any, None]]] = set()
+        self._streams = 0
+        self._writer = ThreadPoolExecutor(1, "moveset-writer")
+        self._writing = 0
+        self._answers: set[asyncio.Task[None]] = set()
+
+    def start(self) -> None:
+        """Begin, on the running event loop."""
+        self._loop = asyncio.get_running_loop()
+        self.worker.start()
+
+    async def stop(self) -> None:
+        """End: streams are told so, waiting jobs are cancelled, and work in progress is given a little time."""
+        if self.stopping:
+            return
+        self.stopping = True
+        for job in self.worker.stop():
+            job.end("cancelled", error=stopping())
+        await asyncio.gather(*(farewell() for farewell in list(self.farewells)), return_exceptions=True)
+        await asyncio.to_thread(self.worker.join, self.limits.stopping)
+        if self._answers:
+            await asyncio.wait(self._answers, timeout=self.limits.stopping)
+        for job in self.book.unfinished():
+            job.end("cancelled", error=stopping())
+        self._writer.shutdown(wait=False, cancel_futures=True)
+
+    def health(self) -> dict[str, Any]:
+        """Whether it runs, and how much it has to do."""
+        return {
+            "status": "stopping" if self.stopping else "ok",
+            "ready": self.worker.ready,
+            "version": __version__,
+            **self.worker.load,
+        }
+
+    def models(self) -> dict[str, Any]:
+        """What there is to choose from."""
+        return {
+            "models": self.catalog.describe(),
+            "default": self.catalog.default,
+            "limits": self.limits.public(),
+            "formats": ["json", *files.formats()],
+            "skeleton": skeleton_json(),
+        }
+
+    def order(self, body: GenerateBody) -> Order:
+        """A checked order.
+
+        Raises:
+            RequestError: no such model.
+            InputError: anything out of range.
+        """
+        t2m = self.catalog.clip(body.model)
+        config, limits = t2m.bundle.config, self.limits
+        given = sum(prompt.seconds or 0.0 for prompt in body.prompts)
+        if given > limits.seconds:
+            raise InputError(f"{given:g} s in all are more than the limit of {limits.seconds:g} s; make several clips")
+        if body.format == "json":
+            if body.skeleton is not None:
+                raise InputError("JSON holds frames of the server's own skeleton; leave skeleton out or ask for a file")
+        else:
+            files.check_format(body.format)
+            if body.num != 1:
+                raise InputError(f"{body.num} variants do not go into one file; ask for one, or for JSON")
+        longest = sum(prompt.seconds or config.max_frames / config.fps for prompt in body.prompts)
+        files.check_length(longest, body.fps or config.fps, body.format, limits)
+        texts = [prompt.text for prompt in body.prompts]
+        seed = secrets.randbelow(2**31) if body.seed is None else body.seed
+        # Durations are checked one by one, since some may be left to the text.
+        frames = [check_request(config, prompt.text, prompt.seconds)[0].frames[0] for prompt in body.prompts]
+        requests = check_request(config, texts, None, seed, body.num)
+        return Order(
+            t2m,
+            tuple(replace(request, frames=tuple(frames)) for request in requests),
+            self.catalog.method(t2m, body.steps, body.guidance),
+            body.format,
+            Finish.check(fps=body.fps, skeleton=body.skeleton, in_place=body.in_place, loop=body.loop),
+        )
+
+    def submit(self, order: Order) -> Job:
+        """An order on its way.
+
+        Raises:
+            RequestError: too much is waiting, or the server is stopping.
+        """
+        job = Job(order)
+        self.worker.submit(job)
+        self.book.add(job)
+        return job
+
+    def cancel(self, job: Job) -> None:
+        """Give a job up."""
+        if self.worker.cancel(job):
+            job.end("cancelled", error=RequestError(409, "cancelled", "this job was cancelled; send it again"))
+
+    async def export(self, data: bytes, format: str, finish: Finish, title: str) -> Answer:
+        """Packets as a file.
+
+        Raises:
+            FormatError: no whole packets.
+            InputError: an unknown format, or a motion that cannot be finished or written like this.
+            RequestError: too much is waiting.
+        """
+        files.check_format(format)
+        if self.stopping:
+            raise stopping()
+        if self._writing >= self.limits.exports:
+            raise busy("files", self.limits.exports)
+        return await self._write(partial(self._exported, data, format, finish, title))
+
+    def next_stream(self) -> int:
+        """A number for a stream."""
+        self._streams += 1
+        return self._streams
+
+    def _exported(self, data: bytes, format: str, finish: Finish, title: str) -> Answer:
+        take = unpack_packets(data, max_bytes=self.limits.export, max_frames=self.limits.frames)
+        files.check_length(take.motion.seconds, finish.fps or take.motion.fps, format, self.limits)
+        notes = {"generator": f"moveset {__version__}", **({"prompt": title} if title else {})}
+        return files.write_file(take.motion, format, finish, notes)
+
+    async def _write(self, make: Callable[[], Answer]) -> Answer:
+        """Run on the one thread that writes files, so that drawing a video takes no time from the worker's lock."""
+
+        def calm() -> Answer:
+            with torch.inference_mode():
+                return make()
+
+        self._writing += 1
+        try:
+            return await asyncio.get_running_loop().run_in_executor(self._writer, calm)
+        finally:
+            self._writing -= 1
+
+    def _made(self, job: Job, error: RequestError | None) -> None:
+        """Called by the worker."""
+        self._loop.call_soon_threadsafe(self._answer, job, error)
+
+    def _answer(self, job: Job, error: RequestError | None) -> None:
+        if error is not None:
+            job.end("cancelled" if error.code == "cancelled" else "failed", error=error)
+            return
+
+        async def write() -> None:
+            try:
+                job.end("done", await self._write(partial(files.answer, job)))
+            except MovesetError as problem:
+                job.end("failed", error=RequestError(400, "invalid", str(problem)))
+            except Exception as problem:
+                job.end("failed", error=RequestError(500, "internal", f"{type(problem).__name__} while writing"))
+                raise
+            finally:
+                self.book.forget()
+
+        task = asyncio.create_task(write())
+        self._answers.add(task)
+        task.add_done_callback(self._answers.discard)

@@ -1,0 +1,140 @@
+"""One stream as the server keeps it: what its client wants, and how far it has got.
+
+The event loop writes what the client wants, the worker what was made; both hold the worker's lock while they do.
+n frames of a segment.
+"""
+
+import math
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from moveset.pipelines.stream_group import Lane, StreamGroup
+
+Message = Mapping[str, Any] | bytes
+
+
+@dataclass(frozen=True)
+class Begin:
+    """A checked wish to begin."""
+
+    model: str
+    prompt: str | None
+    seed: int
+    steps: int | None
+    guidance: float | None
+
+
+@dataclass(eq=False)
+class Session:
+    """A stream.
+
+    Args:
+        number: of the stream, for people.
+        deliver: hands messages to the client's connection; called by the worker, never waits.
+        buffer: seconds that may be made ahead of what was acknowledged.
+        commit: frames after the acknowledged one that a new prompt leaves alone; None leaves all that was sent alone.
+        begin: what to begin with.
+
+    Attributes:
+        asked: a prompt that was not taken up yet; a newer one takes its place.
+        wishes: steps and guidance that were not taken up yet.
+        unsent: packets that are on their way to the connection.
+        sent: frames handed to the connection.
+        played: frames acknowledged.
+    """
+
+    number: int
+    deliver: Callable[[Sequence[Message]], None]
+    buffer: float
+    commit: int | None
+    begin: Begin | None
+    asked: str | None = None
+    wishes: dict[str, Any] = field(default_factory=dict)
+    group: StreamGroup | None = None
+    lane: Lane | None = None
+    fps: float = 20.0
+    segment: int = 1
+    paused: bool = False
+    over: bool = False
+    unsent: int = 0
+    sent: int = 0
+    played: int = 0
+    kept: dict[int, Lane] = field(default_factory=dict)
+    due_since: float | None = None
+    _clock: float = 0.0
+    _heard: float = 0.0
+    _paused_at: float = 0.0
+
+    @property
+    def waiting(self) -> bool:
+        """Whether the client wants something that the worker has to do."""
+        return not self.over and (self.begin is not None or self.asked is not None or bool(self.wishes))
+
+    @property
+    def due(self) -> bool:
+        """Whether it is time to make the next segment: less than the buffer is ahead, and the last one was sent."""
+        ahead = self.sent - self.played
+        return not (self.over or self.paused or self.lane is None or self.unsent) and ahead < self.buffer * self.fps
+
+    @property
+    def deadline(self) -> float:
+        """When a client that plays in real time runs out of frames.
+
+        One that acknowledges faster than real time does not get ahead of others by it.
+        """
+        return max(self._clock + self.sent / self.fps, self._heard + (self.sent - self.played) / self.fps)
+
+    def started(self, group: StreamGroup, lane: Lane) -> None:
+        """It begins to play now."""
+        self.group, self.lane = group, lane
+        self.fps, self.segment = group.bundle.config.fps, group.bundle.config.segment
+        self._clock = self._heard = time.monotonic()
+        self.look()
+
+    def acknowledge(self, frame: int) -> None:
+        """The client has played all frames before this one; what was never sent does not count."""
+        self._heard = time.monotonic()
+        self.played = max(self.played, min(frame, self.sent))
+        self.look()
+
+    def pause(self) -> None:
+        """Make nothing until it is resumed."""
+        if not self.paused:
+            self.paused, self._paused_at, self.due_since = True, time.monotonic(), None
+
+    def resume(self) -> None:
+        """Go on."""
+        if self.paused:
+            now = time.monotonic()
+            self.paused, self._clock, self._heard = False, self._clock + now - self._paused_at, now
+            self.look()
+
+    def look(self) -> None:
+        """Note since when the stream is due."""
+        if not self.due:
+            self.due_since = None
+        elif self.due_since is None:
+            self.due_since = time.monotonic()
+
+    def keep(self) -> None:
+        """Remember where the next segment begins, in case a prompt is to go back there; forget what was played."""
+        assert self.lane is not None
+        if self.commit is not None:
+            oldest = self.played // self.segment
+            self.kept = {number: lane for number, lane in self.kept.items() if number >= oldest}
+            self.kept[self.lane.number] = self.lane.copy()
+
+    def go_back(self) -> None:
+        """To the first segment that is not committed, if that was made already; what was wished for since stays."""
+        now = self.lane
+        assert now is not None
+        if self.commit is None:
+            return
+        number = math.ceil((self.played + self.commit) / self.segment)
+        if number < now.number:
+            wished = {"prompt": now.prompt, "text": now.text, "guidance": now.guidance, "reading_ms": now.reading_ms}
+            self.lane = replace(self.kept[number].copy(), **wished)
+            self.sent = number * self.segment
+            self.look()

@@ -1,0 +1,354 @@
+"""The one thread that generates: streams that run out first, and clips in between.
+
+A turn does what clients asked of their streams, makes the next segment of those that are due (all of one model and one
+setting by one batched call), and then one clip of one job. Streams are also served between any two clips of a job; as
+long as one of them is about to run out, up to ``_RUSH`` batches in a row. Jobs take turns, one variant at a time. So
+nobody waits for more than a clip and a few batches, whatever the others ask for.
+"""
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from typing import Any
+
+import torch
+
+from moveset.errors import MovesetError
+from moveset.pipelines.stream_group import StreamGroup
+from moveset.server.catalog import Catalog
+from moveset.server.failures import RequestError, busy, stopping
+from moveset.server.jobs import Job
+from moveset.server.limits import Limits
+from moveset.server.metrics import Metrics
+from moveset.server.sessions import Message, Session
+from moveset.server.wire import pack_packet, skeleton_json
+
+_RUSH = 4  # batches in a row before a clip gets its turn
+_SOON = 0.5  # seconds before it runs out from which a stream goes before clips
+
+
+class _Cancelled(Exception):
+    """The job in work was given up."""
+
+
+class Worker:
+    """Generates. All methods but ``run`` may be called from any thread and return at once.
+
+    Args:
+        catalog: the models.
+        limits: of streams and jobs.
+        metrics: what is counted.
+        finished: told of every job whose clips are all made, failed or cancelled, with its error if any; called by the
+            worker's thread.
+    """
+
+    def __init__(
+        self,
+        catalog: Catalog,
+        limits: Limits,
+        metrics: Metrics,
+        finished: Callable[[Job, RequestError | None], None],
+    ) -> None:
+        self._catalog, self._limits, self._metrics, self._finished = catalog, limits, metrics, finished
+        self.lock = threading.Lock()
+        self._work = threading.Condition(self.lock)
+        self._sessions: list[Session] = []
+        self._jobs: deque[Job] = deque()
+        self._current: Job | None = None
+        self._stopping = False
+        self.ready = False
+        self._thread = threading.Thread(target=self.run, name="moveset-worker", daemon=True)
+
+    def start(self) -> None:
+        """Begin."""
+        self._thread.start()
+
+    def stop(self) -> list[Job]:
+        """Take nothing more: streams end, the job in work goes on, those that have not begun are returned."""
+        with self.lock:
+            self._stopping = True
+            waiting = [job for job in self._jobs if job is not self._current and not job.made]
+            self._jobs = deque(job for job in self._jobs if job not in waiting)
+            for session in self._sessions:
+                session.over = True
+            self._work.notify()
+        return waiting
+
+    def join(self, seconds: float) -> None:
+        """Wait for the thread to end; after that long what is in work is given up, within one evaluation."""
+        if self._thread.is_alive():
+            self._thread.join(seconds)
+        with self.lock:
+            for job in self._jobs:
+                job.cancelled = True
+        if self._thread.is_alive():
+            self._thread.join()
+
+    def cancel(self, job: Job) -> bool:
+        """Give a job up. Whether it was still in the line: one in work ends, as cancelled, after its clip."""
+        with self.lock:
+            job.cancelled = True
+            if job in self._jobs and job is not self._current:
+                self._jobs.remove(job)
+                return True
+            return False
+
+    def position(self, job: Job) -> int:
+        """Place in the line, from 0."""
+        with self.lock:
+            return self._jobs.index(job) if job in self._jobs else 0
+
+    def submit(self, job: Job) -> None:
+        """Take a job.
+
+        Raises:
+            RequestError: the line is full, or the server is stopping.
+        """
+        with self.lock:
+            if self._stopping:
+                raise stopping()
+            if len(self._jobs) >= self._limits.jobs:
+                raise busy("clips", self._limits.jobs)
+            self._jobs.append(job)
+            self._work.notify()
+
+    def join_stream(self, session: Session) -> None:
+        """Take a stream.
+
+        Raises:
+            RequestError: there are as many as there may be, or the server is stopping.
+        """
+        with self.lock:
+            if self._stopping:
+                raise stopping()
+            if len(self._sessions) >= self._limits.streams:
+                raise busy("streams", self._limits.streams)
+            self._sessions.append(session)
+            self._metrics.streams.set(len(self._sessions))
+            self._work.notify()
+
+    def leave(self, session: Session) -> None:
+        """A stream is over."""
+        with self.lock:
+            session.over = True
+            if session in self._sessions:
+                self._sessions.remove(session)
+            self._metrics.streams.set(len(self._sessions))
+
+    def tell(self, change: Callable[[], Any]) -> None:
+        """Change what a session wants, and have another look at it."""
+        with self.lock:
+            change()
+            self._work.notify()
+
+    @property
+    def load(self) -> dict[str, int]:
+        """How much there is to do."""
+        with self.lock:
+            return {"streams": len(self._sessions), "jobs": len(self._jobs)}
+
+    @torch.inference_mode()
+    def run(self) -> None:
+        """The thread."""
+        self._warm_up()
+        while True:
+            with self.lock:
+                while not (self._stopping or self._jobs or any(s.waiting or s.due for s in self._sessions)):
+                    self._work.wait()
+                if self._stopping and not self._jobs:
+                    return
+            self._serve()
+            self._clip()
+
+    def _warm_up(self) -> None:
+        """Read the default models and make something, so that the first client need not wait for it."""
+        names = self._catalog.default
+        if names["clip"] is not None:
+            t2m = self._catalog.ready(self._catalog.clip(None))
+            t2m("a person walks", seconds=t2m.bundle.config.min_frames / t2m.bundle.config.fps)
+        if names["stream"] is not None:
+            bundle = self._catalog.stream(None)
+            group = self._catalog.group(bundle, self._catalog.request(bundle, None, 0, None, None).settings)
+            lane = group.open(bundle.config.idle, 0)
+            for _ in range(2):
+                group.advance([lane])
+        self.ready = True
+
+    def _serve(self) -> None:
+        """Streams: wishes first, then segments, until nobody is about to run out."""
+        for _ in range(_RUSH):
+            with self.lock:
+                waiting = [session for session in self._sessions if session.waiting]
+            for session in waiting:
+                self._obey(session)
+            with self.lock:
+                due = sorted((s for s in self._sessions if s.due), key=lambda s: s.deadline)
+                batch = [s for s in due if s.group is due[0].group]
+                alone = not self._jobs
+            if batch:
+                self._advance(batch)
+            # Without clips to make there is nothing to hurry for: the next turn comes at once.
+            if alone or not batch or due[0].deadline > time.monotonic() + _SOON:
+                return
+
+    def _advance(self, batch: list[Session]) -> None:
+        group = batch[0].group
+        assert group is not None
+        begun = time.monotonic()
+        with self.lock:
+            for session in batch:
+                session.keep()
+        pieces = group.advance([s.lane for s in batch if s.lane is not None])
+        self._metrics.batch.observe(len(batch))
+        for session, piece in zip(batch, pieces, strict=True):
+            made = piece.segment
+            packet = pack_packet(
+                made.motion, first_frame=made.first_frame, latency_ms=made.latency_ms, planted=piece.planted
+            )
+            with self.lock:
+                since, session.due_since = session.due_since or begun, None
+                session.sent = made.first_frame + made.frames
+                session.unsent += 1
+                if session.over:
+                    continue
+            queue_ms = (begun - since) * 1e3
+            said = {
+                "type": "segment",
+                "segment": made.number,
+                "first_frame": made.first_frame,
+                "frames": made.frames,
+                "prompt": made.prompt,
+                "latency_ms": made.latency_ms,
+                "network_evaluations": made.network_evaluations,
+                "queue_ms": round(queue_ms, 3),
+            }
+            session.deliver([said, packet])
+            self._metrics.segment(made, queue_ms)
+
+    def _obey(self, session: Session) -> None:
+        """Do what a client asked of its stream, one thing of each kind."""
+        with self.lock:
+            begin, session.begin = session.begin, None
+            asked, session.asked = session.asked, None
+            wishes, session.wishes = session.wishes, {}
+        try:
+            if begin is not None:
+                self._begin(session, begin)
+            if wishes:
+                self._change(session, wishes)
+            if asked is not None:
+                self._prompt(session, asked)
+        except RequestError as error:
+            self._refuse(session, error.body()["error"], begin is not None)
+        except MovesetError as error:
+            self._refuse(session, {"code": "invalid", "message": str(error)}, begin is not None)
+
+    def _refuse(self, session: Session, error: dict[str, str], fatal: bool) -> None:
+        session.deliver([{"type": "error", **error}])
+        if fatal:
+            # There is no stream: the connection may start another.
+            session.deliver([{"type": "stopped", "frames": 0, "reason": "refused"}])
+
+    def _begin(self, session: Session, begin: Any) -> None:
+        bundle = self._catalog.stream(begin.model)
+        request = self._catalog.request(bundle, begin.prompt, begin.seed, begin.steps, begin.guidance)
+        group = self._catalog.group(bundle, request.settings)
+        lane = group.open(request.timeline.prompts[0], request.seed, request.settings.guidance)
+        with self.lock:
+            session.started(group, lane)
+        said = {
+            "type": "started",
+            "stream": session.number,
+            "model": bundle.config.name,
+            "seed": lane.seed,
+            "fps": session.fps,
+            "segment_frames": session.segment,
+            "buffer": session.buffer,
+            "commit": session.commit,
+            "skeleton": skeleton_json(group.codec.skeleton),
+            **_settings(session),
+        }
+        session.deliver([said, _effect(session, 0)])
+
+    def _change(self, session: Session, wishes: dict[str, Any]) -> None:
+        group, lane = session.group, session.lane
+        if group is None or lane is None:
+            return
+        steps = wishes.get("steps", group.settings.steps)
+        guidance = wishes.get("guidance", lane.guidance)
+        settings = self._catalog.request(group.bundle, None, lane.seed, steps, guidance).settings
+        changed: StreamGroup = self._catalog.group(group.bundle, settings)
+        with self.lock:
+            session.group, lane.guidance = changed, settings.guidance
+        session.deliver([{"type": "set", "buffer": session.buffer, **_settings(session)}])
+
+    def _prompt(self, session: Session, text: str) -> None:
+        if session.group is None or session.lane is None:
+            return
+        session.group.prompt(session.lane, text)
+        with self.lock:
+            session.go_back()
+        session.deliver([_effect(session, session.lane.number * session.segment)])
+
+    def _clip(self) -> None:
+        """One variant of the job that is next."""
+        with self.lock:
+            job = self._current = self._jobs[0] if self._jobs else None
+        if job is None:
+            return
+        try:
+            self._make(job)
+            error = None
+        except _Cancelled:
+            error = RequestError(409, "cancelled", "this job was cancelled; send it again if it is still wanted")
+        except MovesetError as problem:
+            error = RequestError(400, "invalid", str(problem))
+        except Exception as problem:
+            error = RequestError(
+                500, "internal", f"{type(problem).__name__} while a clip was made; see the server's log"
+            )
+        over = error is not None or len(job.made) == len(job.order.requests)
+        with self.lock:
+            self._current = None
+            if job in self._jobs:
+                self._jobs.remove(job)
+                if not over:
+                    self._jobs.append(job)
+        if over:
+            self._finished(job, error)
+
+    def _make(self, job: Job) -> None:
+        order, made = job.order, len(job.made)
+        share = 1.0 / len(order.requests)
+
+        def between(done: float) -> None:
+            job.progress = (made + done) * share
+            if job.cancelled:
+                raise _Cancelled
+            self._serve()
+
+        if job.cancelled:
+            raise _Cancelled
+        job.state = "running"
+        t2m = self._catalog.ready(order.t2m)
+        job.made += t2m.generate([order.requests[made]], order.method, between=between)
+        self._metrics.clip(job.made[-1])
+
+
+def _settings(session: Session) -> dict[str, Any]:
+    assert session.group is not None
+    assert session.lane is not None
+    return {"steps": session.group.settings.steps, "guidance": session.lane.guidance}
+
+
+def _effect(session: Session, frame: int) -> Message:
+    """What a client is told of its new prompt."""
+    assert session.group is not None
+    assert session.lane is not None
+    return {
+        "type": "prompt",
+        "text": session.lane.prompt,
+        "takes_effect_at": frame,
+        "warnings": list(session.group.warnings(session.lane)),
+    }
