@@ -2,6 +2,7 @@
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -13,13 +14,14 @@ from moveset.evaluation.latex import latex
 from moveset.evaluation.markdown import markdown
 from moveset.evaluation.plots import front
 from moveset.evaluation.report import page, to_json, write_report
-from moveset.evaluation.table import Measured, Table, load_table
+from moveset.evaluation.suites import get_suite
+from moveset.evaluation.table import Measured, Table, load_table, save_rows
 from moveset.evaluation.targets import at_least, checks, differences, outside, physical, within
 from tests.evaluation.results import result_json, suite_folder
 
 REAL = {"r1": (0.6, 0.01), "fid": (0.01, 0.001), "diversity": (9.0, 0.1), "skating": (0.1, 0.0), "jerk": (60.0, 0.1)}
 RESULTS = {
-    "real": result_json(REAL, model="real"),
+    "real": result_json(REAL, model="real", weights_sha256=None),
     "vae": result_json({"r1": (0.59, 0.01), "fid": (0.05, 0.001)}),
     "teacher": result_json({"r1": (0.5, 0.01), "fid": (0.3, 0.02)}, repeats=5, seconds=0.5),
     "lcm-1": result_json({"r1": (0.4, 0.01), "fid": (0.5, 0.02), "diversity": (8.0, 0.1)}, seconds=0.01),
@@ -205,7 +207,7 @@ def test_physical_metrics_have_ratios_to_real(table: Table):
 
 
 def test_rows_that_were_judged_differently_are_not_put_side_by_side(tmp_path: Path):
-    for changed in ({"items": 319}, {"evaluator": {"name": "t2m-small", "sha256": "f" * 64}}):
+    for changed in ({"items": 319}, {"evaluator": {"name": "t2m-small", "sha256": "f" * 64}}, {"measures_sha256": "0"}):
         mixed = {**RESULTS, "pcm-4": {**RESULTS["pcm-4"], **changed}}
         with pytest.raises(InputError, match="the rows of 'motionpcm' have different"):
             markdown(load_table(suite_folder(tmp_path, "motionpcm", mixed)))
@@ -242,6 +244,19 @@ def test_a_report_is_files_and_plots_and_can_be_written_again(folder: Path):
     assert all(0 < len(data) < 60_000 for name, data in first.items() if name.endswith(".png"))
     write_report(folder)
     assert {path.name: path.read_bytes() for path in folder.iterdir()} == first
+
+
+def test_rows_may_be_added_one_by_one_and_stay_in_order(folder: Path):
+    rows = {row.key: row for row in get_suite("motionpcm").rows}
+    before = [entry.row.key for entry in load_table(folder).rows]
+    (folder / "k20.json").write_text(json.dumps(RESULTS["pcm-1"]))
+    given = replace(rows["pcm-1"], key="mine", label="Mine")
+    save_rows("motionpcm", [(given, "pcm-1.json", ""), (rows["k20"], "k20.json", "")], folder)
+    table = load_table(folder)
+    assert [entry.row.key for entry in table.rows] == [*before, "mine"]
+    assert table.metrics["k20"] == table.metrics["mine"] == table.metrics["pcm-1"]
+    with pytest.raises(FormatError, match="is of the suite 'motionpcm'"):
+        save_rows("rdm", [], folder)
 
 
 def test_a_page_of_both_suites(folder: Path, tmp_path: Path):

@@ -3,7 +3,6 @@
 ``rows.json`` says which rows there are, where their result files lie, and why some have no numbers.
 """
 
-import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -15,6 +14,7 @@ from moveset.evaluation.columns import Column, Place, places
 from moveset.evaluation.intervals import Interval
 from moveset.evaluation.suites import REAL, Row, RowResult, Suite, get_suite
 from moveset.evaluation.targets import Check, Difference, checks, differences
+from moveset.io.limits import atomic_write
 from moveset.pipelines.verified_folder import json_object
 
 ROWS = "rows.json"
@@ -30,11 +30,12 @@ class Measured:
         repeats: how many there were.
         items, texts, labels: how many test items, distinct texts and distinct label combinations; None if unlabelled.
         evaluator, data: name and sha256.
-        weights: one sha256 for all files that take part, "" where there are none.
+        weights: sha256 of all files that take part, "" where there are none.
         wording: of the generator's prompts, "known" or "held-out".
         split: of the data.
         group: items among which R-precision looks.
-        seconds: what an item took to generate, in batches: the fastest repeat's mean. None if nothing was generated.
+        measures: sha256 of the code that measured.
+        seconds: what an item took to generate, in batches, on average; None if nothing was generated.
     """
 
     metrics: Mapping[str, Interval]
@@ -48,6 +49,7 @@ class Measured:
     wording: str
     split: str
     group: int
+    measures: str
     seconds: float | None
 
     @classmethod
@@ -67,11 +69,12 @@ class Measured:
                 labels=None if raw["labels"] is None else int(raw["labels"]),
                 evaluator=(str(raw["evaluator"]["name"]), str(raw["evaluator"]["sha256"])),
                 data=(str(raw["data"]["name"]), str(raw["data"]["sha256"])),
-                weights=_combined(raw["weights_sha256"]),
+                weights=str(raw["weights_sha256"] or ""),
                 wording=str(protocol["wording"]),
                 split=str(protocol["split"]),
                 group=int(protocol["group"]),
-                seconds=_seconds(raw),
+                measures=str(raw["measures_sha256"]),
+                seconds=float(raw["seconds_per_item"]) if raw["weights_sha256"] else None,
             )
         except (KeyError, TypeError, ValueError, AttributeError, InputError) as error:
             raise FormatError(f"{where} is no result of an evaluation: {error}; evaluate that row again") from error
@@ -120,7 +123,7 @@ class Table:
         return checks(self.suite.name, self.metrics, shipped, labels)
 
     def common(self) -> Measured:
-        """What all results have in common: items, texts, labels, evaluator, data, wording, split and group.
+        """What all results have in common: items, texts, labels, evaluator, data, wording, split, group and measures.
 
         Raises:
             InputError: they have not, or there are none.
@@ -128,7 +131,7 @@ class Table:
         if not self.measured:
             raise InputError(f"no row of {self.suite.name!r} has been evaluated yet")
         first, *others = self.measured.values()
-        for name in ("items", "texts", "labels", "evaluator", "data", "wording", "split", "group"):
+        for name in ("items", "texts", "labels", "evaluator", "data", "wording", "split", "group", "measures"):
             found = {getattr(result, name) for result in (first, *others)}
             if len(found) > 1:
                 raise InputError(
@@ -139,10 +142,24 @@ class Table:
 
 
 def save_rows(name: str, rows: Sequence[tuple[Row, str, str]], out: Path) -> None:
-    """Writes ``rows.json``: every row with its result file's path below OUT, or with what is missing."""
-    out.mkdir(parents=True, exist_ok=True)
-    entries = [{**asdict(row), "result": result or None, "missing": missing} for row, result, missing in rows]
-    (out / ROWS).write_text(json.dumps({"suite": name, "rows": entries}, indent=1, ensure_ascii=False) + "\n")
+    """Writes ``rows.json``: every row with its result file's path below OUT, or with what is missing.
+
+    Rows that are there already and not among these stay, in the suite's order: a suite may be run a row at a time.
+
+    Raises:
+        FormatError: there is a ``rows.json`` that cannot be read, or one of another suite.
+    """
+    new = {row.key: {**asdict(row), "result": result or None, "missing": missing} for row, result, missing in rows}
+    index = out / ROWS
+    if index.is_file():
+        raw = json_object(index.read_bytes(), index)
+        if raw.get("suite") != name:
+            raise FormatError(f"{index} is of the suite {raw.get('suite')!r}; write {name!r} to another folder")
+        new = {entry["key"]: entry for entry in raw["rows"]} | new
+    order = [row.key for row in get_suite(name).rows if row.key in new]
+    entries = [new[key] for key in dict.fromkeys([*order, *new])]
+    with atomic_write(index) as file:
+        file.write(json.dumps({"suite": name, "rows": entries}, indent=1, ensure_ascii=False).encode() + b"\n")
 
 
 def load_table(folder: Path) -> Table:
@@ -164,20 +181,6 @@ def load_table(folder: Path) -> Table:
     except (KeyError, TypeError, AttributeError, InputError) as error:
         raise FormatError(f"{index} is no list of rows: {error}; run `moveset evaluate --suite …` again") from error
     return Table(suite, tuple(RowResult(row, _read(folder, file), missing) for row, file, missing in entries))
-
-
-def _combined(weights: Mapping[str, str] | str | None) -> str:
-    """One hash of several files' hashes, whatever their order; that of a single file is its own."""
-    if not weights or isinstance(weights, str):
-        return weights or ""
-    hashes = [f"{name}:{weights[name]}" for name in sorted(weights)]
-    return hashlib.sha256("\n".join(hashes).encode()).hexdigest()
-
-
-def _seconds(raw: Mapping[str, Any]) -> float | None:
-    if raw["model"] == REAL:
-        return None
-    return min(float(repeat["seconds"]["generating"]) for repeat in raw["repeats"]) / int(raw["items"])
 
 
 def _read(folder: Path, name: str | None) -> Measured | None:
