@@ -45,7 +45,7 @@ export interface SetTakesOptions {
 
 /** Height of what is looked at, and half of what must be seen above and below it. */
 const EYE = 0.96;
-const HALF_HEIGHT = 1.1;
+const HALF_HEIGHT = 1.08;
 /** How many frame times are remembered. */
 const MEASURED = 240;
 
@@ -82,6 +82,7 @@ export class Player {
   private ask = 0;
   private last = 0;
   private recording: Recording | null = null;
+  private covered: { above: number; below: number } | null = null;
   private readonly intervals: number[] = [];
   private readonly work: number[] = [];
 
@@ -242,6 +243,12 @@ export class Player {
     const theme = this.stage.setTheme(name);
     for (const figure of this.figures) figure.paint(theme);
     this.touch(true);
+  }
+
+  /** Pixels of the picture that a page covers above and below; by default what the player's own caption and bar do. */
+  set inset(covered: { above: number; below: number } | null) {
+    this.covered = covered;
+    this.resize();
   }
 
   /** (J, 3) world positions of the joints as drawn at a frame, in the take's own place. */
@@ -456,8 +463,8 @@ export class Player {
     if (width === 0 || height === 0) return;
     this.stage.resize(width, height);
     // The picture's middle is that of what caption and bar leave free.
-    const below = this.controls ? this.controls.root.offsetHeight + 14 : 0;
-    const above = this.caption.isConnected ? 46 : 0;
+    const below = this.covered?.below ?? (this.controls ? this.controls.root.offsetHeight + 14 : 0);
+    const above = this.covered?.above ?? (this.caption.isConnected ? 46 : 0);
     const free = Math.max(0.4, 1 - (below + above) / height);
     const { camera } = this.stage;
     camera.setViewOffset(width, height, 0, (below - above) / 2, width, height);

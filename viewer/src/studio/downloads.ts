@@ -1,0 +1,119 @@
+/** Taking home what is on the stage: files made by the server from the shown bytes, and a video recorded here. */
+import { exportFile } from "./api";
+import { announce, byId, icon, make, save } from "./dom";
+import { fault } from "./page";
+import { Popover } from "./popover";
+import { packets, type Shown, type ShownTake } from "./shown";
+import { toast } from "./toasts";
+
+const FORMATS = [
+  { format: "bvh", name: "BVH", use: "Blender, MotionBuilder, Maya" },
+  { format: "glb", name: "GLB", use: "Unity, Godot, three.js" },
+  { format: "npz", name: "npz", use: "NumPy, AMASS tools" },
+  { format: "html", name: "HTML", use: "one page that plays anywhere" },
+  { format: "mp4", name: "MP4", use: "video, drawn by the server" },
+  { format: "webm", name: "WebM", use: "video, recorded as you see it" },
+];
+
+/** The presets of moveset.motion.rigs, and what people call them. */
+export const SKELETONS = [
+  { value: "", label: "moveset (hml22)" },
+  { value: "smpl", label: "SMPL" },
+  { value: "mixamo", label: "Mixamo" },
+  { value: "vrm", label: "VRM" },
+  { value: "ue5", label: "Unreal 5" },
+];
+const RATES = ["", "24", "30", "60"];
+
+export interface Source {
+  shown(): Shown | null;
+  record(): Promise<Blob>;
+}
+
+export class Downloads {
+  private readonly popover: Popover;
+  private readonly which = byId<HTMLSelectElement>("which");
+  private readonly skeleton = byId<HTMLSelectElement>("skeleton");
+  private readonly fps = byId<HTMLSelectElement>("fps");
+
+  constructor(private readonly source: Source) {
+    this.popover = new Popover("open-downloads", "downloads", () => this.fill());
+    this.skeleton.append(...SKELETONS.map(({ value, label }) => make("option", { value }, label)));
+  }
+
+  /** Offer what this server can write, and what the page records itself. */
+  offer(formats: string[]): void {
+    byId("formats").replaceChildren();
+    for (const { format, name, use } of FORMATS) {
+      if (format !== "webm" && !formats.includes(format)) continue;
+      const button = make(
+        "button",
+        { type: "button", class: "format", "data-format": format },
+        make("strong", {}, name),
+        make("span", {}, use),
+        icon("download"),
+      );
+      button.addEventListener("click", () => void this.take(button, format));
+      byId("formats").append(make("li", {}, button));
+    }
+  }
+
+  /** Whether there is anything to take. */
+  enable(on: boolean): void {
+    byId<HTMLButtonElement>("open-downloads").disabled = !on;
+  }
+
+  show(): void {
+    this.popover.show();
+  }
+
+  private fill(): void {
+    const shown = this.source.shown();
+    if (!shown) return;
+    const rate = Math.round(shown.takes[0].take.fps);
+    const chosen = this.fps.value;
+    this.fps.replaceChildren(...RATES.map((value) => make("option", { value }, value || `${rate} (as made)`)));
+    this.fps.value = chosen;
+    byId("which-field").hidden = shown.takes.length < 2;
+    this.which.replaceChildren(...shown.takes.map((take, k) => make("option", { value: k }, take.title || `Take ${k + 1}`)));
+  }
+
+  private chosen(shown: Shown): ShownTake {
+    return shown.takes[Number(this.which.value) || 0] ?? shown.takes[0];
+  }
+
+  private async take(button: HTMLButtonElement, format: string): Promise<void> {
+    const shown = this.source.shown();
+    if (!shown || button.disabled) return;
+    button.disabled = true;
+    button.classList.add("busy");
+    try {
+      if (format === "webm") {
+        toast("Recording the stage from beginning to end…");
+        save(await this.source.record(), `${slug(shown.title)}.webm`);
+      } else {
+        const options = {
+          skeleton: this.skeleton.value || null,
+          fps: Number(this.fps.value) || null,
+          in_place: byId<HTMLInputElement>("in-place").checked,
+          loop: byId<HTMLInputElement>("loop").checked,
+          title: shown.title,
+        };
+        const { blob, name } = await exportFile(format, packets(this.chosen(shown).take), options);
+        save(blob, name);
+      }
+      announce(`Saved as ${format}`);
+    } catch (thrown) {
+      fault(thrown, () => void this.take(button, format));
+    } finally {
+      button.disabled = false;
+      button.classList.remove("busy");
+    }
+  }
+}
+
+/** A file name of the words of a title. */
+function slug(title: string): string {
+  const words = title.toLowerCase().match(/[a-z0-9]+/g) ?? ["moveset"];
+  return words.join("-").slice(0, 60).replace(/-$/, "");
+}

@@ -1,0 +1,69 @@
+/** The player as the studio uses it: one thing shown at a time, everybody told of the frame. */
+import { Player } from "../player/player";
+import type { Shown } from "./shown";
+import type { Theme } from "./theme";
+
+export class Stage {
+  readonly player: Player;
+  shown: Shown | null = null;
+  /** Called when playing or pausing, or the player's own theme, may have changed. */
+  onstate: (() => void) | null = null;
+  private readonly listeners: ((frame: number) => void)[] = [];
+
+  /** `above` and `below` lie over the picture: the figure stands between them. */
+  constructor(container: HTMLElement, theme: Theme, above: HTMLElement, below: HTMLElement) {
+    this.player = new Player(container, { theme, autoplay: false, filename: "moveset" });
+    this.player.onframe = (frame) => {
+      for (const listener of this.listeners) listener(frame);
+    };
+    this.player.onstate = () => this.onstate?.();
+    const cover = (): void => {
+      const [top, bottom] = [above.getBoundingClientRect().bottom, innerHeight - below.getBoundingClientRect().top];
+      // On a low window the figure may reach behind the prompt box rather than become tiny.
+      this.player.inset = { above: top, below: Math.min(bottom, 0.6 * innerHeight) };
+    };
+    const watcher = new ResizeObserver(cover);
+    watcher.observe(below);
+    watcher.observe(container);
+  }
+
+  onFrame(listener: (frame: number) => void): void {
+    this.listeners.push(listener);
+  }
+
+  set theme(theme: Theme) {
+    this.player.theme = theme;
+  }
+
+  /** Show finished takes from their beginning. */
+  show(shown: Shown, play: boolean): void {
+    this.shown = shown;
+    this.player.setTakes(shown.takes);
+    if (play) this.player.play();
+    else this.player.pause();
+  }
+
+  /** Show a take that grows while it plays. */
+  follow(shown: Shown): void {
+    this.shown = shown;
+    this.player.setTakes(shown.takes, { live: true });
+    this.player.camera = "follow";
+    this.player.play();
+  }
+
+  /** What is shown has more frames or prompts. */
+  grown(): void {
+    this.player.append();
+  }
+
+  /** What was growing is complete: play it like any other. */
+  settle(): void {
+    this.player.live = false;
+  }
+
+  /** A key that the player knows, pressed elsewhere on the page; whether it did something. */
+  key(event: KeyboardEvent): boolean {
+    const { key, shiftKey } = event;
+    return !this.player.root.dispatchEvent(new KeyboardEvent("keydown", { key, shiftKey, cancelable: true }));
+  }
+}

@@ -1,0 +1,88 @@
+/** The WebSocket side: one object a stream, typed messages both ways. Knows nothing of the page. */
+import type { SkeletonData } from "../skeleton";
+
+export interface StartOptions {
+  prompt: string;
+  model: string | null;
+  seed: number | null;
+  steps: number | null;
+  buffer: number;
+}
+
+export interface Started {
+  type: "started";
+  model: string;
+  seed: number;
+  steps: number;
+  fps: number;
+  segment_frames: number;
+  buffer: number;
+  commit: number | null;
+  skeleton: SkeletonData;
+}
+
+export type ServerMessage =
+  | { type: "hello"; version: number }
+  | Started
+  | { type: "prompt"; text: string; takes_effect_at: number; warnings: string[] }
+  | { type: "segment"; segment: number; first_frame: number; frames: number; prompt: string; latency_ms: number }
+  | { type: "paused" }
+  | { type: "resumed" }
+  | { type: "set" }
+  | { type: "stopped"; frames: number; reason: string }
+  | { type: "error"; code: string; message: string };
+
+export type ClientMessage =
+  | ({ type: "start" } & StartOptions)
+  | { type: "prompt"; text: string }
+  | { type: "pause" }
+  | { type: "resume" }
+  | { type: "played"; frame: number }
+  | { type: "set"; buffer?: number; steps?: number }
+  | { type: "stop" };
+
+export interface StreamEvents {
+  message(message: ServerMessage): void;
+  packet(bytes: ArrayBuffer): void;
+  /** `clean` says that the stream had ended, or that the server said why it closed. */
+  closed(clean: boolean, reason: string): void;
+}
+
+/** A stream from its start to its end; a new one needs a new object. */
+export class Stream {
+  private readonly socket: WebSocket;
+  private ended = false;
+
+  constructor(start: StartOptions, events: StreamEvents, make: (url: string) => WebSocket = (url) => new WebSocket(url)) {
+    const url = new URL("/v1/stream", location.href);
+    url.protocol = url.protocol === "https:" ? "wss:" : "ws:";
+    this.socket = make(url.href);
+    this.socket.binaryType = "arraybuffer";
+    this.socket.onopen = () => this.send({ type: "start", ...start });
+    this.socket.onmessage = ({ data }: MessageEvent<string | ArrayBuffer>) => {
+      if (typeof data !== "string") return events.packet(data);
+      const message = JSON.parse(data) as ServerMessage;
+      events.message(message);
+      if (message.type !== "stopped") return;
+      this.ended = true;
+      this.socket.close();
+    };
+    this.socket.onclose = (event) => events.closed(this.ended, event.reason);
+  }
+
+  send(message: ClientMessage): void {
+    if (this.socket.readyState === WebSocket.OPEN) this.socket.send(JSON.stringify(message));
+  }
+
+  /** End it: the server answers `stopped`; one that cannot answer any more is let go of. */
+  stop(): void {
+    this.send({ type: "stop" });
+    setTimeout(() => this.socket.close(), 2000);
+  }
+
+  /** Leave at once, hearing nothing more. */
+  abandon(): void {
+    this.socket.onmessage = this.socket.onclose = this.socket.onopen = null;
+    this.socket.close();
+  }
+}
