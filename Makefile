@@ -3,6 +3,7 @@
 #   PYTHON=python3.12 make demo     another interpreter (3.11 or newer)
 #   TORCH_INDEX=URL make demo       PyTorch's index of CPU wheels, where pip would otherwise choose a CUDA build
 #   ANY_TORCH=1 make demo           take whatever build of torch pip chooses
+#   MODELS='DIR …' make tables      the papers' tables, from the shipped models and model folders of your own
 
 SHELL := /bin/bash
 .SHELLFLAGS := -eu -o pipefail -c
@@ -16,7 +17,7 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check
 TORCH := -c constraints.txt $(if $(TORCH_INDEX),--index-url $(TORCH_INDEX)) torch
 SOURCES := $(shell find src -type f -not -path '*/__pycache__/*' -not -path '*.egg-info/*')
 
-.PHONY: demo test lint format viewer clean
+.PHONY: demo test lint format viewer tables clean
 demo: .venv/.demo
 	$(BIN)/python examples/demo.py
 
@@ -36,6 +37,12 @@ format: .venv/.dev
 # The pages' builds are committed, so that users need no node; run this after changing anything in viewer/.
 viewer:
 	cd viewer && npm ci --no-audit --no-fund && npm test && npm run build
+
+# Hours: repeats that are in results/ already are kept, so it can be stopped and called again.
+tables: .venv/.dev
+	$(BIN)/moveset evaluate $(MODELS) --suite motionpcm > /dev/null
+	$(BIN)/moveset evaluate $(MODELS) --suite rdm > /dev/null
+	$(BIN)/python -m moveset.evaluation.report results/motionpcm results/rdm --page docs/results.md
 
 clean:
 	rm -rf .venv out build *.egg-info src/*.egg-info .pytest_cache .ruff_cache .mypy_cache .hypothesis .import_linter_cache
