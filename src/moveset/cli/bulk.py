@@ -56,7 +56,7 @@ def bulk(
         raise InputError(f"batch {batch} is not in 1 to 1024; give 1 on a CPU, 32 or 64 on a GPU")
     jobs = read_jobs(source, t2m.bundle.config, num)
     planned = plan_outputs(outputs, [job.name for job in jobs])
-    rank, world = _share()
+    rank, world = share()
     blocks = [slice(k, k + batch) for k in range(0, len(jobs), batch)][rank::world]
     timings: Counter[str] = Counter()
     made: list[str] = []
@@ -143,7 +143,7 @@ def _all(value: Any, kind: Any) -> bool:
     return all(isinstance(item, kind) and not isinstance(item, bool) for item in items)
 
 
-def _share() -> tuple[int, int]:
+def share() -> tuple[int, int]:
     """Rank and world size that torchrun sets; (0, 1) without it."""
     rank, world = os.environ.get("RANK", "0"), os.environ.get("WORLD_SIZE", "1")
     if not (rank.isdigit() and world.isdigit() and int(rank) < int(world)):

@@ -88,7 +88,7 @@ class HmlCodec:
                 f"{self.name} features need motion on {self.skeleton.name!r} at {self.fps:g} fps; got "
                 f"{motion.skeleton.name!r} at {motion.fps:g} (retarget and resample it first)"
             )
-        return self.encode_joints(motion.joints.double() * self._reflection)
+        return self.encode_joints(motion.joints.double() * self.reflection)
 
     def encode_joints(self, joints: Tensor, uniform: bool = True) -> Tensor:
         """Features (T - 1, D), float32, of joint positions (T, J, 3) in metres; computed in float64.
@@ -149,7 +149,7 @@ class HmlCodec:
         Raises:
             InputError: as ``encode_joints``.
         """
-        return self.encode_clips([joints.double() * self._reflection for joints in clips])
+        return self.encode_clips([joints.double() * self.reflection for joints in clips])
 
     def joints(self, features: Tensor) -> Tensor:
         """Joint positions (..., F, J, 3) in metres from the root and position columns alone; differentiable."""
@@ -177,11 +177,12 @@ class HmlCodec:
 
     def decode(self, features: Tensor) -> Motion:
         """The motion of features (F, D): joint positions fitted with rotations (see ``positions_to_motion``)."""
-        joints = self.joints(features.detach().double()) * self._reflection
+        joints = self.joints(features.detach().double()) * self.reflection
         return positions_to_motion(joints, self.fps, self.skeleton)
 
     @cached_property
-    def _reflection(self) -> Tensor:
+    def reflection(self) -> Tensor:
+        """(3,) what takes positions in the dataset's axes to those of ``Motion``, and back."""
         return torch.tensor((-1.0 if self.convention.reflected else 1.0, 1.0, 1.0), dtype=torch.float64)
 
     def _uniform(self, p: Tensor, lengths: Sequence[int] = ()) -> Tensor:

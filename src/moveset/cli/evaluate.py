@@ -1,0 +1,250 @@
+"""``moveset evaluate``: how good is a model? The measures of the papers, with intervals."""
+
+import json as jsonlib
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import tyro
+
+from moveset.cli.bulk import share
+from moveset.errors import InputError
+
+if TYPE_CHECKING:
+    from moveset.evaluation.job import Job
+
+_DASH = "–"
+SEGMENT = 1.4  # seconds of a segment of rdm-small
+
+
+def evaluate(
+    models: Annotated[tyro.conf.Positional[tuple[str, ...]], tyro.conf.arg(metavar="MODEL …")] = (),
+    *,
+    network: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None,
+    steps: Annotated[int | None, tyro.conf.arg(metavar="N")] = None,
+    guidance: Annotated[float | None, tyro.conf.arg(metavar="W")] = None,
+    start: Annotated[int | None, tyro.conf.arg(metavar="R")] = None,
+    lag: Annotated[int | None, tyro.conf.arg(metavar="N")] = None,
+    eta: Annotated[float | None, tyro.conf.arg(metavar="X")] = None,
+    shape: Literal["parallelogram", "triangle"] | None = None,
+    split: Literal["test", "val", "rollout"] = "test",
+    repeats: Annotated[int, tyro.conf.arg(metavar="N")] = 20,
+    seed: Annotated[int, tyro.conf.arg(metavar="N")] = 0,
+    wording: Literal["known", "held-out"] = "known",
+    multimodality: Annotated[int, tyro.conf.arg(metavar="N")] = 100,
+    data: Annotated[Path, tyro.conf.arg(metavar="PATH")] = Path("data/corpus.safetensors"),
+    evaluator: Annotated[str, tyro.conf.arg(metavar="NAME")] = "t2m-small",
+    motions: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
+    prompts: Annotated[Path | None, tyro.conf.arg(metavar="FILE.jsonl")] = None,
+    motions_fps: Annotated[float, tyro.conf.arg(metavar="N")] = 20.0,
+    items: Annotated[int | None, tyro.conf.arg(metavar="N")] = None,
+    composed: bool = True,
+    mirrored: bool = True,
+    seams: Annotated[float, tyro.conf.arg(metavar="S")] = 0.0,
+    foot_lock: bool = True,
+    suite: Literal["motionpcm", "rdm"] | None = None,
+    row: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="KEY")] = (),
+    out: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("results"),
+    resume: bool = True,
+    processes: Annotated[int | None, tyro.conf.arg(metavar="N")] = None,
+    batch: Annotated[int, tyro.conf.arg(metavar="N")] = 64,
+    device: Annotated[str, tyro.conf.arg(metavar="NAME")] = "auto",
+    json: tyro.conf.FlagCreatePairsOff[bool] = False,
+) -> int:
+    """Measure models against real motion: R-precision, FID, MM-Dist, diversity, multimodality, physical plausibility.
+
+    Args:
+        models: pcm, lcm, teacher, vae (what motionpcm-small holds), rdm, md, rdm-pcm (rdm-small), real, or the name or
+            folder of a model with --network.
+        network: Which network of the model; by default the model's own choice.
+        steps: Sampling steps; by default the network's own.
+        guidance: How strongly the text is followed (w); by default the model's own choice.
+        start: Streams by rdm: steps that remain when the next segment enters (R).
+        lag: Streams by rdm: steps that a segment stays behind the one before it.
+        eta: Streams by rdm or md: share of fresh noise in every step.
+        shape: Streams by rdm: the shape of the staircase.
+        split: test, once, at the end; val for every choice; rollout: half a minute of changing prompts, in windows.
+        repeats: How often captions, crops, noise and groups are drawn again; intervals are over these.
+        seed: The same seed gives the same table.
+        wording: Prompt with the sentences that the evaluator reads, or with other words for the same (held-out).
+        multimodality: Texts of which 30 motions are made in each repeat; 0 leaves it out, which is much faster.
+        data: What `moveset data build` wrote, or a HumanML3D or KIT-ML folder.
+        evaluator: A shipped evaluator, or the folder of one.
+        motions: Judge a folder of .npy joint positions (frames, 22, 3) instead of a model.
+        prompts: Their prompts as a JSONL file; by default prompts.jsonl or NAME.txt files in the folder.
+        motions_fps: Their frame rate.
+        items: At most so many items, drawn at random, for a quick look.
+        composed: Judge compositions of takes too, as well as takes.
+        mirrored: Judge mirror images too.
+        seams: Measure jerk every so many seconds as at the seams of a stream, to compare streams with.
+        foot_lock: Judge motion with planted feet held, as users get it.
+        suite: Evaluate all rows of a paper's tables, and write the tables; models are folders of more rows.
+        row: Only this row of the suite; may be given several times.
+        out: Where results go.
+        resume: Keep repeats that are there already; --no-resume makes all of them anew.
+        processes: Share the repeats among so many processes; by default as many as there are cores.
+        batch: Motions evaluated at once; worth raising on a GPU.
+        device: auto, cpu, cuda or mps.
+        json: Print one JSON object on stdout and nothing else.
+    """
+    from moveset.evaluation.job import Job
+    from moveset.evaluation.protocol import Protocol
+
+    protocol = Protocol(
+        split=split, repeats=repeats, seed=seed, wording=wording, multimodality=multimodality, seams=seams
+    )
+    given = {"guidance": guidance, "start": start, "lag": lag, "eta": eta, "shape": shape}
+    settings = tuple((name, value) for name, value in given.items() if value is not None)
+    common = Job(
+        network=network, steps=steps, settings=settings, motions=motions, prompts=prompts, motions_fps=motions_fps,
+        data=data, evaluator=evaluator, protocol=protocol, composed=composed, mirrored=mirrored, items=items,
+        foot_lock=foot_lock, batch=batch, device=device,
+    )  # fmt: skip
+    if suite is not None:
+        return _suite(suite, models, common, row, out, resume, processes, json)
+    jobs = _jobs(models, common)
+    done = []
+    for job in jobs:
+        result, path = _evaluate(job, out, resume, processes)
+        if result is None:
+            print(f"moveset: other processes are still at work; the last one writes {path}", file=sys.stderr)
+        else:
+            done.append((result, path))
+    tell(done, json)
+    return 0
+
+
+def _jobs(models: Sequence[str], common: "Job") -> "list[Job]":
+    """One a model, each checked before any is evaluated."""
+    from dataclasses import replace
+
+    from moveset.evaluation.job import open_generator
+
+    if common.motions is not None:
+        if models:
+            raise InputError("--motions takes the place of a model; leave the model out")
+        return [common]
+    if not models:
+        raise InputError("no model was given; give pcm, lcm, teacher, vae, rdm, md, rdm-pcm, real or a model folder")
+    jobs = [replace(common, model=model) for model in models]
+    for job in jobs:
+        open_generator(job)
+    return jobs
+
+
+def _evaluate(job: "Job", out: Path, resume: bool, processes: int | None) -> tuple[dict[str, Any] | None, Path]:
+    """One model, behind a progress bar where stderr is a terminal."""
+    from tqdm import tqdm
+
+    from moveset.evaluation.job import run
+
+    name = job.model if job.motions is None else job.motions.name
+    with tqdm(desc=name, unit="repeat", disable=not sys.stderr.isatty(), leave=False) as bar:
+
+        def watch(done: int, count: int, stage: str) -> None:
+            bar.total, bar.n = count, done
+            bar.set_postfix_str(stage)
+
+        return run(job, out, share=share(), processes=processes, again=not resume, watch=watch)
+
+
+def _suite(
+    name: str,
+    folders: Sequence[str],
+    common: "Job",
+    rows: Sequence[str],
+    out: Path,
+    resume: bool,
+    processes: int | None,
+    json: bool,
+) -> int:
+    """All rows of a paper's tables, one after the other, and the tables."""
+    from dataclasses import replace
+
+    from moveset.evaluation.report import write_report
+    from moveset.evaluation.suites import REAL, Row, SuiteSettings, run_suite
+    from moveset.evaluation.table import save_rows
+
+    if common.motions is not None or common.network or common.steps or common.settings:
+        raise InputError("a suite says itself what is evaluated; leave --motions, --network, --steps and settings out")
+
+    def evaluate_row(row: Row, folder: Path | None, repeats: int) -> str:
+        protocol = replace(common.protocol, repeats=repeats)
+        if row.model == REAL and name == "rdm":
+            # As far apart as the seams of what ships, to compare them with.
+            protocol = replace(protocol, seams=protocol.seams or SEGMENT)
+        job = replace(
+            common, model=REAL if folder is None else str(folder), network=row.network, steps=row.steps,
+            settings=tuple(row.settings.items()), protocol=protocol,
+        )  # fmt: skip
+        result, path = _evaluate(job, out / name, resume, processes)
+        return path.name if result is not None else ""
+
+    settings = SuiteSettings(tuple(map(Path, folders)), common.protocol.repeats, tuple(rows))
+    made = run_suite(name, settings, evaluate_row, lambda line: print(f"moveset: {line}", file=sys.stderr))
+    save_rows(name, [(one.row, one.result or "", one.missing or unfinished(one.result)) for one in made], out / name)
+    path = write_report(out / name)
+    print(jsonlib.dumps({"suite": name, "table": str(path)}) if json else path.read_text())
+    return 0
+
+
+def unfinished(result: str | None) -> str:
+    """What a row says whose repeats other processes are still making."""
+    return "not finished" if result == "" else ""
+
+
+def tell(done: Sequence[tuple[dict[str, Any], Path]], json: bool) -> None:
+    """Print results as one JSON object, or as a table that can be pasted into a paper, with its size below it."""
+    if not done:
+        return
+    if json:
+        print(jsonlib.dumps({"results": [{**result, "file": str(path)} for result, path in done]}))
+        return
+    from moveset.evaluation.columns import ALL, Column
+    from moveset.evaluation.intervals import Interval
+
+    extra = {name: Column(name, label, "down", 2, "mm", 1000.0) for name, label in
+             (("mpjpe", "MPJPE"), ("mpjpe_aligned", "MPJPE, root aligned"))}  # fmt: skip
+    columns = [c for name, c in {**ALL, **extra}.items() if any(name in result["metrics"] for result, _ in done)]
+    print("| model | " + " | ".join(column.head for column in columns) + " |")
+    print("|---" * (len(columns) + 1) + "|")
+    for result, _ in done:
+        cells = []
+        for column in columns:
+            value = result["metrics"].get(column.name)
+            mean, half = column.format(Interval.from_json(value)) if value else (_DASH, "")
+            cells.append(f"{mean} ± {half}" if half else mean)
+        print(f"| {title(result)} | " + " | ".join(cells) + " |")
+    print()
+    for line in dict.fromkeys(line for result, _ in done for line in notes(result)):
+        print(line)
+    for _, path in done:
+        print(path)
+
+
+def title(result: dict[str, Any]) -> str:
+    """A result's row."""
+    steps = "" if result["steps"] is None else f", {result['steps']} step{'s' * (result['steps'] != 1)}"
+    return " ".join(filter(None, (result["model"], result["network"]))) + steps
+
+
+def notes(result: dict[str, Any]) -> list[str]:
+    """How much there was to judge, and what the protocol could not do as asked for."""
+    protocol, count = result["protocol"], len(result["repeats"])
+    labels = f" of {result['labels']} kinds" if result["labels"] else ""
+    said = [
+        f"{result['items']} items{labels} with {result['distinct_texts']} distinct texts of {result['data']['name']}, "
+        f"{protocol['split']}, {protocol['wording']} wording; {result['groups']} groups of {protocol['group']}; mean ± "
+        f"95 % interval of {count} repeat{'s' * (count != 1)}; judged by {result['evaluator']['name']}."
+    ]
+    said += [f"Left out: {number} ({reason})." for reason, number in result["dropped"].items()]
+    if result["shortened"]:
+        said.append(
+            f"{title(result)}: {result['shortened']} motions are shorter than asked for; the model has a limit."
+        )
+    if "multimodality" in result["metrics"]:
+        said.append(f"Multimodality over {protocol['multimodality']} texts with {protocol['samples']} motions each.")
+    if protocol["diversity"] < 300:
+        said.append(f"Diversity over {protocol['diversity']} pairs, for want of items.")
+    return said

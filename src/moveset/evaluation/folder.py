@@ -1,0 +1,131 @@
+"""A folder of motions with prompts, whatever system made them: ``NAME.npy`` joints and what each was told.
+
+Prompts stand in ``NAME.txt`` beside each file (first line; text files of HumanML3D will do), or in one JSONL file as
+``moveset generate --prompts`` takes it, where "name" names the file (``NAME.npy`` or ``…-NAME.npy``).
+F frames, J joints; metres, Y up.
+"""
+
+import hashlib
+import json
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from moveset.data.captions import normal_form
+from moveset.data.humanml3d import Caption, parse_caption
+from moveset.data.numpy_files import read_npy
+from moveset.errors import FormatError, InputError
+from moveset.evaluation.generators import resampled
+from moveset.evaluation.items import Item, ItemSet
+from moveset.io.limits import read_limited
+from moveset.motion.features import get_codec
+from moveset.motion.hml import HmlCodec
+
+LIST = "prompts.jsonl"
+MIN_FRAMES = 5
+
+
+def folder_motions(folder: Path, prompts: Path | None, fps: float, codec: str = "hml") -> ItemSet:
+    """The motions of a folder as items that are judged by their own prompts.
+
+    Args:
+        folder: of ``.npy`` files (F, J, 3).
+        prompts: JSONL file; None for ``prompts.jsonl`` in the folder if it is there, else text files.
+        fps: frame rate of the files.
+        codec: of the evaluator's features, which says how many joints there are.
+
+    Raises:
+        InputError: no files, a file without a prompt, or joints of another shape.
+        FormatError: a damaged file, or positions that are not finite.
+    """
+    features = get_codec(codec)
+    assert isinstance(features, HmlCodec)
+    if not folder.is_dir():
+        raise InputError(f"there is no folder {str(folder)!r}; give a folder of .npy joint positions")
+    if not 1 <= fps <= 1000:
+        raise InputError(f"frame rate {fps:g} is not in 1 to 1000; give that of the motions, such as 20")
+    files = sorted(folder.glob("*.npy"))
+    if not files:
+        raise InputError(f"{folder} holds no .npy files; give joint positions (frames, {len(features.skeleton)}, 3)")
+    listed = _listed(prompts or folder / LIST) if prompts or (folder / LIST).is_file() else None
+    sha = hashlib.sha256()
+    items = []
+    for path in files:
+        caption = _beside(path) if listed is None else _named(path, listed)
+        joints = _joints(path, features, fps)
+        sha.update(f"{path.name}\0{caption}\0".encode())
+        sha.update(joints.numpy().tobytes())
+        items.append(_item(path.stem, joints, caption, features))
+    return ItemSet(tuple(items), folder.name, sha.hexdigest(), features)
+
+
+def _item(name: str, joints: Tensor, caption: Caption | str, codec: HmlCodec) -> Item:
+    text = caption if isinstance(caption, str) else caption.text
+    return Item(
+        name=name,
+        rows=len(joints) - 1,
+        captions=(caption,),
+        prompts=(text,),
+        # Two motions of one prompt are never told apart.
+        label=(normal_form(text) or text,),
+        codec=codec.name,
+        features=lambda: codec.encode_world([joints])[0],
+        joints=lambda: joints,
+    )
+
+
+def _joints(path: Path, codec: HmlCodec, fps: float) -> Tensor:
+    joints, count = read_npy(path), len(codec.skeleton)
+    if joints.ndim != 3 or tuple(joints.shape[1:]) != (count, 3):
+        raise InputError(
+            f"{path} holds {tuple(joints.shape)}, not joints (frames, {count}, 3); give joints in HumanML3D's order"
+        )
+    if not torch.isfinite(joints).all():
+        raise FormatError(f"{path} holds NaN or infinite positions; nothing can be judged, so repair or remove it")
+    joints = resampled(joints, fps, codec.fps)
+    if len(joints) < MIN_FRAMES:
+        raise InputError(f"{path} has {len(joints)} frames at {codec.fps:g} fps; at least {MIN_FRAMES} can be judged")
+    return joints
+
+
+def _beside(path: Path) -> Caption | str:
+    text = path.with_suffix(".txt")
+    if not text.is_file():
+        raise InputError(f"{path.name} has no prompt; write it to {text.name}, or all prompts to {LIST}")
+    try:
+        lines = [line.strip() for line in read_limited(text, 2**20).decode().splitlines() if line.strip()]
+    except UnicodeDecodeError:
+        raise FormatError(f"{text} is not UTF-8 text; save it as UTF-8") from None
+    if not lines:
+        raise InputError(f"{text} is empty; write the prompt of {path.name} to it")
+    return parse_caption(lines[0]) if lines[0].count("#") == 3 else lines[0]
+
+
+def _listed(path: Path) -> dict[str, str]:
+    prompts: dict[str, str] = {}
+    try:
+        lines = read_limited(path).decode().splitlines()
+    except UnicodeDecodeError:
+        raise FormatError(f"{path} is not UTF-8 text; save it as UTF-8") from None
+    for number, line in enumerate(lines, start=1):
+        if not line.strip():
+            continue
+        try:
+            entry = json.loads(line)
+            prompt, name = entry["prompt"], str(entry.get("name", f"{number:06d}"))
+        except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
+            raise FormatError(f'{path} line {number} is no JSON object with "prompt" and "name"') from None
+        if not isinstance(prompt, str) or not prompt.strip() or name in prompts:
+            raise FormatError(f"{path} line {number}: one prompt, a text, is needed for each name")
+        prompts[name] = prompt.strip()
+    return prompts
+
+
+def _named(path: Path, prompts: dict[str, str]) -> str:
+    if path.stem in prompts:
+        return prompts[path.stem]
+    fitting = [name for name in prompts if path.stem.endswith(f"-{name}")]
+    if not fitting:
+        raise InputError(f"{path.name} has no prompt; add a line with its name to the list of prompts")
+    return prompts[max(fitting, key=len)]

@@ -1,0 +1,299 @@
+"""What is judged, whatever made it: clips of a model folder, its autoencoder's reconstructions, real or given motion.
+
+All give joint positions in metres at the evaluator's frame rate; ``streams`` has the recurrent models.
+
+Shapes: F frames, J joints, D features, B clips.
+"""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import torch
+from torch import Tensor
+
+from moveset.errors import InputError
+from moveset.evaluation.items import Draw, ItemSet
+from moveset.motion.clip import Motion
+from moveset.motion.features import get_codec
+from moveset.pipelines.bundle import Bundle
+from moveset.pipelines.device import pick_device
+from moveset.pipelines.model_folder import ModelFolder
+from moveset.pipelines.request import Method, Request
+from moveset.pipelines.text_to_motion import TextToMotion
+from moveset.text.encoder import TextEmbedding, TextEncoder, stack
+
+CHUNK = 512  # motions made before progress is told
+_REMEMBERED = 8192  # sentences
+
+Tick = Callable[[int], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Wanted:
+    """A motion to make.
+
+    Args:
+        parts: (prompt, frames at the evaluator's rate) in order of time; usually one.
+        seed: of its noise.
+        draw: the item it is made for, if any.
+    """
+
+    parts: tuple[tuple[str, int], ...]
+    seed: int
+    draw: Draw | None = None
+
+    @property
+    def frames(self) -> int:
+        """Frames in all."""
+        return sum(frames for _, frames in self.parts)
+
+
+class Generator(Protocol):
+    """Makes motions.
+
+    ``slug`` names it in files, ``model``, ``network`` and ``steps`` in tables (None where there is no such thing);
+    ``random`` says whether another seed gives another motion; ``segment`` is the seconds between seams of a stream,
+    0 where there are none.
+    """
+
+    slug: str
+    model: str
+    network: str | None
+    steps: int | None
+    random: bool
+    segment: float
+
+    def describe(self) -> dict[str, Any]:
+        """Everything that its motions depend on besides weights, for JSON."""
+
+    def weights(self) -> dict[str, str]:
+        """sha256 of every file of weights that takes part."""
+
+    def generate(self, wanted: Sequence[Wanted], fps: float, tick: Tick = lambda count: None) -> list[Tensor]:
+        """Joints (F, J, 3) of each, as long as wanted, or shorter where the model has a limit.
+
+        Args:
+            fps: frame rate of the joints.
+            tick: told after some motions how many more there are.
+        """
+
+
+class Given:
+    """Motion that is there already: the items' own ("real"), or a set of motions with prompts of their own.
+
+    Args:
+        slug: its name in files and tables.
+        items: the set, if it is not the one that others are judged on.
+    """
+
+    network, steps, random, segment = None, None, False, 0.0
+
+    def __init__(self, slug: str, items: ItemSet | None = None) -> None:
+        self.slug = self.model = slug
+        self.items = items
+
+    def describe(self) -> dict[str, Any]:
+        return {} if self.items is None else {"motions": self.items.name, "motions_sha256": self.items.sha256}
+
+    def weights(self) -> dict[str, str]:
+        return {}
+
+    def generate(self, wanted: Sequence[Wanted], fps: float, tick: Tick = lambda count: None) -> list[Tensor]:
+        made = []
+        for one in wanted:
+            assert one.draw is not None
+            made.append(one.draw.joints())
+            tick(1)
+        return made
+
+
+class Clips:
+    """A text-to-motion model folder by one of its networks.
+
+    Args:
+        bundle: the folder.
+        method: network, steps and guidance.
+        device: where to compute.
+        batch: clips evaluated at once.
+        foot_lock: judge motion as users get it, with planted feet held; off: as the decoder gives it.
+    """
+
+    random, segment = True, 0.0
+
+    def __init__(
+        self, bundle: Bundle, method: Method, *, device: str = "auto", batch: int = 64, foot_lock: bool = True
+    ) -> None:
+        self._t2m = TextToMotion(bundle, device)
+        self._t2m.encoder = Remembered(self._t2m.encoder)
+        self._method, self._batch, self._foot_lock = method, batch, foot_lock
+        self.model, self.network, self.steps = bundle.config.name, method.network, method.steps
+        own = bundle.config.guidance[method.network]
+        extras = [f"{method.steps}-steps"] if method.network != f"{method.solver}-{method.steps}" else []
+        extras += [f"w{method.guidance:g}"] if method.guidance != own else []
+        self.slug = "-".join([self.model, method.network, *extras, *(() if foot_lock else ("raw",))])
+
+    def describe(self) -> dict[str, Any]:
+        method = self._method
+        return {
+            "solver": method.solver, "guidance": method.guidance, "foot_lock": self._foot_lock, "batch": self._batch,
+            "device": self._t2m.device.type,
+        }  # fmt: skip
+
+    def weights(self) -> dict[str, str]:
+        return weights_of(self._t2m.bundle, ("vae", self._method.network))
+
+    def generate(self, wanted: Sequence[Wanted], fps: float, tick: Tick = lambda count: None) -> list[Tensor]:
+        made: list[Tensor] = [torch.empty(0)] * len(wanted)
+        # Clips of like length together: a batch is padded to its longest.
+        order = sorted(range(len(wanted)), key=lambda k: wanted[k].frames)
+        for start in range(0, len(order), CHUNK):
+            rows = order[start : start + CHUNK]
+            requests = [self._request(wanted[k], fps) for k in rows]
+            done = self._t2m.generate(requests, self._method, foot_lock=self._foot_lock, batch=self._batch)
+            for k, generation in zip(rows, done, strict=True):
+                made[k] = joints_at(generation.motion, fps, wanted[k].frames)
+            tick(len(rows))
+        return made
+
+    def _request(self, wanted: Wanted, fps: float) -> Request:
+        config = self._t2m.bundle.config
+        frames = [frames_at(count, fps, config.fps) for _, count in wanted.parts]
+        frames = [min(max(count, config.min_frames), config.max_frames) for count in frames]
+        return Request(tuple(prompt for prompt, _ in wanted.parts), tuple(frames), wanted.seed)
+
+
+class Reconstruction:
+    """Items through a folder's autoencoder and back, without foot locking: what no denoiser of it can surpass.
+
+    Raises:
+        InputError: (when it generates) a set whose items have no motion in the autoencoder's features.
+    """
+
+    network, steps, random, segment = "vae", None, False, 0.0
+
+    def __init__(self, bundle: Bundle, *, device: str = "auto", batch: int = 64) -> None:
+        self._bundle, self._device, self._batch = bundle, pick_device(device), batch
+        self.model = bundle.config.name
+        self.slug = f"{self.model}-vae"
+
+    def describe(self) -> dict[str, Any]:
+        return {"batch": self._batch, "device": self._device.type}
+
+    def weights(self) -> dict[str, str]:
+        return weights_of(self._bundle, ("vae",))
+
+    @torch.inference_mode()
+    def generate(self, wanted: Sequence[Wanted], fps: float, tick: Tick = lambda count: None) -> list[Tensor]:
+        codec, statistics = get_codec(self._bundle.config.codec), self._bundle.normalizer
+        mean, std = statistics["feature_mean"], statistics["feature_std"]
+        vae = self._bundle.module("vae", self._device)
+        made: list[Tensor] = [torch.empty(0)] * len(wanted)
+        order = sorted(range(len(wanted)), key=lambda k: wanted[k].frames)
+        for start in range(0, len(order), self._batch):
+            rows = order[start : start + self._batch]
+            features = [(self._features(wanted[k], codec.name) - mean) / std for k in rows]
+            lengths = torch.tensor([len(x) for x in features], device=self._device)
+            x_BFD = torch.nn.utils.rnn.pad_sequence(features, batch_first=True).to(self._device)
+            again = vae.decode(vae.encode(x_BFD, lengths)[0], lengths, x_BFD.shape[1]).cpu() * std + mean
+            for k, x, length in zip(rows, again, lengths.tolist(), strict=True):
+                made[k] = joints_at(codec.decode(x[:length]), fps, wanted[k].frames)
+            tick(len(rows))
+        return made
+
+    def _features(self, wanted: Wanted, codec: str) -> Tensor:
+        """(F, D) of the item in the autoencoder's own features; one of the set's own features is a row short."""
+        draw = wanted.draw
+        assert draw is not None
+        limit = self._bundle.config.max_frames
+        if draw.item.codec == codec:
+            return draw.features()[:limit]
+        if draw.item.motion is None:
+            raise InputError(
+                f"model {self.model!r} reads {codec!r} features, and the items have {draw.item.codec!r} ones alone; "
+                "evaluate an autoencoder of that codec"
+            )
+        return get_codec(codec).encode(draw.item.motion())[:limit]
+
+
+class Remembered:
+    """A text encoder that encodes a sentence once, alone: the same numbers whatever else is asked for."""
+
+    def __init__(self, encoder: TextEncoder) -> None:
+        self._encoder, self._known = encoder, dict[str, TextEmbedding]()
+        self.name, self.dim, self.max_tokens = encoder.name, encoder.dim, encoder.max_tokens
+
+    def encode(self, sentences: Sequence[str]) -> TextEmbedding:
+        """As the encoder's own."""
+        for sentence in sentences:
+            if sentence not in self._known:
+                if len(self._known) >= _REMEMBERED:
+                    self._known.clear()
+                self._known[sentence] = self._encoder.encode([sentence])
+        found = [self._known[s] if s in self._known else self._encoder.encode([s]) for s in sentences]
+        return found[0] if len(found) == 1 else stack(found)
+
+    def token_count(self, sentence: str) -> int:
+        """As the encoder's own."""
+        return self._encoder.token_count(sentence)
+
+
+def joints_at(motion: Motion, fps: float, frames: int) -> Tensor:
+    """The first ``frames`` (or fewer, if it is shorter) joint positions (F, J, 3) of a motion at a frame rate."""
+    return motion.resampled(fps).joints[:frames].clone()
+
+
+def frames_at(frames: int, fps: float, rate: float) -> int:
+    """Frames at ``rate`` that last at least as long as so many at ``fps``.
+
+    >>> frames_at(41, 20.0, 20.0), frames_at(26, 12.5, 20.0)
+    (41, 41)
+    """
+    return math.ceil((frames - 1) / fps * rate - 1e-6) + 1
+
+
+def resampled(joints: Tensor, fps: float, rate: float) -> Tensor:
+    """Positions (F, J, 3) at another frame rate, linear between frames; as many as lie within the clip."""
+    if fps == rate or len(joints) == 1:
+        return joints
+    count = math.floor((len(joints) - 1) / fps * rate + 1e-6) + 1
+    where = torch.arange(count, dtype=torch.float64) / rate * fps
+    low = where.floor().clamp(max=len(joints) - 2).long()
+    return torch.lerp(joints[low], joints[low + 1], (where - low).clamp(0.0, 1.0).to(joints)[:, None, None])
+
+
+def weights_of(folder: ModelFolder[Any], names: Sequence[str]) -> dict[str, str]:
+    """sha256 of the files of these networks, of those they are stored as differences from, and of the statistics."""
+    bases = [folder.config.models[name].base for name in names if name in folder.config.models]
+    files = [f"{name}.safetensors" for name in dict.fromkeys([*names, *filter(None, bases), "normalizer"])]
+    return {file: folder.files[file][0] for file in files if file in folder.files}
+
+
+def check_made(made: Sequence[Tensor], asked: Sequence[Draw], who: str, shape: tuple[int, int]) -> None:
+    """Refuse motions that cannot be judged.
+
+    Raises:
+        InputError: positions that are not finite, of another number of joints, or of fewer than five frames.
+    """
+    for joints, draw in zip(made, asked, strict=True):
+        if joints.ndim != 3 or tuple(joints.shape[1:]) != shape:
+            raise InputError(
+                f"{who} gives joints {tuple(joints.shape)} for {draw.item.name!r}, and the evaluator judges "
+                f"(frames, {shape[0]}, {shape[1]}); give motion on its skeleton"
+            )
+        if not torch.isfinite(joints).all():
+            raise InputError(f"{who} gives positions that are not finite for {draw.item.name!r}; nothing can be judged")
+        if len(joints) < 5:
+            raise InputError(f"{who} gives {len(joints)} frames for {draw.item.name!r}; at least 5 can be judged")
+
+
+def settings_slug(settings: Mapping[str, Any]) -> list[str]:
+    """Settings as parts of a file's name, in their order.
+
+    >>> settings_slug({"start": 4, "shape": "triangle"})
+    ['start4', 'shapetriangle']
+    """
+    return [
+        f"{name}{value:g}" if isinstance(value, int | float) else f"{name}{value}" for name, value in settings.items()
+    ]

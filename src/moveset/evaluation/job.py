@@ -1,0 +1,256 @@
+"""What is to be evaluated, in plain values that another process can be handed; opening it; and sharing out the work."""
+
+import multiprocessing
+import os
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast
+
+import torch
+
+from moveset.data.splits import Split
+from moveset.errors import InputError, MovesetError
+from moveset.evaluation.evaluator import DEFAULT_EVALUATOR, Evaluator
+from moveset.evaluation.generators import Clips, Generator, Given, Reconstruction, settings_slug
+from moveset.evaluation.items import ItemSet, open_items
+from moveset.evaluation.protocol import Protocol, Session, run_repeat
+from moveset.evaluation.results import Results
+from moveset.pipelines.bundle import DEFAULT_MODEL, Bundle
+from moveset.pipelines.device import pick_device
+from moveset.pipelines.model_folder import STREAM, find_folder, task_of
+from moveset.pipelines.request import Method, check_method
+from moveset.pipelines.stream_bundle import DEFAULT_STREAM, StreamBundle
+
+if TYPE_CHECKING:
+    from multiprocessing.context import SpawnProcess
+
+#: Short names of what ships: model and network.
+SHORT = {
+    "real": ("real", None),
+    "vae": (DEFAULT_MODEL, "vae"),
+    "teacher": (DEFAULT_MODEL, "teacher"),
+    "lcm": (DEFAULT_MODEL, "lcm"),
+    "pcm": (DEFAULT_MODEL, "pcm"),
+    "rdm": (DEFAULT_STREAM, "rdm"),
+    "md": (DEFAULT_STREAM, "md"),
+    "rdm-pcm": (DEFAULT_STREAM, None),
+}
+REAL = "real"
+MAX_PROCESSES, MAX_CORES = 8, 256
+
+Watch = Callable[[int, int, str], None]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Job:
+    """One model under one protocol.
+
+    Args:
+        model: a short name, a shipped model, a model folder, or "real".
+        network: of the folder; "pcm" and "lcm" mean the student of ``steps``.
+        steps: of the sampler; None for the network's own.
+        settings: guidance, and start, lag, eta and shape of a stream, where they are not the folder's own.
+        motions: a folder of joints to judge instead of a model.
+        prompts: its prompts, a JSONL file; None looks in the folder.
+        motions_fps: frame rate of these.
+        data: a corpus, or a HumanML3D or KIT-ML folder.
+        evaluator: a shipped one, or a folder.
+        protocol: how.
+        composed, mirrored: of a corpus, take compositions and mirror images too.
+        items: at most so many items; None for all.
+        foot_lock: judge motion with planted feet held, as users get it.
+        batch: what a network evaluates at once.
+        device: where to compute.
+    """
+
+    model: str = REAL
+    network: str | None = None
+    steps: int | None = None
+    settings: tuple[tuple[str, str | int | float], ...] = ()
+    motions: Path | None = None
+    prompts: Path | None = None
+    motions_fps: float = 20.0
+    data: Path = Path("data/corpus.safetensors")
+    evaluator: str = DEFAULT_EVALUATOR
+    protocol: Protocol = field(default_factory=Protocol)
+    composed: bool = True
+    mirrored: bool = True
+    items: int | None = None
+    foot_lock: bool = True
+    batch: int = 64
+    device: str = "auto"
+
+
+def open_session(job: Job) -> Session:
+    """Everything that a job names, opened and checked.
+
+    Raises:
+        InputError: something does not exist, or does not fit.
+        FormatError: something is damaged.
+    """
+    if not 1 <= job.batch <= 4096:
+        raise InputError(f"batch {job.batch} is not in 1 to 4096; give 64 on a CPU, more on a GPU")
+    generator = open_generator(job)
+    split = job.protocol.split
+    of = cast(Split, "test" if split == "rollout" else split)
+    items = open_items(job.data, of, composed=job.composed, mirrored=job.mirrored)
+    items = items if job.items is None else items.limited(job.items)
+    evaluator = Evaluator.open(job.evaluator, pick_device(job.device))
+    judged: ItemSet = (generator.items if isinstance(generator, Given) else None) or items
+    return Session(job.protocol.fitted(judged, generator.random), items, generator, evaluator)
+
+
+def open_generator(job: Job) -> Generator:
+    """What a job judges.
+
+    Raises:
+        InputError: no such model, network, steps or setting.
+        FormatError: a damaged folder.
+    """
+    if job.motions is not None:
+        from moveset.evaluation.folder import folder_motions
+
+        return Given(job.motions.name, folder_motions(job.motions, job.prompts, job.motions_fps))
+    model, network = SHORT.get(job.model, (job.model, None))
+    network = job.network or network
+    settings = dict(job.settings)
+    if model == REAL:
+        return Given(REAL)
+    folder = find_folder(model)
+    if task_of(folder) == STREAM:
+        return _stream(job, folder, network, settings)
+    bundle = Bundle(folder)
+    if unknown := set(settings) - {"guidance"}:
+        raise InputError(f"--{sorted(unknown)[0]} is a setting of streams, and {bundle.config.name!r} makes clips")
+    if network == "vae":
+        return Reconstruction(bundle, device=job.device, batch=job.batch)
+    method = clip_method(bundle, network, job.steps, cast(float | None, settings.get("guidance")))
+    return Clips(bundle, method, device=job.device, batch=job.batch, foot_lock=job.foot_lock)
+
+
+def clip_method(bundle: Bundle, network: str | None, steps: int | None, guidance: float | None) -> Method:
+    """How clips are sampled; an LCM student takes any number of steps, a PCM student its own.
+
+    Raises:
+        InputError: no such network or steps, or guidance out of range.
+    """
+    solver, _, count = (network or "pcm").partition("-")
+    if solver == "lcm" and steps is not None:
+        known = bundle.config.steps("lcm")
+        own = int(count) if count.isdigit() else known[0] if known else 0
+        method = check_method(bundle.config, "lcm", own, guidance)
+        if not 1 <= steps <= bundle.config.points:
+            raise InputError(f"{steps} steps are not in 1 to {bundle.config.points}, the solver points of training")
+        return replace(method, steps=steps)
+    if count and not (count.isdigit() and solver == "pcm" and steps in (None, int(count))):
+        names = ", ".join(name for name in bundle.config.models if name not in ("vae", "length"))
+        raise InputError(
+            f"network {network!r} does not go with {steps or 'its'} steps; {bundle.config.name!r} has vae, {names}"
+        )
+    return check_method(bundle.config, solver, int(count) if count else steps, guidance)
+
+
+def _stream(job: Job, folder: Path, network: str | None, settings: dict[str, Any]) -> Generator:
+    from moveset.evaluation.streams import Streams
+    from moveset.pipelines.stream_settings import check_stream
+
+    bundle = StreamBundle(folder)
+    shape = settings.pop("shape", "parallelogram")
+    if unknown := set(settings) - {"guidance", "start", "lag", "eta"}:
+        raise InputError(f"unknown setting {sorted(unknown)[0]!r}; there are guidance, start, lag, eta and shape")
+    request = check_stream(bundle.config, network=network, steps=job.steps, foot_lock=job.foot_lock, **settings)
+    extras = [f"{job.steps}-steps"] if job.steps and not request.settings.network.startswith("pcm-") else []
+    extras += settings_slug({**settings, **({} if shape == "parallelogram" else {"shape": shape})})
+    extras += [] if job.foot_lock else ["raw"]
+    return Streams(bundle, request.settings, shape=shape, extras=extras, device=job.device, batch=max(job.batch, 1))
+
+
+def run(
+    job: Job,
+    out: Path,
+    *,
+    share: tuple[int, int] = (0, 1),
+    processes: int | None = None,
+    again: bool = False,
+    watch: Watch = lambda done, count, stage: None,
+) -> tuple[dict[str, Any] | None, Path]:
+    """Evaluate; the result (None if other processes of torchrun are still at work) and the path of its file.
+
+    Args:
+        job: what.
+        out: the folder of results.
+        share: rank and number of the processes of torchrun, each of which makes its share of the repeats.
+        processes: that share the repeats on this machine otherwise; None for as many as there are cores.
+        again: make every repeat anew, although it is there.
+        watch: told of progress: repeats done, repeats in all, and what is being done.
+
+    Raises:
+        InputError: something does not exist, does not fit, or cannot be judged.
+        FormatError: something is damaged.
+        MovesetError: a process died.
+    """
+    if processes is not None and not 1 <= processes <= MAX_CORES:
+        raise InputError(f"{processes} processes are not in 1 to {MAX_CORES}; as many as there are cores is best")
+    session, on_cpu = open_session(job), pick_device(job.device).type == "cpu"
+    results = Results(session, out, again)
+    rank, world = share
+    if world == 1 and (processes or on_cpu):
+        world = max(1, min(processes or cores(), len(results.missing())))
+    threads = torch.get_num_threads()
+    helpers = [_start(job, out, k, world) for k in range(1, world)] if share[1] == 1 else []
+    try:
+        if on_cpu:
+            # Small networks gain little by more threads, and so sums come out the same however the work is shared.
+            torch.set_num_threads(1)
+        work(session, results, rank, world, watch)
+        for number, helper in enumerate(helpers, start=1):
+            while helper.is_alive():
+                helper.join(0.5)
+                watch(len(results.done), results.repeats, "others")
+            if helper.exitcode:
+                raise MovesetError(
+                    f"process {number} of {world} ended with code {helper.exitcode}; run again to resume"
+                )
+    finally:
+        torch.set_num_threads(threads)
+        for helper in helpers:
+            helper.terminate()
+    return results.finish(), results.path
+
+
+def work(session: Session, results: Results, rank: int, world: int, watch: Watch) -> None:
+    """The repeats of one process of several that are not there yet."""
+    for number in results.missing(rank, world):
+
+        def say(stage: str, done: int, count: int, number: int = number) -> None:
+            watch(len(results.done), results.repeats, f"{number}: {stage} {done}/{count}")
+
+        results.add(run_repeat(session, number, say))
+        watch(len(results.done), results.repeats, str(number))
+
+
+def cores() -> int:
+    """Cores that this process may use, at most eight: every process holds its own networks."""
+    usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return min(usable, MAX_PROCESSES)
+
+
+def _start(job: Job, out: Path, rank: int, world: int) -> "SpawnProcess":
+    process = multiprocessing.get_context("spawn").Process(target=_help, args=(job, out, rank, world), daemon=True)
+    process.start()
+    return process
+
+
+def _help(job: Job, out: Path, rank: int, world: int) -> None:
+    """What a process that was started does; what goes wrong is said in one line."""
+    torch.set_num_threads(1)
+    try:
+        session = open_session(job)
+        work(session, Results(session, out), rank, world, lambda done, count, stage: None)
+    except MovesetError as error:
+        print(f"moveset: {error}", file=sys.stderr)
+        sys.exit(error.exit_code)
+    except KeyboardInterrupt:
+        sys.exit(130)

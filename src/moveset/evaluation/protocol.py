@@ -1,0 +1,274 @@
+"""One repeat of an evaluation: draw captions, crops, noise and groups, make the motions, and measure them.
+
+The rules are those of Guo et al. 2022 as MLD and MotionLCM use them, with three repairs: motion of whatever codec is
+judged from its joints, padding is zero after normalising, and what is random depends on (seed, repeat) alone, so that
+repeats may be computed in any order, on any machine, and after an interruption.
+
+Shapes: M items, F frames, J joints, D features, E width of the evaluator's space, T texts of n motions each.
+"""
+
+import hashlib
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, Literal
+from typing import Protocol as Interface
+
+import torch
+from torch import Tensor
+
+from moveset.data.humanml3d import Caption
+from moveset.errors import InputError
+from moveset.evaluation import metrics
+from moveset.evaluation.frechet import frechet_distance
+from moveset.evaluation.generators import Generator, Given, Reconstruction, Wanted, check_made
+from moveset.evaluation.items import Draw, ItemSet
+from moveset.evaluation.physical import boundary_jerk, measure
+from moveset.motion.hml import HmlCodec
+
+ENCODED = 64  # clips turned into features at once
+PHYSICAL = ("skating", "penetration", "floating", "jerk", "root_drift")
+
+Wording = Literal["known", "held-out"]
+Say = Callable[[str, int, int], None]
+
+
+class Card(Interface):
+    """What an evaluator says of itself; ``evaluation.evaluator.EvaluatorCard`` has it."""
+
+    name: str
+    codec: str
+    fps: float
+    max_frames: int
+
+
+class Judge(Interface):
+    """What embeds: ``evaluation.evaluator.Evaluator``."""
+
+    card: Any
+    sha256: str | None
+
+    def embed_motions(self, features: Sequence[Tensor]) -> Tensor: ...
+
+    def embed_texts(self, captions: Sequence[Caption | str]) -> Tensor: ...
+
+
+@dataclass(frozen=True, kw_only=True)
+class Protocol:
+    """How models are judged.
+
+    Args:
+        split: "test", "val" or "rollout" (``evaluation.rollout``).
+        repeats: how often everything random is drawn again.
+        seed: of all of it.
+        wording: what prompts say: the caption that the evaluator reads, or other words for it ("held-out").
+        multimodality: texts of which ``samples`` motions are made in each repeat; 0 leaves it out.
+        samples: motions of each of them.
+        pairs: of motions of a text.
+        diversity: pairs of motions for diversity.
+        group: items of a group for R-precision.
+        seams: seconds between the places where jerk is measured as at seams, for motion without segments; 0 for none.
+    """
+
+    split: str = "test"
+    repeats: int = 20
+    seed: int = 0
+    wording: Wording = "known"
+    multimodality: int = 100
+    samples: int = 30
+    pairs: int = 10
+    diversity: int = 300
+    group: int = metrics.GROUP
+    seams: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name, low, high in (
+            ("repeats", 1, 1000), ("seed", 0, 2**31 - 1), ("multimodality", 0, 10_000), ("samples", self.pairs, 1000),
+            ("diversity", 2, 100_000), ("group", 3, 1024), ("seams", 0, 60),
+        ):  # fmt: skip
+            value = getattr(self, name)
+            if not low <= value <= high:
+                raise InputError(f"{name} {value} is not in {low} to {high}")
+        if self.wording not in ("known", "held-out"):
+            raise InputError(f"wording {self.wording!r} is neither 'known' nor 'held-out'")
+
+    def fitted(self, items: ItemSet, random: bool) -> "Protocol":
+        """With as many texts and pairs as there are items for; nothing that is random where nothing is.
+
+        Raises:
+            InputError: too few items for one group.
+        """
+        if len(items) < self.group:
+            raise InputError(
+                f"{items.name} has {len(items)} items, and R-precision needs {self.group} at least; give more"
+            )
+        texts = min(self.multimodality, len(items), items.texts) if random else 0
+        return Protocol(**{**asdict(self), "multimodality": texts, "diversity": min(self.diversity, len(items))})
+
+
+@dataclass(eq=False)
+class Session:
+    """What all repeats share.
+
+    Args:
+        protocol: already ``fitted``.
+        items: the real motion.
+        generator: what is judged.
+        evaluator: the judge.
+    """
+
+    protocol: Protocol
+    items: ItemSet
+    generator: Generator
+    evaluator: Judge
+
+    def __post_init__(self) -> None:
+        card, codec = self.evaluator.card, self.items.codec
+        if card.codec != codec.name:
+            raise InputError(
+                f"evaluator {card.name!r} judges {card.codec!r} features, and {self.items.name} has {codec.name!r} "
+                "ones; take the evaluator of that data set"
+            )
+        self._real: Tensor | None = None
+
+    @property
+    def judged(self) -> ItemSet:
+        """The items that motions are made for: the real ones, unless motions come with prompts of their own."""
+        given = self.generator.items if isinstance(self.generator, Given) else None
+        return given or self.items
+
+    def real(self, draws: Sequence[Draw]) -> Tensor:
+        """(M, E) of the real motions of a repeat; read once where crops do not change."""
+        if any(draw.item.cropped for draw in draws):
+            return self.evaluator.embed_motions([draw.features() for draw in draws])
+        if self._real is None:
+            self._real = self.evaluator.embed_motions([draw.features() for draw in draws])
+        return self._real
+
+
+def run_repeat(session: Session, number: int, say: Say = lambda stage, done, count: None) -> dict[str, Any]:
+    """The measures of one repeat, as JSON has them.
+
+    Args:
+        session: what is judged, on what, by whom.
+        number: of the repeat.
+        say: told of progress: a stage, how much of it is done, and how much there is.
+
+    Raises:
+        InputError: motions that cannot be judged, or too few items or texts.
+    """
+    begun = time.perf_counter()
+    protocol, generator = session.protocol, session.generator
+    asked = session.judged.draw(random_of(protocol, number, "items"), protocol.wording)
+    real = asked if session.judged is session.items else session.items.draw(random_of(protocol, number, "items"))
+    wanted = [Wanted(((d.prompt, d.frames),), seed_of(protocol, number, d.item.name), d) for d in asked]
+    made = _made(session, wanted, asked, say)
+    generated = time.perf_counter() - begun
+
+    say("judging", 0, 1)
+    motion = session.evaluator.embed_motions(features_of(generator, asked, made, session.items.codec))
+    text = session.evaluator.embed_texts([draw.caption for draw in asked])
+    labels = session.judged.labels
+    groups = metrics.group(labels, len(asked), random_of(protocol, number, "groups"), protocol.group)
+    top = metrics.r_precision(text, motion, groups)
+    found: dict[str, float] = {f"r{k}": float(rate) for k, rate in enumerate(top, start=1)}
+    found["mm_dist"] = metrics.matching_score(text, motion, groups)
+    found["fid"] = frechet_distance(session.real(real), motion)
+    pairs = min(protocol.diversity, len(asked))
+    found["diversity"] = metrics.diversity(motion, random_of(protocol, number, "diversity"), pairs)
+    if protocol.multimodality:
+        found["multimodality"] = _multimodality(session, asked, number, say)
+    found |= physical(made, session.items.codec, generator.segment or protocol.seams)
+    if isinstance(generator, Reconstruction):
+        found |= _errors(asked, made)
+    return {
+        "repeat": number,
+        "metrics": found,
+        "groups": len(groups),
+        "shortened": 0 if isinstance(generator, Given) else _shorter(made, asked),
+        "seconds": {"generating": round(generated, 2), "all": round(time.perf_counter() - begun, 2)},
+    }
+
+
+def seed_of(protocol: Protocol, number: int, *key: str | int) -> int:
+    """A seed for everything random that has this key in this repeat."""
+    said = "\0".join(map(str, (protocol.seed, number, *key)))
+    return int.from_bytes(hashlib.sha256(said.encode()).digest()[:7], "big")
+
+
+def random_of(protocol: Protocol, number: int, *key: str | int) -> torch.Generator:
+    """A generator with ``seed_of`` the key."""
+    return torch.Generator().manual_seed(seed_of(protocol, number, *key))
+
+
+def features_of(generator: Generator, asked: Sequence[Draw], made: Sequence[Tensor], codec: HmlCodec) -> list[Tensor]:
+    """(F - 1, D) features of joints; real motion has its own already."""
+    if isinstance(generator, Given):
+        return [draw.features() for draw in asked]
+    return encoded(made, codec)
+
+
+def encoded(clips: Sequence[Tensor], codec: HmlCodec) -> list[Tensor]:
+    """(F - 1, D) features of joints (F, J, 3), many at once."""
+    return [x for start in range(0, len(clips), ENCODED) for x in codec.encode_world(clips[start : start + ENCODED])]
+
+
+def physical(clips: Sequence[Tensor], codec: HmlCodec, segment: float = 0.0) -> dict[str, float]:
+    """Means over clips of joints (F, J, 3), and jerk at seams (m/s³) where segments have so many seconds."""
+    found = [measure(joints, codec.fps, skeleton=codec.skeleton) for joints in clips]
+    out = {name: float(torch.stack([getattr(one, name) for one in found]).double().mean()) for name in PHYSICAL}
+    frames = round(segment * codec.fps)
+    # A seam needs two frames on both sides, to be a place among others.
+    near = [
+        boundary_jerk(joints, codec.fps, list(range(frames, len(joints) - 1, frames))).near
+        for joints in clips
+        if frames and len(joints) > frames + 2
+    ]
+    if near:
+        out["boundary_jerk"] = float(torch.stack(near).double().mean())
+    return out
+
+
+def _made(session: Session, wanted: Sequence[Wanted], asked: Sequence[Draw], say: Say) -> list[Tensor]:
+    done = 0
+
+    def tick(count: int) -> None:
+        nonlocal done
+        done += count
+        say("motions", done, len(wanted))
+
+    made = session.generator.generate(wanted, session.items.codec.fps, tick)
+    check_made(made, asked, session.generator.slug, (len(session.items.codec.skeleton), 3))
+    return made
+
+
+def _multimodality(session: Session, asked: Sequence[Draw], number: int, say: Say) -> float:
+    """Of texts drawn at random, each with the length of its item."""
+    protocol = session.protocol
+    order = torch.randperm(len(asked), generator=random_of(protocol, number, "texts")).tolist()
+    # A prompt that two items happen to share counts once.
+    chosen = list({asked[k].prompt: asked[k] for k in order}.values())[: protocol.multimodality]
+    draws = [draw for draw in chosen for _ in range(protocol.samples)]
+    wanted = [
+        Wanted(((draw.prompt, draw.frames),), seed_of(protocol, number, draw.item.name, k % protocol.samples), draw)
+        for k, draw in enumerate(draws)
+    ]
+    made = _made(session, wanted, draws, say)
+    motion = session.evaluator.embed_motions(encoded(made, session.items.codec))
+    motion_TnE = motion.view(len(chosen), protocol.samples, -1)
+    return metrics.multimodality(motion_TnE, random_of(protocol, number, "pairs"), protocol.pairs)
+
+
+def _shorter(made: Sequence[Tensor], asked: Sequence[Draw]) -> int:
+    """How many motions are shorter than asked for, because the model has a limit."""
+    return sum(len(joints) < draw.frames for joints, draw in zip(made, asked, strict=True))
+
+
+def _errors(asked: Sequence[Draw], made: Sequence[Tensor]) -> dict[str, float]:
+    """Mean joint errors of reconstructions, metres: where they are, and with the root put where it should be."""
+    real = [draw.joints() for draw in asked]
+    pairs = [(a[: len(b)], b[: len(a)]) for a, b in zip(made, real, strict=True)]
+    return {
+        name: float(torch.stack([metrics.mpjpe(a, b, aligned=aligned) for a, b in pairs]).mean())
+        for name, aligned in (("mpjpe", False), ("mpjpe_aligned", True))
+    }

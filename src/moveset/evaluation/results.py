@@ -1,0 +1,173 @@
+"""Repeats as files, so that an evaluation resumes and is shared out; and the result that they make together.
+
+``OUT/repeats/NAME-KEY/000.json`` is a repeat; KEY is a hash of everything that its numbers depend on, so a file that is
+there is right whoever made it, and one that was made by other weights, data, settings or measures is never mistaken for
+it. Whoever finds all repeats there writes ``OUT/NAME.json``. Nothing but "seconds" differs between two runs.
+"""
+
+import hashlib
+import json
+import platform
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import torch
+
+import moveset
+from moveset.errors import FormatError, InputError
+from moveset.evaluation.intervals import Interval
+from moveset.evaluation.protocol import Session
+from moveset.io.limits import atomic_write, read_limited
+
+#: What turns motions into numbers: a change here makes repeats anew.
+_MEASURES = ("items", "generators", "streams", "protocol", "rollout", "metrics", "frechet", "physical", "evaluator")
+
+Repeat = Callable[[int], Mapping[str, Any]]
+
+
+class Results:
+    """The files of one evaluation.
+
+    Args:
+        session: what is judged, on what, by whom.
+        out: the folder.
+        again: leave files of an earlier run alone and make every repeat anew.
+
+    Raises:
+        InputError: a folder that cannot be written to.
+    """
+
+    def __init__(self, session: Session, out: Path, again: bool = False) -> None:
+        self._session = session
+        name = f"{session.generator.slug}-{session.protocol.split}"
+        self.name = name + ("-held-out" if session.protocol.wording == "held-out" else "")
+        self.head = head(session)
+        key = hashlib.sha256(json.dumps(_depends(self.head), sort_keys=True).encode()).hexdigest()[:12]
+        self.path, self._folder = out / f"{self.name}.json", out / "repeats" / f"{self.name}-{key}"
+        try:
+            self._folder.mkdir(parents=True, exist_ok=True)
+            with atomic_write(self._folder / "about.json") as file:
+                file.write(_bytes(_depends(self.head)))
+            if again:
+                for path in self._folder.glob("[0-9]*.json"):
+                    path.unlink(missing_ok=True)
+        except OSError as error:
+            raise InputError(
+                f"cannot write to {str(out)!r}: {error.strerror or error}; choose another --out"
+            ) from error
+
+    @property
+    def repeats(self) -> int:
+        """How many repeats there are to be."""
+        return self._session.protocol.repeats
+
+    @property
+    def done(self) -> list[int]:
+        """Repeats that are there."""
+        return [number for number in range(self.repeats) if self._file(number).is_file()]
+
+    def missing(self, rank: int = 0, world: int = 1) -> list[int]:
+        """Repeats that are not there, of those that a process of several makes."""
+        return [number for number in range(rank, self.repeats, world) if not self._file(number).is_file()]
+
+    def add(self, repeat: Mapping[str, Any]) -> None:
+        """Keep a repeat; its file appears whole or not at all."""
+        with atomic_write(self._file(int(repeat["repeat"]))) as file:
+            file.write(_bytes(repeat))
+
+    def finish(self) -> dict[str, Any] | None:
+        """Write and return the result, if every repeat is there.
+
+        Raises:
+            FormatError: a repeat's file is damaged.
+        """
+        if len(self.done) < self.repeats:
+            return None
+        repeats = [self._read(number) for number in range(self.repeats)]
+        result = {**self.head, **summary(repeats, len(self._session.judged))}
+        with atomic_write(self.path) as file:
+            file.write(_bytes(result))
+        return result
+
+    def _file(self, number: int) -> Path:
+        return self._folder / f"{number:03d}.json"
+
+    def _read(self, number: int) -> dict[str, Any]:
+        path = self._file(number)
+        try:
+            found = json.loads(read_limited(path))
+            if found["repeat"] != number or not found["metrics"]:
+                raise ValueError("another repeat")
+        except (ValueError, KeyError, TypeError, RecursionError) as error:
+            raise FormatError(f"{path} is not what an evaluation wrote ({error}); delete it and run again") from None
+        return dict(found)
+
+
+def head(session: Session) -> dict[str, Any]:
+    """What a result says of how it came to be."""
+    generator, items, judged, card = session.generator, session.items, session.judged, session.evaluator.card
+    weights = generator.weights()
+    return {
+        "model": generator.model,
+        "network": generator.network,
+        "steps": generator.steps,
+        "settings": generator.describe(),
+        "protocol": asdict(session.protocol),
+        "items": len(judged),
+        "distinct_texts": judged.texts,
+        "labels": None if judged.labels is None else len(set(judged.labels)),
+        "dropped": judged.dropped,
+        "evaluator": {"name": card.name, "sha256": session.evaluator.sha256},
+        "data": {"name": items.name, "sha256": items.sha256, "items": len(items)},
+        "weights_sha256": _digest(weights) if weights else None,
+        "weights": weights,
+        "measures_sha256": measures(),
+        "versions": {"moveset": moveset.__version__, "torch": torch.__version__, "python": platform.python_version()},
+    }
+
+
+def summary(repeats: Sequence[Mapping[str, Any]], items: int) -> dict[str, Any]:
+    """Means and intervals of repeats; a measure that not all of them have is left out."""
+    names = [name for name in repeats[0]["metrics"] if all(name in repeat["metrics"] for repeat in repeats)]
+    columns = {name: [float(repeat["metrics"][name]) for repeat in repeats] for name in names}
+    spent = [repeat["seconds"] for repeat in repeats]
+    return {
+        "groups": repeats[0]["groups"],
+        "shortened": repeats[0]["shortened"],
+        "metrics": {name: Interval.of(values).to_json() for name, values in columns.items()},
+        "repeats": [{name: float(repeat["metrics"][name]) for name in names} for repeat in repeats],
+        "seconds": round(sum(s["all"] for s in spent), 1),
+        "seconds_per_item": round(sum(s["generating"] for s in spent) / len(spent) / items, 5),
+    }
+
+
+def measures() -> str:
+    """sha256 of the code that measures."""
+    here = Path(__file__).parent
+    sources = [here / f"{name}.py" for name in _MEASURES] + [here.parent / "motion" / "hml.py"]
+    return hashlib.sha256(b"".join(path.read_bytes() for path in sources if path.is_file())).hexdigest()
+
+
+def same(a: Mapping[str, Any], b: Mapping[str, Any]) -> bool:
+    """Whether two results are equal but for the time they took."""
+    return _timeless(a) == _timeless(b)
+
+
+def _timeless(result: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: value for name, value in result.items() if not name.startswith("seconds")}
+
+
+def _depends(described: Mapping[str, Any]) -> dict[str, Any]:
+    """All that one repeat depends on: not how many there are."""
+    protocol = {name: value for name, value in described["protocol"].items() if name != "repeats"}
+    return {**described, "protocol": protocol}
+
+
+def _digest(value: object) -> str:
+    return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()
+
+
+def _bytes(value: Mapping[str, Any]) -> bytes:
+    return (json.dumps(value, indent=1, ensure_ascii=False, allow_nan=False) + "\n").encode()

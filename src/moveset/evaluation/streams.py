@@ -1,0 +1,219 @@
+"""Recurrent models as generators: many sequences at once, each with its own prompts.
+
+B sequences, N segments, n frames of a segment, D features, L text tokens. The rows of a batch are grouped by segment,
+as ``rdm.sampler`` has them: every sequence's row of the oldest segment first.
+"""
+
+import math
+from bisect import bisect_right
+from collections.abc import Sequence
+from dataclasses import asdict
+from itertools import islice
+from typing import Any, cast
+
+import torch
+from torch import Tensor, nn
+
+from moveset.diffusion.guidance import cfg
+from moveset.errors import FormatError
+from moveset.evaluation.generators import Remembered, Tick, Wanted, frames_at, joints_at, weights_of
+from moveset.models.flow import CouplingFlow
+from moveset.motion.clip import Motion
+from moveset.motion.features import get_codec
+from moveset.motion.foot_lock import FootLock
+from moveset.motion.incremental import IncrementalDecoder
+from moveset.motion.native import NativeCodec
+from moveset.pipelines.device import pick_device
+from moveset.pipelines.stream_bundle import FLOW, StreamBundle
+from moveset.pipelines.stream_settings import StreamSettings, get_schedule
+from moveset.pipelines.text_to_motion import CONTACT
+from moveset.rdm.sampler import stream
+from moveset.rdm.staircase import Shape, Staircase
+from moveset.rdm.transport import Transport
+from moveset.text.encoder import TextEmbedding, get_text_encoder
+
+
+class Streams:
+    """A stream's model folder by one of its networks, sampled in batches.
+
+    Args:
+        bundle: the folder.
+        settings: network, steps, staircase, guidance and finish, from ``pipelines.stream_settings.check_stream``.
+        shape: of the staircase; streams of users have "parallelogram".
+        extras: what distinguishes these settings from the folder's own, for the name of files.
+        device: where to compute.
+        batch: rows evaluated at once, about.
+    """
+
+    random = True
+
+    def __init__(
+        self,
+        bundle: StreamBundle,
+        settings: StreamSettings,
+        *,
+        shape: Shape = "parallelogram",
+        extras: Sequence[str] = (),
+        device: str = "auto",
+        batch: int = 96,
+    ) -> None:
+        codec = get_codec(bundle.config.codec)
+        if not isinstance(codec, NativeCodec):
+            raise FormatError(f"model {bundle.config.name!r} has the codec {codec.name!r}; a stream needs 'native'")
+        self._bundle, self._settings, self._shape, self._codec = bundle, settings, shape, codec
+        self._device, self._batch = pick_device(device), batch
+        self._text = Remembered(get_text_encoder(bundle.config.text_encoder, device=self._device))
+        self.model, self.network, self.steps = bundle.config.name, settings.network, settings.steps
+        self.segment = bundle.config.segment / bundle.config.fps
+        self.slug = "-".join([self.model, settings.network, *extras])
+
+    def describe(self) -> dict[str, Any]:
+        settings = {k: v for k, v in asdict(self._settings).items() if k not in ("network", "steps", "buffer")}
+        return {**settings, "shape": self._shape, "batch": self._batch, "device": self._device.type}
+
+    def weights(self) -> dict[str, str]:
+        return weights_of(self._bundle, (self._settings.network, *([FLOW] if self._uses_flow else [])))
+
+    def generate(self, wanted: Sequence[Wanted], fps: float, tick: Tick = lambda count: None) -> list[Tensor]:
+        made: list[Tensor] = [torch.empty(0)] * len(wanted)
+        n, rate = self._bundle.config.segment, self._bundle.config.fps
+        by_count: dict[int, list[int]] = {}
+        for k, one in enumerate(wanted):
+            by_count.setdefault(math.ceil(frames_at(one.frames, fps, rate) / n), []).append(k)
+        for count, rows in sorted(by_count.items()):
+            plan = self._plan(count)
+            size = max(1, self._batch // max(len(cells) for cells in plan.wavefront()))
+            for start in range(0, len(rows), size):
+                part = rows[start : start + size]
+                sequences = self._sample([wanted[k] for k in part], plan, fps)
+                for k, features in zip(part, sequences, strict=True):
+                    made[k] = joints_at(self._motion(features), fps, wanted[k].frames)
+                tick(len(part))
+        return made
+
+    @property
+    def _uses_flow(self) -> bool:
+        # The baseline was trained without a flow.
+        return FLOW in self._bundle.config.models and self._settings.network != "md"
+
+    def _plan(self, segments: int) -> Staircase:
+        settings = self._settings
+        return Staircase(settings.steps, segments, settings.start, self._shape, settings.lag)
+
+    @torch.inference_mode()
+    def _sample(self, wanted: Sequence[Wanted], plan: Staircase, fps: float) -> Tensor:
+        """Features (B, N n, D), not normalised."""
+        config, settings = self._bundle.config, self._settings
+        network = self._bundle.module(settings.network, self._device)
+        flow = self._bundle.module(FLOW, self._device) if self._uses_flow else None
+        said = [timeline(one, fps, config.segment / config.fps) for one in wanted]
+        denoiser = Bound(
+            network,
+            self._text,
+            said,
+            guided=bool(config.models[settings.network].config.get("guided")),
+            guidance=settings.guidance,
+            once=settings.clean_left,
+            device=self._device,
+        )
+
+        def enter(segment: int) -> Tensor | None:
+            return None if flow is None else denoiser.pooled(segment)
+
+        segments = stream(
+            denoiser,
+            Transport(cast(CouplingFlow | None, flow), max(config.depth_cap, 1)),
+            get_schedule(config), settings.levels(config), plan, [one.seed for one in wanted],
+            (config.segment, self._codec.dim),
+            enter, eta=settings.eta, colour=getattr(network, "colour", None), device=self._device,
+        )  # fmt: skip
+        assert plan.segments is not None
+        made = torch.cat(list(islice(segments, plan.segments)), dim=1).cpu()
+        statistics = self._bundle.normalizer
+        return made * statistics["feature_std"] + statistics["feature_mean"]
+
+    def _motion(self, features: Tensor) -> Motion:
+        """The motion of features (F, D) as a stream gives it out, piece by piece: seams smoothed, feet locked."""
+        settings, codec = self._settings, self._codec
+        decoder, feet = IncrementalDecoder(codec, settings.blend_seconds), FootLock(codec.skeleton, codec.fps)
+        pieces = []
+        for piece in features.split(self._bundle.config.segment):
+            motion = decoder(piece)
+            planted = piece[:, codec.groups["contacts"]] > CONTACT
+            pieces.append(feet(motion, planted) if settings.foot_lock else motion)
+        turned, root = (torch.cat([getattr(piece, name) for piece in pieces]) for name in ("rotations", "root"))
+        return Motion(turned, root, codec.fps, codec.skeleton)
+
+
+class _Line:
+    """Which prompt a segment has."""
+
+    def __init__(self, prompts: Sequence[str], starts: Sequence[int]) -> None:
+        self._prompts, self._starts = tuple(prompts), tuple(starts)
+
+    def __call__(self, segment: int) -> str:
+        return self._prompts[bisect_right(self._starts, segment) - 1]
+
+
+def timeline(wanted: Wanted, fps: float, seconds: float) -> _Line:
+    """The prompts by segment of ``seconds``; each begins with the segment nearest to its place and has one at least."""
+    starts, frames = [0], 0
+    for _, count in wanted.parts[:-1]:
+        frames += count
+        starts.append(max(starts[-1] + 1, round(frames / fps / seconds)))
+    return _Line([prompt for prompt, _ in wanted.parts], starts)
+
+
+class Bound:
+    """A denoiser with every sequence's prompt of every segment bound to it, for ``rdm.sampler``.
+
+    Args:
+        network: the denoiser.
+        text: its encoder.
+        said: of each sequence, the prompt by segment.
+        guided: whether it takes the guidance scale as an input; the others are evaluated with and without text.
+        guidance: scale w.
+        once: every segment is told its finished predecessor, so text and predecessor are read once for all steps.
+        device: where to compute.
+    """
+
+    def __init__(
+        self, network: nn.Module, text: Remembered, said: Sequence[_Line], *, guided: bool, guidance: float, once: bool,
+        device: torch.device,
+    ) -> None:  # fmt: skip
+        self._network, self._text, self._said, self._guided, self._w = network, text, said, guided, guidance
+        self._twice = bool(guidance) and not guided
+        self._once, self._device = once and hasattr(network, "read"), device
+        self._words: tuple[tuple[int, ...], TextEmbedding] | None = None
+        self._context: tuple[int, object] | None = None
+
+    def __call__(
+        self, x_BnD: Tensor, t_B: Tensor, prev_BnD: Tensor, prev_t_B: Tensor, index_B: Tensor, segments: Sequence[int]
+    ) -> Tensor:
+        """Clean segments (B, n, D)."""
+        text = self._read(tuple(dict.fromkeys(segments)))
+        if self._twice:
+            x_BnD, prev_BnD = (z.repeat(2, 1, 1) for z in (x_BnD, prev_BnD))
+            t_B, prev_t_B, index_B = (z.repeat(2) for z in (t_B, prev_t_B, index_B))
+        w_B = torch.full((len(x_BnD),), self._w, device=self._device) if self._guided else None
+        if self._once:
+            network: Any = self._network
+            if self._context is None or self._context[0] != segments[0]:
+                read = network.read(text.tokens, text.mask, prev_BnD, prev_t_B, index_B)
+                self._context = (segments[0], read)
+            made = network.denoise(x_BnD, t_B, self._context[1], w_B)
+        else:
+            made = self._network(x_BnD, t_B, prev_BnD, prev_t_B, index_B, text.tokens, text.mask, w_B)
+        return cfg(*made.chunk(2), self._w) if self._twice else made
+
+    def pooled(self, segment: int) -> Tensor:
+        """(B, C) sentence embeddings of a segment's prompts."""
+        return self._text.encode([line(segment) for line in self._said]).pooled.to(self._device)
+
+    def _read(self, segments: tuple[int, ...]) -> TextEmbedding:
+        """Of the rows of these segments, with the empty text below if the network is evaluated twice."""
+        if self._words is None or self._words[0] != segments:
+            said = [line(segment) for segment in segments for line in self._said]
+            text = self._text.encode(said + [""] * len(said) if self._twice else said)
+            self._words = (segments, text.to(self._device))
+        return self._words[1]
