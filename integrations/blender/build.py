@@ -1,4 +1,4 @@
-"""Zip the Blender add-on: ``python integrations/blender/build.py [-o FOLDER]``; the same sources give the same bytes."""
+"""Zip the Blender add-on: ``python integrations/blender/build.py [-o FOLDER]``; same sources, same bytes."""
 
 import argparse
 import tomllib

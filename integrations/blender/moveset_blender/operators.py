@@ -1,6 +1,7 @@
 """What buttons do: generate, import, retarget, and the list of prompts."""
 
 import threading
+from typing import ClassVar
 
 import bpy
 from bpy.props import CollectionProperty, EnumProperty, FloatProperty, IntProperty, PointerProperty, StringProperty
@@ -89,7 +90,7 @@ class MOVESET_OT_generate(bpy.types.Operator):
 
     bl_idname = "moveset.generate"
     bl_label = "Generate"
-    bl_options = {"REGISTER", "UNDO"}
+    bl_options: ClassVar = {"REGISTER", "UNDO"}
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         """Ask in the background; Blender stays usable and Escape gives up."""
@@ -170,7 +171,7 @@ class MOVESET_OT_import_take(bpy.types.Operator, ImportHelper):
 
     bl_idname = "moveset.import_take"
     bl_label = "Import take"
-    bl_options = {"REGISTER", "UNDO"}
+    bl_options: ClassVar = {"REGISTER", "UNDO"}
     filename_ext = ".mvst"
     filter_glob: StringProperty(default="*.mvst;*.npz", options={"HIDDEN"})
 
@@ -191,7 +192,7 @@ class MOVESET_OT_retarget(bpy.types.Operator):
 
     bl_idname = "moveset.retarget"
     bl_label = "Retarget to active"
-    bl_options = {"REGISTER", "UNDO"}
+    bl_options: ClassVar = {"REGISTER", "UNDO"}
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Sample the one, key the other."""
@@ -224,7 +225,7 @@ class MOVESET_OT_prompt_add(bpy.types.Operator):
 
     bl_idname = "moveset.prompt_add"
     bl_label = "Add prompt"
-    bl_options = {"REGISTER", "UNDO"}
+    bl_options: ClassVar = {"REGISTER", "UNDO"}
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """One more, up to what a request may hold."""
@@ -240,7 +241,7 @@ class MOVESET_OT_prompt_remove(bpy.types.Operator):
 
     bl_idname = "moveset.prompt_remove"
     bl_label = "Remove prompt"
-    bl_options = {"REGISTER", "UNDO"}
+    bl_options: ClassVar = {"REGISTER", "UNDO"}
     index: IntProperty()
 
     def execute(self, context: bpy.types.Context) -> set[str]:

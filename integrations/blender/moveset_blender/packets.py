@@ -9,7 +9,7 @@ import struct
 import numpy as np
 
 from . import quaternions as quat
-from .take import MAX_FRAMES, MotionError, Skeleton, Take
+from .take import MotionError, Skeleton, Take
 
 _HEADER = struct.Struct("<4sHHIQffI")
 _CONTACTS = 1
@@ -29,14 +29,14 @@ def read_packets(data: bytes, skeleton: Skeleton, title: str = "take") -> Take:
             raise MotionError(f"the take ends within a header, at byte {place}; it is cut off")
         magic, version, joints, frames, first, rate, _, flags = _HEADER.unpack_from(data, place)
         place += _HEADER.size
-        if magic != b"MVST" or version != 1:
+        if magic != b"MVST" or version != 1 or flags & ~_CONTACTS:
             raise MotionError("this is no moveset take of version 1; give a .mvst file or an npz that moveset wrote")
         if joints != len(skeleton.joints):
             raise MotionError(
                 f"the take has {joints} joints and {skeleton.name} has {len(skeleton.joints)}; save it as npz, which "
                 "names its joints"
             )
-        if next_frame not in (None, first) or (rows and rate != fps) or frames > MAX_FRAMES:
+        if next_frame not in (None, first) or (rows and rate != fps):
             raise MotionError(f"the packet of frame {first} does not follow the one before it; packets are missing")
         size = 4 * frames * width
         if len(data) - place < size + (4 * frames if flags & _CONTACTS else 0):

@@ -79,7 +79,9 @@ def find_roles(bones: Sequence[str], preset: str | None = None, owner: str = "th
             found, chosen = match, key
     missing = [PRESETS[chosen][role] for role in NEEDED if role not in found]
     if missing and (preset or len(found) > 6):
-        raise MotionError(f"{owner} has no bone {', '.join(missing)}, which the names of {chosen} need; rename its bones")
+        raise MotionError(
+            f"{owner} has no bone {', '.join(missing)}, which the names of {chosen} need; rename its bones"
+        )
     if missing:
         raise MotionError(f"{owner} has bones of none of the known names ({', '.join(PRESETS)}); rename its bones")
     return found

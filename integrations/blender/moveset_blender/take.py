@@ -39,7 +39,9 @@ class Skeleton:
         count = len(self.joints)
         fits = 1 <= count == len(self.parents) and self.offsets.shape == (count, 3)
         if not fits or any(p >= j or (p < 0) != (j == 0) for j, p in enumerate(self.parents)):
-            raise MotionError(f"the skeleton {self.name!r} is no tree of joints with the root first; save the take again")
+            raise MotionError(
+                f"the skeleton {self.name!r} is no tree of joints with the root first; save the take again"
+            )
         if len(set(self.joints)) < count or not np.isfinite(self.offsets).all() or np.abs(self.offsets).max() > 100:
             raise MotionError(f"the skeleton {self.name!r} has joints of one name or absurd bones; save the take again")
 
