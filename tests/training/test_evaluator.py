@@ -5,10 +5,13 @@ from dataclasses import replace
 import pytest
 import torch
 
+from moveset.errors import InputError
+from moveset.evaluation.evaluator import Evaluator
 from moveset.motion.features import get_codec
 from moveset.recipes import tiny
 from moveset.training import evaluator as training
 from moveset.training import frozen
+from moveset.training.clips import FeatureStore
 from moveset.training.engine import run
 from moveset.training.evaluator import contrast
 from moveset.training.pack_evaluator import pack_evaluator
@@ -64,15 +67,11 @@ def test_statistics_and_the_frozen_encoder_are_in_the_checkpoint(folder):
     for name, value in movement.module.encoder.state_dict().items():
         assert torch.equal(found.module.movement.state_dict()[name], value)
     groups = get_codec("hml").groups
-    from moveset.training.clips import FeatureStore
-
     plain = FeatureStore(folder / "cache-corpus.safetensors/features-hml").normalizer
     assert torch.equal(found.module.mean, plain.mean)
     torch.testing.assert_close(found.module.std[groups["root_yaw"]] * 5, plain.std[groups["root_yaw"]])
     torch.testing.assert_close(found.module.std[groups["positions"]], plain.std[groups["positions"]])
     packed = pack_evaluator(folder / "e", folder / "packed")
-    from moveset.evaluation.evaluator import Evaluator
-
     assert Evaluator.open(packed).card.provenance["steps"] == 2
 
 
@@ -91,6 +90,20 @@ def test_a_public_folder_is_read(folder):
     trained(folder, "movement", corpus="hml", into=folder / "hml-movement", steps=2)
     result = trained(folder, "evaluator", *WORDS, corpus="hml", into=folder / "hml-evaluator", steps=2)
     assert result.step == 2
+
+
+def test_words_of_a_table_are_read_and_packed(folder, tmp_path):
+    write_folder(tmp_path / "hml")
+    table = tmp_path / "glove.txt"
+    table.write_text("".join(f"{word} {k}.5 1 0\n" for k, word in enumerate(("sos", "eos", "unk", "a", "walk"))))
+    given = (f"words=glove:{table}", "model.word_width=3", "model.speech_classes=15")
+    movement = trained(tmp_path, "movement", corpus="hml", steps=1)
+    trained(tmp_path, "evaluator", *given, corpus="hml", into=tmp_path / "e", steps=2)
+    judge = Evaluator.open(pack_evaluator(tmp_path / "e", tmp_path / "packed"))
+    assert movement.step == 1
+    assert judge.words.vocabulary == ("sos", "eos", "unk", "a", "walk")
+    with pytest.raises(InputError, match="parts of speech"):
+        trained(folder, "evaluator", *given, into=folder / "wrong", steps=1)
 
 
 def test_contrast_by_hand():

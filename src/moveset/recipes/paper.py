@@ -20,7 +20,6 @@ from functools import partial
 
 from moveset.models.dip_decoder import DipDecoderConfig
 from moveset.models.discriminator import DiscriminatorConfig
-from moveset.models.evaluator import EvaluatorConfig
 from moveset.models.flow import FlowConfig
 from moveset.models.light_t2m import LightT2MConfig
 from moveset.models.segment_denoiser import SegmentDenoiserConfig
@@ -64,10 +63,8 @@ def movement() -> Recipe:
 
 
 def evaluator() -> Recipe:
-    """T2M's matching networks over any text encoder's token states; ``speech_classes`` belong to word tables."""
-    model = EvaluatorConfig(word_width=768, speech_classes=0)
-    task = EvaluatorTrainingConfig(model=model, words="t5:sentence-transformers/sentence-t5-large", ema=0.0)
-    return Recipe(task=task, engine=_engine(200_000))
+    """T2M's matching networks; ``--set words=glove:FOLDER`` says where HumanML3D's table of words lies."""
+    return Recipe(task=EvaluatorTrainingConfig(words="glove:glove", ema=0.0), engine=_engine(200_000))
 
 
 def _engine(steps: int) -> EngineConfig:

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from moveset.data.corpus import Corpus
-from moveset.data.humanml3d import HumanML3D
+from moveset.data.humanml3d import Caption, HumanML3D
 from moveset.data.splits import Split
 from moveset.errors import InputError
 from moveset.motion.features import FeatureCodec, Normalizer
@@ -159,6 +159,10 @@ class FolderClips:
 
     def captions(self, clip: int) -> tuple[str, ...]:
         return tuple(caption.text for caption in self.items[clip].captions)
+
+    def tagged(self, clip: int) -> tuple[Caption, ...]:
+        """Sentences of a clip with their words' parts of speech."""
+        return self.items[clip].captions
 
     def label(self, clip: int) -> Hashable:
         """The motion that it is a part of: nothing is known of what the clips show."""

@@ -7,28 +7,33 @@ normalised by, root and contacts weighing ``feat_bias`` times more, are part of 
 Shapes: B batch, F frames, D features, E width of the common space.
 """
 
-from collections.abc import Hashable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Literal
+from typing import Literal, TypeVar
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as fn
 
+from moveset.data.glove_files import read_glove
+from moveset.errors import InputError
 from moveset.models.evaluator import EvaluatorConfig, MatchingEvaluator, MovementConfig
 from moveset.models.registry import describe
 from moveset.motion.features import Normalizer, get_codec
 from moveset.text.cache import EmbeddingCache
 from moveset.text.encoder import get_text_encoder
+from moveset.text.glove import GloveWords
 from moveset.text.words import as_words
 from moveset.training import frozen
-from moveset.training.clip_source import ClipSource, open_clips
+from moveset.training.clip_source import ClipSource, FolderClips, open_clips
 from moveset.training.clips import Crop, CropSampler, FeatureStore
 from moveset.training.ema import Ema, ema_warmup
 from moveset.training.engine import Loop, Task
 from moveset.training.optim import cosine_lr
 from moveset.training.tasks import Sources
+
+Option = TypeVar("Option")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,7 +69,9 @@ class EvaluatorTrainingConfig:
         margin: distance beyond which a negative pair is left alone.
         negatives: "roll": one motion of the batch for each sentence, as published. "all": all that may serve.
         ema: decay of the averaged copy that ships; 0 for none.
-        words: whose token states are a sentence's words.
+        words: whose token states are a sentence's words: a text encoder; or "glove:PATH", a table of word vectors
+            (``data.glove_files``) for captions with parts of speech.
+        max_words: of a text encoder's tokens, the first ones.
         feat_bias, codec: those of the movement encoder; filled in from it.
     """
 
@@ -167,10 +174,8 @@ class EvaluatorTask(Task):
         self.seed = loop.config.seed * 64 + loop.rank
         # Whole clips, or for those that may be divided most of them: a shorter window may miss what its sentence says.
         self.sampler = CropSampler(self.store, train, weights, config.batch, self.seed, whole=0.5, shortest=(0.7, 24))
-        said = sorted({text for clip in (*train, *self.val) for text in self.source.captions(clip)})
-        path = sources.cache / f"evaluator-text-{config.words.replace('/', '-').replace(':', '-')}.safetensors"
         with loop.fabric.rank_zero_first():
-            self.text = EmbeddingCache.build(get_text_encoder(config.words), said, path).to(loop.device)
+            self.read = reader(config, self.source, (*train, *self.val), sources.cache)
 
     def modules(self) -> dict[str, nn.Module]:
         return {"evaluator": self.evaluator}
@@ -214,15 +219,54 @@ class EvaluatorTask(Task):
         self, network: MatchingEvaluator, crops: Sequence[Crop], generator: torch.Generator, loop: Loop
     ) -> tuple[Tensor, Tensor, list[Hashable]]:
         features, lengths = (x.to(loop.device) for x in self.store.batch(crops))
-        said = [self.source.captions(crop.clip) for crop in crops]
-        pick = torch.rand(len(said), generator=generator).tolist()
-        captions = [options[int(share * len(options))] for options, share in zip(said, pick, strict=True)]
-        words, _, counts = as_words(self.text.lookup(captions, self.config.max_words), self.config.max_words)
+        pick = torch.rand(len(crops), generator=generator).tolist()
+        words, classes, counts = self.read([crop.clip for crop in crops], pick)
+        words, classes = words.to(loop.device), None if classes is None else classes.to(loop.device)
         motion = network.embed_motion(features * self.scale, lengths).float()
-        return motion, network.embed_text(words, None, counts).float(), [self.source.label(c.clip) for c in crops]
+        said = network.embed_text(words, classes, counts).float()
+        return motion, said, [self.source.label(crop.clip) for crop in crops]
 
     def _shift(self, batch: int, generator: torch.Generator) -> int | None:
         return int(torch.randint(1, batch, (), generator=generator)) if self.config.negatives == "roll" else None
+
+
+#: Words, classes of speech or None, and lengths of one sentence for each clip, which a share in [0, 1) picks.
+Reader = Callable[[Sequence[int], Sequence[float]], tuple[Tensor, Tensor | None, Tensor]]
+
+
+def reader(config: EvaluatorTrainingConfig, source: ClipSource, clips: Sequence[int], cache: Path) -> Reader:
+    """How sentences of these clips are read in training: token states from a cache, or words from a table.
+
+    Raises:
+        InputError: a table, and captions without parts of speech.
+    """
+    kind, _, path = config.words.partition(":")
+    if kind == "glove":
+        if not isinstance(source, FolderClips):
+            raise InputError(
+                f"{config.words!r}: a corpus' captions have no parts of speech, which a table of words needs; train "
+                "on a HumanML3D or KIT-ML folder, or with a text encoder's words"
+            )
+        table = GloveWords(*read_glove(Path(path)))
+
+        def read_words(clips: Sequence[int], pick: Sequence[float]) -> tuple[Tensor, Tensor | None, Tensor]:
+            return table.read([_picked(source.tagged(clip), share) for clip, share in zip(clips, pick, strict=True)])
+
+        return read_words
+
+    said = sorted({text for clip in clips for text in source.captions(clip)})
+    file = cache / f"evaluator-text-{config.words.replace('/', '-').replace(':', '-')}.safetensors"
+    text = EmbeddingCache.build(get_text_encoder(config.words), said, file)
+
+    def read_tokens(clips: Sequence[int], pick: Sequence[float]) -> tuple[Tensor, Tensor | None, Tensor]:
+        captions = [_picked(source.captions(clip), share) for clip, share in zip(clips, pick, strict=True)]
+        return as_words(text.lookup(captions, config.max_words), config.max_words)
+
+    return read_tokens
+
+
+def _picked(options: Sequence[Option], share: float) -> Option:
+    return options[int(share * len(options))]
 
 
 def contrast(

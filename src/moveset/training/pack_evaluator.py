@@ -3,9 +3,12 @@
 import argparse
 from pathlib import Path
 
+from moveset.data.glove_files import read_glove
+from moveset.data.humanml3d import HUMANML3D, KIT
 from moveset.evaluation.evaluator import DEFAULT_EVALUATOR, Evaluator, EvaluatorCard
 from moveset.text.encoder import get_text_encoder
-from moveset.text.words import TokenWords
+from moveset.text.glove import GloveWords
+from moveset.text.words import TokenWords, Words
 from moveset.training import frozen
 
 
@@ -19,8 +22,14 @@ def pack_evaluator(run: Path, out: Path, name: str = DEFAULT_EVALUATOR) -> Path:
     found = frozen.load(run, "evaluator_ema")
     task, step = found.task, int(found.path.name.removeprefix("step_"))
     provenance = {"steps": step, "movement": "frozen", "weights_sha256": found.digest}
-    card = EvaluatorCard(name=name, codec=task["codec"], words=task["words"], provenance=provenance)
-    words = TokenWords(get_text_encoder(task["words"]), task["max_words"])
+    kind, _, table = task["words"].partition(":")
+    words: Words
+    if kind == "glove":
+        words, said = GloveWords(*read_glove(Path(table))), kind
+    else:
+        words, said = TokenWords(get_text_encoder(task["words"]), task["max_words"]), task["words"]
+    fps = KIT.fps if task["codec"] == KIT.codec else HUMANML3D.fps
+    card = EvaluatorCard(name=name, codec=task["codec"], fps=fps, words=said, provenance=provenance)
     return Evaluator(card, found.module, words).save(out, half=True)
 
 
