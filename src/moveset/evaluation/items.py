@@ -7,7 +7,7 @@ loaders do. F joints frames give F - 1 rows of features; J joints, D features.
 
 import hashlib
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TypeVar
@@ -19,6 +19,7 @@ from moveset.data.captions import heldout_captions, heldout_composed_captions
 from moveset.data.corpus import Corpus
 from moveset.data.humanml3d import Caption, HumanML3D
 from moveset.data.humanml3d import Item as FolderItem
+from moveset.data.numpy_files import npy_shape
 from moveset.data.splits import Split
 from moveset.errors import InputError
 from moveset.motion.clip import Motion
@@ -144,12 +145,15 @@ def text_of(caption: Caption | str) -> str:
     return caption if isinstance(caption, str) else caption.text
 
 
-def open_items(path: Path, split: Split, *, composed: bool = True, mirrored: bool = True) -> ItemSet:
+def open_items(
+    path: Path, split: Split, *, long: bool = False, composed: bool = True, mirrored: bool = True
+) -> ItemSet:
     """The items of a split: a folder is HumanML3D or KIT-ML, a file a corpus.
 
     Args:
         path: the data.
         split: "val" or "test"; "train" works too.
+        long: of a folder, the motions that are too long for the usual items instead, whole.
         composed, mirrored: of a corpus, take compositions and mirror images too.
 
     Raises:
@@ -157,7 +161,8 @@ def open_items(path: Path, split: Split, *, composed: bool = True, mirrored: boo
         FormatError: it is damaged.
     """
     if path.is_dir():
-        return folder_items(HumanML3D.open(path), split)
+        data = HumanML3D.open(path)
+        return long_items(data, split) if long else folder_items(data, split)
     return corpus_items(Corpus.open(path), split, path, composed=composed, mirrored=mirrored)
 
 
@@ -208,13 +213,32 @@ def folder_items(data: HumanML3D, split: Split) -> ItemSet:
     used = {item.name for item in found}
     unused = [name for name in data.splits[split] if name not in used]
     span = f"not of {data.layout.shortest} to {data.layout.too_long - 1} frames, or without a sentence for the whole"
-    sha = hashlib.sha256()
+    reasons = {span: len(unused)} if unused else {}
+    return ItemSet(items, data.folder.name, _folder_sha256(data, split), codec, reasons)
+
+
+def long_items(data: HumanML3D, split: Split) -> ItemSet:
+    """Motions of a HumanML3D or KIT-ML folder of 200 rows or more, which the sets' own loaders leave out; uncropped.
+
+    Raises:
+        InputError: there are none.
+        FormatError: a file is damaged.
+    """
+    codec = get_codec(data.layout.codec)
+    assert isinstance(codec, HmlCodec)
+    found = []
     for name in data.splits[split]:
-        sha.update(name.encode())
-        for part, suffix in (("new_joint_vecs", "npy"), ("texts", "txt")):
-            path = data.folder / part / f"{name}.{suffix}"
-            sha.update(path.read_bytes() if path.is_file() else b"")
-    return ItemSet(items, data.folder.name, sha.hexdigest(), codec, {span: len(unused)} if unused else {})
+        rows = npy_shape(data.folder / "new_joint_vecs" / f"{name}.npy")[0]
+        whole = tuple(c for c in data.captions(name) if c.start == 0 and c.end == 0)
+        if rows >= data.layout.too_long and whole:
+            found.append(FolderItem(name, 0, rows, whole))
+    if not found:
+        raise InputError(
+            f"{data.folder} has no {split} motion of {data.layout.too_long} frames or more, which a rollout takes; "
+            "HumanML3D's are all shorter, KIT-ML has some"
+        )
+    items = (replace(_folder_item(data, item, codec, k), cropped=False) for k, item in enumerate(found))
+    return ItemSet(tuple(items), data.folder.name, _folder_sha256(data, split), codec)
 
 
 def _corpus_item(corpus: Corpus, k: int, codec: HmlCodec, mirrored: bool) -> Item:
@@ -277,3 +301,14 @@ def _pick(options: Sequence[Option], share: float) -> Option:
 def _sha256(path: Path) -> str:
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _folder_sha256(data: HumanML3D, split: Split) -> str:
+    """Of the names, features and texts of a split."""
+    sha = hashlib.sha256()
+    for name in data.splits[split]:
+        sha.update(name.encode())
+        for part, suffix in (("new_joint_vecs", "npy"), ("texts", "txt")):
+            path = data.folder / part / f"{name}.{suffix}"
+            sha.update(path.read_bytes() if path.is_file() else b"")
+    return sha.hexdigest()

@@ -17,6 +17,7 @@ from moveset.evaluation.generators import Clips, Generator, Given, Reconstructio
 from moveset.evaluation.items import ItemSet, open_items
 from moveset.evaluation.protocol import Protocol, Session, run_repeat
 from moveset.evaluation.results import Results
+from moveset.evaluation.rollout import run_rollout
 from moveset.pipelines.bundle import DEFAULT_MODEL, Bundle
 from moveset.pipelines.device import pick_device
 from moveset.pipelines.model_folder import STREAM, find_folder, task_of
@@ -94,8 +95,9 @@ def open_session(job: Job) -> Session:
         raise InputError(f"batch {job.batch} is not in 1 to 4096; give 64 on a CPU, more on a GPU")
     generator = open_generator(job)
     split = job.protocol.split
-    of = cast(Split, "test" if split == "rollout" else split)
-    items = open_items(job.data, of, composed=job.composed, mirrored=job.mirrored)
+    long = split == "rollout"
+    of = cast(Split, "test" if long else split)
+    items = open_items(job.data, of, long=long, composed=job.composed, mirrored=job.mirrored)
     items = items if job.items is None else items.limited(job.items)
     evaluator = Evaluator.open(job.evaluator, pick_device(job.device))
     judged: ItemSet = (generator.items if isinstance(generator, Given) else None) or items
@@ -222,12 +224,13 @@ def run(
 
 def work(session: Session, results: Results, rank: int, world: int, watch: Watch) -> None:
     """The repeats of one process of several that are not there yet."""
+    make = run_rollout if session.protocol.split == "rollout" else run_repeat
     for number in results.missing(rank, world):
 
         def say(stage: str, done: int, count: int, number: int = number) -> None:
             watch(len(results.done), results.repeats, f"{number}: {stage} {done}/{count}")
 
-        results.add(run_repeat(session, number, say))
+        results.add(make(session, number, say))
         watch(len(results.done), results.repeats, str(number))
 
 

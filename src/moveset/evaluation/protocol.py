@@ -102,7 +102,7 @@ class Protocol:
             raise InputError(
                 f"{items.name} has {len(items)} items, and R-precision needs {self.group} at least; give more"
             )
-        texts = min(self.multimodality, len(items), items.texts) if random else 0
+        texts = min(self.multimodality, len(items), items.texts) if random and self.split != "rollout" else 0
         return Protocol(**{**asdict(self), "multimodality": texts, "diversity": min(self.diversity, len(items))})
 
 

@@ -134,8 +134,7 @@ def summary(repeats: Sequence[Mapping[str, Any]], items: int) -> dict[str, Any]:
     columns = {name: [float(repeat["metrics"][name]) for repeat in repeats] for name in names}
     spent = [repeat["seconds"] for repeat in repeats]
     return {
-        "groups": repeats[0]["groups"],
-        "shortened": repeats[0]["shortened"],
+        **{name: repeats[0][name] for name in ("groups", "rollouts", "windows", "shortened") if name in repeats[0]},
         "metrics": {name: Interval.of(values).to_json() for name, values in columns.items()},
         "repeats": [{name: float(repeat["metrics"][name]) for name in names} for repeat in repeats],
         "seconds": round(sum(s["all"] for s in spent), 1),

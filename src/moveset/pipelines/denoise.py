@@ -48,13 +48,16 @@ class Denoise:
         self._empty = encoder.encode([""]) if method.solver == "teacher" else None
         self.evaluations = 0
 
-    def __call__(self, noise_BND: Tensor, text: TextEmbedding, frames: Sequence[int]) -> Tensor:
+    def __call__(
+        self, noise_BND: Tensor, text: TextEmbedding, frames: Sequence[int], later: Sequence[Tensor] = ()
+    ) -> Tensor:
         """Normalised latents (B, N, d) of standard normal noise, on the device.
 
         Args:
             noise_BND: on any device.
             text: B prompts.
             frames: length of each clip.
+            later: as much noise again for every step after the first; LCM alone needs it.
         """
         noise_BND = noise_BND.to(self._device)
         steps, guidance = self._method.steps, self._method.guidance
@@ -71,7 +74,7 @@ class Denoise:
         w_B = torch.full((len(noise_BND),), guidance, device=self._device)
         if self._method.solver == "lcm":
             times = lcm_timesteps(steps, self._grid.points)
-            return sample_lcm(model, self._schedule, times, [noise_BND], w_B)
+            return sample_lcm(model, self._schedule, times, [noise_BND, *(z.to(self._device) for z in later)], w_B)
         return sample_phased(model, self._schedule, self._grid, noise_BND, w_B)
 
     def _bind(self, text: TextEmbedding, frames: Sequence[int]) -> Bound:

@@ -182,11 +182,14 @@ class TextToMotion:
         warnings = {request.prompts: self._warnings(request.prompts, known) for request in requests}
         clock.lap("text")
 
-        # The clips of a timeline take one after the other from their motion's seed.
-        noise = torch.cat([item_noise([r.seed], (len(r.prompts), *self.bundle.config.latent))[0] for r in requests])
+        # The clips of a timeline take one after the other from their motion's seed; after them LCM's later steps do.
+        steps = method.steps if method.solver == "lcm" else 1
+        drawn = [item_noise([r.seed], (steps * len(r.prompts), *self.bundle.config.latent))[0] for r in requests]
+        noise, *later = (torch.cat(step) for step in zip(*(x.chunk(steps) for x in drawn), strict=True))
         latents = []
         for part in rows:
-            latents.append(denoise(noise[part], stack([known[p] for p in prompts[part]]), frames[part]))
+            text = stack([known[p] for p in prompts[part]])
+            latents.append(denoise(noise[part], text, frames[part], [z[part] for z in later]))
             done += 1
         clock.lap("sample")
 

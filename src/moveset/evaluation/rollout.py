@@ -1,0 +1,196 @@
+"""The rollout split: motion much longer than what a model is trained on, judged in windows (RDM, arXiv 2406.07169).
+
+The paper names such a split and prints no number on it. Here a rollout is half a minute of changing prompts. Of a
+corpus: clips of the test split one after the other, each with its caption and its own length, the real motion being
+the clips themselves, joined. Of a folder: its motions of 200 frames or more, with one caption. Windows slide over the
+whole; what a window is told are the (at most two) sentences that hold longest in it. R-precision and FID are of
+windows; jerk at seams, drift and the physical measures are of whole rollouts.
+
+F frames, J joints, W windows of a rollout, E width of the evaluator's space.
+"""
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from moveset.errors import InputError
+from moveset.evaluation import metrics
+from moveset.evaluation.frechet import frechet_distance
+from moveset.evaluation.generators import Given, Reconstruction, Wanted
+from moveset.evaluation.items import Draw, text_of
+from moveset.evaluation.physical import windows as measured_windows
+from moveset.evaluation.protocol import Say, Session, encoded, physical, random_of, seed_of
+from moveset.motion.hml import HmlCodec
+from moveset.motion.join import join
+
+SECONDS = 30.0
+WINDOW = 196  # rows of features
+DRIFT_WINDOW = 5.0  # seconds
+SHARE = 0.2  # of a window, below which a sentence is not told of it
+
+
+@dataclass(frozen=True, eq=False)
+class Rollout:
+    """A long motion to make: clips one after the other; the last may be cut."""
+
+    draws: tuple[Draw, ...]
+    frames: tuple[int, ...]
+
+    @property
+    def name(self) -> str:
+        """Of its first clip."""
+        return self.draws[0].item.name
+
+    @property
+    def parts(self) -> tuple[tuple[str, int], ...]:
+        """(prompt, frames)."""
+        return tuple((draw.prompt, count) for draw, count in zip(self.draws, self.frames, strict=True))
+
+    def real(self, codec: HmlCodec) -> tuple[Tensor, list[Tensor]]:
+        """The motion itself, clips joined as a timeline's are: joints (F, J, 3), and features of its windows."""
+        if self.draws[0].item.motion is None:
+            joints = self.draws[0].joints()[: self.frames[0]]
+            features = self.draws[0].features()
+            return joints, [features[start : start + WINDOW] for start in starts(len(joints))]
+        clips = []
+        for draw, count in zip(self.draws, self.frames, strict=True):
+            assert draw.item.motion is not None
+            clips.append(draw.item.motion()[:count])
+        joints = join(clips).joints
+        return joints, encoded(cut(joints), codec)
+
+    def said(self, start: int, stop: int) -> tuple[str, tuple[str, ...]]:
+        """What is told of frames [start, stop): a sentence and a label."""
+        begin, held = 0, []
+        for draw, count in zip(self.draws, self.frames, strict=True):
+            overlap = min(stop, begin + count) - max(start, begin)
+            held.append((overlap, begin, draw))
+            begin += count
+        longest = sorted(held, key=lambda entry: -entry[0])[:2]
+        told = sorted((e for e in longest if e[0] >= SHARE * (stop - start)), key=lambda e: e[1])
+        labels = tuple(name for _, _, draw in told for name in draw.item.label or ())
+        sentences = [text_of(draw.caption).rstrip(". ") for _, _, draw in told]
+        return ", then ".join([sentences[0], *(s[0].lower() + s[1:] for s in sentences[1:])]), labels
+
+
+def starts(frames: int) -> list[int]:
+    """First frames of the windows of a motion, half a window apart.
+
+    >>> starts(600)
+    [0, 98, 196, 294, 392]
+    """
+    return list(range(0, max(frames - WINDOW, 1), WINDOW // 2))
+
+
+def cut(joints: Tensor) -> list[Tensor]:
+    """Windows of joints (F, J, 3), a frame longer than their features will be."""
+    return [joints[start : start + WINDOW + 1] for start in starts(len(joints))]
+
+
+def rollouts(draws: Sequence[Draw], fps: float) -> list[Rollout]:
+    """Clips in their order, cut into rollouts of ``SECONDS``; no clip is used twice.
+
+    Raises:
+        InputError: not enough clips for one.
+    """
+    wanted = round(SECONDS * fps)
+    out: list[Rollout] = []
+    chosen: list[Draw] = []
+    lengths: list[int] = []
+    for draw in draws:
+        left = wanted - sum(lengths)
+        chosen.append(draw)
+        lengths.append(min(draw.frames, left))
+        if draw.frames >= left:
+            # A last clip of which only a moment is left would say what nobody can see.
+            if left < fps and len(chosen) > 1:
+                del chosen[-1], lengths[-1]
+            out.append(Rollout(tuple(chosen), tuple(lengths)))
+            chosen, lengths = [], []
+    if not out:
+        total = sum(draw.frames for draw in draws) / fps
+        raise InputError(f"the items last {total:g} s in all, and one rollout takes {SECONDS:g}; give more")
+    return out
+
+
+def run_rollout(session: Session, number: int, say: Say = lambda stage, done, count: None) -> dict[str, Any]:
+    """The measures of one repeat of the rollout split, as ``protocol.run_repeat`` gives them.
+
+    Raises:
+        InputError: what is judged cannot go on for so long, or there are too few items.
+    """
+    begun = time.perf_counter()
+    protocol, generator, codec = session.protocol, session.generator, session.items.codec
+    if isinstance(generator, Reconstruction) or session.judged is not session.items:
+        raise InputError(f"{generator.slug} cannot be rolled out; evaluate a model that makes motion, or real motion")
+    chosen = _chosen(session, number)
+    wanted = [Wanted(one.parts, seed_of(protocol, number, one.name), one.draws[0]) for one in chosen]
+    real = [one.real(codec) for one in chosen]
+    if isinstance(generator, Given):
+        made, features = [joints for joints, _ in real], [x for _, found in real for x in found]
+    else:
+        made = generator.generate(wanted, codec.fps, lambda count: say("rollouts", count, len(wanted)))
+        features = encoded([window for joints in made for window in cut(joints)], codec)
+    generated = time.perf_counter() - begun
+
+    say("judging", 0, 1)
+    told = [one.said(start, start + WINDOW) for one, joints in zip(chosen, made, strict=True)
+            for start in starts(len(joints))]  # fmt: skip
+    motion = session.evaluator.embed_motions(features)
+    text = session.evaluator.embed_texts([sentence for sentence, _ in told])
+    labels = [label for _, label in told] if session.items.labels else None
+    groups = metrics.group(labels, len(told), random_of(protocol, number, "groups"), protocol.group)
+    top = metrics.r_precision(text, motion, groups)
+    judged = session.evaluator.embed_motions([x for _, found in real for x in found])
+    found = {f"r{k}": float(rate) for k, rate in enumerate(top, start=1)}
+    found["mm_dist"] = metrics.matching_score(text, motion, groups)
+    found["fid"] = frechet_distance(judged, motion)
+    pairs = min(protocol.diversity, len(told))
+    found["diversity"] = metrics.diversity(motion, random_of(protocol, number, "diversity"), pairs)
+    found |= physical(made, codec, generator.segment or protocol.seams)
+    found |= drift(made, codec)
+    found["spread_change"] = spread_change(motion, [len(starts(len(joints))) for joints in made])
+    return {
+        "repeat": number,
+        "metrics": found,
+        "groups": len(groups),
+        "rollouts": len(made),
+        "windows": len(told),
+        "shortened": sum(len(joints) < one.frames for joints, one in zip(made, wanted, strict=True)),
+        "seconds": {"generating": round(generated, 2), "all": round(time.perf_counter() - begun, 2)},
+    }
+
+
+def drift(clips: Sequence[Tensor], codec: HmlCodec) -> dict[str, float]:
+    """Mean change a minute of what ``physical.windows`` measures: metres, m/s, m/s³ and share of frames."""
+    found = [measured_windows(joints, codec.fps, DRIFT_WINDOW, codec.skeleton) for joints in clips]
+    names = ("height", "speed", "jerk", "skating")
+    return {f"drift_{name}": float(torch.stack([w.drift(name) for w in found]).double().mean()) for name in names}
+
+
+def spread_change(motion_WE: Tensor, counts: Sequence[int]) -> float:
+    """Spread of the last windows of all rollouts over that of the first ones: below 1, motion grows alike with time.
+
+    Args:
+        motion_WE: windows, rollout by rollout.
+        counts: windows of each rollout.
+    """
+    of_rollouts = motion_WE.split(list(counts))
+    first, last = (torch.stack([windows[k] for windows in of_rollouts]) for k in (0, -1))
+    return float((last - last.mean(0)).norm(dim=-1).mean() / (first - first.mean(0)).norm(dim=-1).mean())
+
+
+def _chosen(session: Session, number: int) -> list[Rollout]:
+    """Rollouts of single actions in random order; of a folder its long motions."""
+    protocol = session.protocol
+    draws = session.items.draw(random_of(protocol, number, "items"), protocol.wording)
+    if session.items.labels is None:
+        limit = round(SECONDS * session.items.codec.fps)
+        return [Rollout((draw,), (min(draw.rows, limit),)) for draw in draws]
+    single = [draw for draw in draws if draw.item.label is not None and len(draw.item.label) == 1]
+    order = torch.randperm(len(single), generator=random_of(protocol, number, "order")).tolist()
+    return rollouts([single[k] for k in order], session.items.codec.fps)

@@ -1,0 +1,62 @@
+"""Corpora and folders of motion with known items, for tests of evaluation."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+
+from moveset.data import phrases
+from moveset.data.captions import train_captions
+from moveset.data.corpus import CorpusWriter, TakeEntry
+from moveset.data.records import ClipRecord, Part, Recipe
+from moveset.data.synthetic import KINDS, synthetic_motion
+
+FRAMES = 40
+
+
+def content_corpus(path: Path, *, frames: int = FRAMES, short: int = 0, split: str = "test") -> Path:
+    """A take of every content there are words for, the k-th ``frames + k % 5`` long, and one composition in time.
+
+    Args:
+        path: the file.
+        frames: of the shortest take.
+        short: as many more takes have only 20 frames.
+        split: of all of them.
+    """
+    writer = CorpusWriter()
+    contents = list(phrases.TRAIN)
+    for k, content in enumerate([*contents, *contents[:short]]):
+        length = frames + k % 5 if k < len(contents) else 20
+        writer.add_take(
+            TakeEntry(
+                name=f"take{k}", take=f"take{k}", source="synthetic", content=content, style=None,
+                captions=train_captions(content)[:3], split=split, subject="s",
+                motion=synthetic_motion(KINDS[k % len(KINDS)], length, seed=k),
+            )
+        )  # fmt: skip
+    writer.add_composition(
+        ClipRecord(
+            name="both", take="take0", source="synthetic", subject="s", kind="in_time",
+            contents=(contents[0], contents[10]), style=None, split=split, fps=20.0, frames=frames + frames - 10,
+            captions=(), recipe=Recipe((Part(0, 0, frames), Part(10, 0, frames)), blend=10),
+        ),
+        ("a person walks and then waves",),
+    )  # fmt: skip
+    return writer.write(path)
+
+
+
+
+
+def motion_folder(path: Path, count: int = 40, frames: int = 40) -> Path:
+    """Joint positions with a list of distinct prompts."""
+    path.mkdir(parents=True)
+    contents = list(phrases.TRAIN)
+    lines = []
+    for k in range(count):
+        motion = synthetic_motion(KINDS[k % len(KINDS)], frames, seed=100 + k)
+        np.save(path / f"m-{k:03d}.npy", motion.joints.numpy())
+        prompt = train_captions(contents[k % len(contents)])[k // len(contents)]
+        lines.append(json.dumps({"name": f"{k:03d}", "prompt": prompt}))
+    (path / "prompts.jsonl").write_text("\n".join(lines) + "\n")
+    return path
