@@ -1,0 +1,105 @@
+"""What the physical measures say of real motion: the values that generated motion is compared with.
+
+    python benchmarks/physical_reference.py --out docs/metrics/physical.json
+
+Takes as they are stored, and as an evaluation sees them (HumanML3D features of them and joints of these);
+stored ones by source, too.
+Means over takes, each weighing the same, and the median and 95th percentile over takes. Seams are where a stream of
+28-frame segments would have them.
+"""
+
+import argparse
+import json
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from moveset.data.corpus import Corpus
+from moveset.evaluation.physical import boundary_jerk, measure, skating
+from moveset.motion.features import get_codec
+
+SEGMENT = 28
+SHORTEST = 24
+
+
+def padded(clips: list[Tensor]) -> tuple[Tensor, Tensor]:
+    """(B, F, J, 3) and (B,) lengths."""
+    return torch.nn.utils.rnn.pad_sequence(clips, batch_first=True), torch.tensor([len(c) for c in clips])
+
+
+def measured(clips: list[Tensor], fps: float) -> dict[str, list[float]]:
+    """Each measure of each clip, in batches of clips of about one length."""
+    out: dict[str, list[float]] = {}
+    order = sorted(clips, key=len)
+    for k in range(0, len(order), 64):
+        joints, lengths = padded(order[k : k + 64])
+        found = measure(joints, fps, lengths)
+        for name in found.__dataclass_fields__:
+            out.setdefault(name, []).extend(getattr(found, name).tolist())
+        out.setdefault("skating_window_5", []).extend(skating(joints, fps, lengths, window=5).tolist())
+    return out
+
+
+def seams(clips: list[Tensor], fps: float) -> dict[str, float]:
+    """Boundary jerk of all clips that are long enough for a seam: none of them has one there."""
+    long = sorted((c for c in clips if len(c) > SEGMENT + 4), key=len)
+    near, elsewhere = [], []
+    for k in range(0, len(long), 64):
+        joints, lengths = padded(long[k : k + 64])
+        found = boundary_jerk(joints, fps, torch.arange(SEGMENT, joints.shape[1], SEGMENT), lengths)
+        near.append(found.near)
+        elsewhere.append(found.elsewhere)
+    a, b = float(torch.cat(near).mean()), float(torch.cat(elsewhere).mean())
+    return {"takes": len(long), "near": a, "elsewhere": b, "ratio": a / b}
+
+
+def summary(clips: list[Tensor], fps: float) -> dict:
+    """Mean, median and 95th percentile over clips, by measure."""
+    out: dict = {
+        "takes": len(clips),
+        "minutes": sum(map(len, clips)) / fps / 60,
+        "longest_s": max(map(len, clips)) / fps,
+    }
+    for name, values in measured(clips, fps).items():
+        x = torch.tensor(values, dtype=torch.float64)
+        out[name] = {"mean": float(x.mean()), "median": float(x.median()), "p95": float(x.quantile(0.95))}
+    return out | {"boundary_jerk": seams(clips, fps)}
+
+
+def rounded(value):
+    """Five digits."""
+    if isinstance(value, dict):
+        return {k: rounded(v) for k, v in value.items()}
+    return float(f"{value:.5g}") if isinstance(value, float) else value
+
+
+def main() -> None:
+    """See the module."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--corpus", type=Path, default=Path("data/corpus.safetensors"))
+    parser.add_argument("--splits", nargs="+", default=["train", "val", "test"])
+    parser.add_argument("--out", type=Path)
+    given = parser.parse_args()
+    corpus, codec = Corpus.open(given.corpus), get_codec("hml")
+    rows: dict = {}
+    for split in given.splits:
+        takes = [k for k in corpus.indices(split, composed=False) if corpus.records[k].frames >= SHORTEST]
+        motions = [corpus.motion(k) for k in takes]
+        stored = [m.joints for m in motions]
+        seen = [codec.joints(codec.encode(m).double()).float() for m in motions]
+        sources = [corpus.records[k].source for k in takes]
+        for name, clips in (("stored", stored), ("through hml features", seen)):
+            rows[f"{split}, {name}"] = summary(clips, codec.fps)
+            for source in dict.fromkeys(sources if name == "stored" else ()):
+                own = [c for c, s in zip(clips, sources, strict=True) if s == source]
+                rows[f"{split}, {name}, {source}"] = summary(own, codec.fps)
+    rows = rounded(rows)
+    print(json.dumps(rows, indent=1))
+    if given.out:
+        given.out.parent.mkdir(parents=True, exist_ok=True)
+        given.out.write_text(json.dumps(rows, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()
