@@ -9,13 +9,13 @@ import math
 import sys
 from pathlib import Path
 
-import bpy
 import numpy as np
-from mathutils import Matrix, Vector
 
 
 def heads(armature, joints, frames):
     """(F, J, 3) heads of an armature's bones in the world."""
+    import bpy
+
     seen = []
     for frame in frames:
         whole = math.floor(frame + 1e-6)
@@ -27,6 +27,8 @@ def heads(armature, joints, frames):
 
 def character(name, source, seed, place, size=1.0):
     """An armature with the joints of a take, bones along other directions, in a scaled and turned object."""
+    import bpy
+    from mathutils import Matrix, Vector
     from moveset_blender.armature import bones_of
 
     bones, skeleton = bones_of(source.skeleton), source.skeleton
@@ -57,6 +59,8 @@ def character(name, source, seed, place, size=1.0):
 
 def activate(*armatures):
     """Select armatures; the last one is active."""
+    import bpy
+
     for thing in bpy.context.selected_objects:
         thing.select_set(False)
     for armature in armatures:
@@ -65,6 +69,8 @@ def activate(*armatures):
 
 
 def main(parent, folder, url):
+    import bpy
+
     sys.path.insert(0, parent)
     import moveset_blender
     from moveset_blender.files import read_take
@@ -110,6 +116,7 @@ def main(parent, folder, url):
     settings.target = "ACTIVE"
     for name in ("mixamo", "ue5"):
         rig = read_take(folder / f"{name}.npz")
+        scene.frame_set(1)
         hero = character(f"Hero {name}", rig, 3, (2.0, -1.0, 0.0, 0.7), 1.3)
         activate(hero)
         settings.preset = name
@@ -129,6 +136,7 @@ def main(parent, folder, url):
     said["kept"] = before.use_fake_user and other.animation_data.action != before
 
     # What goes wrong.
+    activate(other)
     attempt("alone", bpy.ops.moveset.retarget)
     settings.preset = "vrm"
     attempt("other names", bpy.ops.moveset.import_take, filepath=str(folder / "stream.mvst"))

@@ -120,9 +120,11 @@ class Pose:
 def pose_same(take: Take, rig: Rig) -> Pose:
     """The pose of a rig that has just the take's joints in their places: every joint turns, exactly."""
     local = turn_to_blender(take.rotations)
-    turned = {j: channel(local[:, j], rig.turns[j]) for j in range(len(rig.bones))}
-    path = to_blender(take.root)
-    return Pose(take.fps, turned, 0, path, quat.rotate(quat.inv(rig.turns[0]), path - rig.heads[0]))
+    # Blender keeps bones in an order of its own.
+    bone_of = [rig.bones.index(joint) for joint in take.skeleton.joints]
+    turned = {bone: channel(local[:, j], rig.turns[bone]) for j, bone in enumerate(bone_of)}
+    path, mover = to_blender(take.root), bone_of[0]
+    return Pose(take.fps, turned, mover, path, quat.rotate(quat.inv(rig.turns[mover]), path - rig.heads[mover]))
 
 
 def channel(local: np.ndarray, rest: np.ndarray) -> np.ndarray:

@@ -1,0 +1,77 @@
+// Steer a stream of a moveset server from JavaScript; nothing to install. Browsers and Node 22 have WebSocket built in,
+// Node 20 needs a flag:
+//
+//   node --experimental-websocket stream_client.mjs "a person walks forward" "a person waves" [take.bvh]
+
+import { writeFile } from "node:fs/promises";
+
+/** One packet: root positions and local quaternions (x y z w) of n frames, and which parts of the feet stand. */
+export function parsePacket(buffer) {
+  const view = new DataView(buffer);
+  if (view.byteLength < 32 || view.getUint32(0, true) !== 0x5453564d || view.getUint16(4, true) !== 1)
+    throw new Error("no packet of version 1");
+  const [joints, frames] = [view.getUint16(6, true), view.getUint32(8, true)];
+  const floats = frames * (3 + 4 * joints);
+  const hasContacts = (view.getUint32(28, true) & 1) === 1;
+  if (view.byteLength !== 32 + 4 * floats + (hasContacts ? 4 * frames : 0)) throw new Error("a packet is cut short");
+  return {
+    joints,
+    frames,
+    firstFrame: Number(view.getBigUint64(12, true)),
+    fps: view.getFloat32(20, true),
+    latencyMs: view.getFloat32(24, true),
+    rows: new Float32Array(buffer, 32, floats), // little-endian machines only, as all that run browsers today
+    contacts: hasContacts ? new Uint8Array(buffer, 32 + 4 * floats, 4 * frames) : null,
+  };
+}
+
+/** Records prompts one after the other, `seconds` each; resolves to the packets. */
+export function record(server, prompts, seconds, log = console.log) {
+  return new Promise((resolve, reject) => {
+    const socket = new WebSocket(server.replace(/^http/, "ws") + "/v1/stream");
+    let packets = [];
+    let next = 1;
+    socket.binaryType = "arraybuffer";
+    const send = (message) => socket.send(JSON.stringify(message));
+    socket.onopen = () => send({ type: "start", prompt: prompts[0], seed: 7 });
+    socket.onerror = () => reject(new Error(`no server at ${server}; start one with: moveset serve`));
+    socket.onclose = () => reject(new Error("the server ended the stream"));
+    socket.onmessage = ({ data }) => {
+      if (typeof data === "string") {
+        const event = JSON.parse(data);
+        if (event.type === "error") reject(new Error(event.message));
+        if (event.type === "prompt") log(`"${event.text}" from frame ${event.takes_effect_at} on`);
+        if (event.type === "segment") log(`segment ${event.segment}: made in ${event.latency_ms.toFixed(0)} ms`);
+        return;
+      }
+      const packet = parsePacket(data);
+      const made = packet.firstFrame + packet.frames;
+      // With "commit" set, a new prompt takes frames back that were sent but not played: they come once more.
+      packets = packets.filter((other) => parsePacket(other).firstFrame < packet.firstFrame).concat(data);
+      send({ type: "played", frame: made }); // a player sends what it has shown
+      if (made >= prompts.length * seconds * packet.fps) {
+        resolve(packets);
+        socket.onclose = null;
+        socket.close();
+      } else if (next < prompts.length && made >= next * seconds * packet.fps) {
+        send({ type: "prompt", text: prompts[next++] });
+      }
+    };
+  });
+}
+
+if (import.meta.filename === process.argv[1]) {
+  const files = process.argv.slice(2).filter((word) => /\.\w+$/.test(word));
+  const prompts = process.argv.slice(2).filter((word) => !files.includes(word));
+  const server = process.env.MOVESET_SERVER ?? "http://127.0.0.1:8765";
+  const packets = await record(server, prompts.length ? prompts : ["a person walks forward"], 4);
+  for (const file of files) {
+    const reply = await fetch(`${server}/v1/export?format=${file.split(".").pop()}`, {
+      method: "POST",
+      headers: { "Content-Type": "application/octet-stream" },
+      body: new Blob(packets),
+    });
+    if (!reply.ok) throw new Error((await reply.json()).error.message);
+    await writeFile(file, Buffer.from(await reply.arrayBuffer()));
+  }
+}

@@ -1,0 +1,69 @@
+"""Steer a stream of a moveset server and keep what it made (``pip install websockets``):
+
+python stream_client.py "a person walks forward" "a person waves" --seconds 10 -o take.bvh
+"""
+
+import argparse
+import json
+import struct
+import urllib.request
+from pathlib import Path
+from urllib.parse import urlsplit
+
+from websockets.sync.client import connect
+
+HEADER = struct.Struct("<4sHHIQffI")  # magic, version, joints, frames, first frame, fps, latency in ms, flags
+
+
+def record(server: str, prompts: list[str], seconds: float, seed: int | None) -> list[bytes]:
+    """The packets of a stream that goes on to the next prompt whenever its share of the time has been made."""
+    packets: list[bytes] = []
+    waiting, made, share = prompts[1:], 0, seconds / len(prompts)
+    with connect(f"ws://{urlsplit(server).netloc}/v1/stream", max_size=2**20) as socket:
+        socket.send(json.dumps({"type": "start", "prompt": prompts[0], "seed": seed, "buffer": 2.0}))
+        for message in socket:
+            if isinstance(message, str):
+                event = json.loads(message)
+                if event["type"] == "error":
+                    raise SystemExit(event["message"])
+                if event["type"] == "started":
+                    print(f"stream of {event['model']}, seed {event['seed']}, {event['fps']:g} frames a second")
+                elif event["type"] == "prompt":
+                    print(f"{event['text']!r} from frame {event['takes_effect_at']} on", *event["warnings"])
+                elif event["type"] == "segment":
+                    print(f"segment {event['segment']}: {event['prompt']!r}, made in {event['latency_ms']:.0f} ms")
+                continue
+            count, first, fps = HEADER.unpack_from(message)[3:6]
+            # With "commit" set, a new prompt takes frames back that were sent but not played: they come once more.
+            packets = [packet for packet in packets if HEADER.unpack_from(packet)[4] < first] + [message]
+            made = first + count
+            if made >= seconds * fps:
+                return packets
+            # A player acknowledges what it has shown; this one looks at nothing and wants the next segment at once.
+            socket.send(json.dumps({"type": "played", "frame": made}))
+            if waiting and made >= (len(prompts) - len(waiting)) * share * fps:
+                socket.send(json.dumps({"type": "prompt", "text": waiting.pop(0)}))
+    raise SystemExit(f"the server ended the stream after {made} frames")
+
+
+def main() -> None:
+    """Read the command line, stream, save."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("prompts", nargs="+")
+    parser.add_argument("--server", default="http://127.0.0.1:8765")
+    parser.add_argument("--seconds", type=float, default=10.0)
+    parser.add_argument("--seed", type=int)
+    parser.add_argument("-o", "--out", type=Path, help=".bvh .glb .npz …, or .mvst for the packets themselves")
+    given = parser.parse_args()
+    data = b"".join(record(given.server, given.prompts, given.seconds, given.seed))
+    if given.out and given.out.suffix != ".mvst":
+        url = f"{given.server}/v1/export?format={given.out.suffix.removeprefix('.')}"
+        request = urllib.request.Request(url, data, {"Content-Type": "application/octet-stream"})
+        with urllib.request.urlopen(request, timeout=120) as reply:
+            data = reply.read()
+    if given.out:
+        given.out.write_bytes(data)
+
+
+if __name__ == "__main__":
+    main()

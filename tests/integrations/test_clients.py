@@ -1,0 +1,132 @@
+"""The clients of examples/clients against a server that runs: what they save is what the server made."""
+
+import json
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from moveset import MotionStream
+from moveset.io import load
+from moveset.server.wire import pack_packet, unpack_packets
+from tests.motions import wander
+from tests.streams import tiny_stream
+
+CLIENTS = Path(__file__).resolve().parents[2] / "examples" / "clients"
+PROMPTS = ("a person walks forward", "someone waves with the left hand")
+
+
+@pytest.fixture(scope="module")
+def node():
+    """A Node with a WebSocket client, as a command."""
+    found = shutil.which("node")
+    if found is None:
+        pytest.skip("no node here: install Node 20 or newer")
+    for command in ([found], [found, "--experimental-websocket"]):
+        asked = [*command, "-e", "process.exit(typeof WebSocket === 'function' ? 0 : 1)"]
+        if subprocess.run(asked, capture_output=True, check=False, timeout=60).returncode == 0:
+            return command
+    pytest.skip("this node has no WebSocket: install Node 20.10 or newer")
+
+
+def run(*command, **more):
+    return subprocess.run(
+        [str(part) for part in command], capture_output=True, text=True, timeout=120, check=False, **more
+    )
+
+
+def expected(tmp_path, seed, change):
+    """What the stream's own model makes of one prompt, and of the other from segment ``change`` on."""
+    stream = MotionStream.from_pretrained(tiny_stream(tmp_path / "tiny-stream"), prompt=PROMPTS[0], seed=seed)
+    for segment in stream:
+        if segment.number + 1 == change:
+            stream.prompt(PROMPTS[1])
+        yield segment.motion
+
+
+def assert_is_the_stream(out, path, tmp_path, seed, exactly):
+    """The take is that of the model with the second prompt where the server said that it takes effect."""
+    effect = int(re.search(rf"{PROMPTS[1]}.? from frame (\d+) on", out)[1])
+    got = load(path) if path.suffix != ".mvst" else unpack_packets(path.read_bytes()).motion
+    assert effect % 28 == 0
+    assert 28 <= effect < len(got)
+    for k, wanted in zip(range(len(got) // 28), expected(tmp_path, seed, effect // 28), strict=False):
+        there = got[28 * k : 28 * (k + 1)]
+        assert float((there.joints - wanted.joints).abs().max()) < exactly
+
+
+def test_the_python_client_keeps_the_stream(served, tmp_path):
+    for name, exactly in (("take.mvst", 1e-5), ("take.bvh", 1e-3)):
+        done = run(sys.executable, CLIENTS / "stream_client.py", *PROMPTS, "--seconds", 8, "--seed", 3,
+                   "--server", served, "-o", tmp_path / name)  # fmt: skip
+        assert done.returncode == 0, done.stderr
+        assert "stream of tiny-stream, seed 3, 20 frames a second" in done.stdout
+        assert len(re.findall(r"^segment \d+: ", done.stdout, re.MULTILINE)) == 6
+        assert_is_the_stream(done.stdout, tmp_path / name, tmp_path, 3, exactly)
+
+
+def test_the_javascript_client_keeps_the_stream(node, served, tmp_path):
+    done = run(*node, CLIENTS / "stream_client.mjs", *PROMPTS, tmp_path / "take.npz",
+               env={"MOVESET_SERVER": served, "PATH": ""})  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert_is_the_stream(done.stdout, tmp_path / "take.npz", tmp_path, 7, 1e-5)
+
+
+def test_javascript_reads_packets_as_python_writes_them(node, tmp_path):
+    motion = wander(9, seed=1)
+    planted = (motion.rotations[:, :4, 0] > 0).contiguous()
+    (tmp_path / "p.mvst").write_bytes(pack_packet(motion, first_frame=2**33 + 5, latency_ms=4.5, planted=planted))
+    script = f"""
+        import {{ parsePacket }} from {json.dumps((CLIENTS / "stream_client.mjs").as_uri())};
+        import {{ readFileSync }} from "node:fs";
+        const bytes = readFileSync({json.dumps(str(tmp_path / "p.mvst"))});
+        const whole = bytes.buffer.slice(bytes.byteOffset, bytes.byteOffset + bytes.length);
+        const p = parsePacket(whole);
+        let refused = 0;
+        for (const cut of [0, 31, 32, whole.byteLength - 1])
+            try {{ parsePacket(whole.slice(0, cut)) }} catch {{ refused++ }}
+        console.log(JSON.stringify({{...p, rows: [...p.rows], contacts: [...p.contacts], refused}}));
+    """
+    done = run(*node, "--input-type=module", "-e", script)
+    assert done.returncode == 0, done.stderr
+    got = json.loads(done.stdout)
+    assert (got["joints"], got["frames"], got["firstFrame"], got["fps"], got["latencyMs"], got["refused"]) == (
+        22, 9, 2**33 + 5, 20, 4.5, 4
+    )  # fmt: skip
+    rows = [*motion.root[2].tolist(), *motion.rotations[2].flatten().tolist()]
+    assert got["rows"][2 * 91 : 3 * 91] == rows
+    assert got["contacts"] == planted.int().flatten().tolist()
+
+
+def test_a_clip_needs_the_standard_library_alone(served, tmp_path):
+    client = (sys.executable, "-I", "-S", CLIENTS / "generate_clip.py", "--server", served, "--seed", 4)
+    done = run(*client, *PROMPTS, "--seconds", 2)
+    assert done.returncode == 0, done.stderr
+    assert "80 frames at 20 a second, seed 4" in done.stdout
+    saved = run(*client, *PROMPTS, "--seconds", 2, "-o", tmp_path / "clip.npz")
+    assert saved.returncode == 0, saved.stderr
+    end = load(tmp_path / "clip.npz").root[-1]
+    assert " ".join(f"{x:.2f}" for x in end.tolist()) in done.stdout
+
+
+def test_clients_say_what_is_wrong_in_one_sentence(node, served):
+    nowhere = "http://127.0.0.1:9"
+    cases = [
+        run(sys.executable, CLIENTS / "generate_clip.py", "a", "--server", nowhere),
+        run(sys.executable, CLIENTS / "generate_clip.py", "", "--server", served),
+        run(sys.executable, CLIENTS / "stream_client.py", "x" * 600, "--server", served),
+    ]
+    for done in cases:
+        assert done.returncode == 1
+        assert "Traceback" not in done.stderr
+        assert len(done.stderr.strip().splitlines()) == 1
+    done = run(*node, CLIENTS / "stream_client.mjs", "a", env={"MOVESET_SERVER": nowhere, "PATH": ""})
+    assert done.returncode != 0
+    assert "start one with: moveset serve" in done.stderr
+
+
+def test_the_stream_client_fits_on_a_screen():
+    assert (CLIENTS / "stream_client.py").read_text().count("\n") < 80
