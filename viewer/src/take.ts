@@ -29,10 +29,12 @@ export class Take {
     this.scratch = [new Float32Array(3 * skeleton.length), new Float32Array(4 * skeleton.length)];
   }
 
-  /** A take from packets, as bytes or as base64 text. */
-  static from(skeleton: Skeleton, data: ArrayBuffer | Uint8Array | string): Take {
+  /** A take from packets, as bytes or as base64 texts. */
+  static from(skeleton: Skeleton, data: ArrayBuffer | Uint8Array | string | string[]): Take {
     const take = new Take(skeleton);
-    for (const packet of parsePackets(typeof data === "string" ? fromBase64(data) : data)) take.append(packet);
+    for (const part of Array.isArray(data) ? data : [data]) {
+      for (const packet of parsePackets(typeof part === "string" ? fromBase64(part) : part)) take.append(packet);
+    }
     if (take.frames === 0) throw new WireError("a take without frames");
     return take;
   }
@@ -66,6 +68,11 @@ export class Take {
     } else {
       this.known = null;
     }
+  }
+
+  /** Forget the frames from this one on: a stream may make anew what was not played yet. */
+  truncate(frames: number): void {
+    this.frames = Math.min(this.frames, Math.max(0, frames));
   }
 
   /** All frames as the body of one packet, (F, 3 + 4 J). */

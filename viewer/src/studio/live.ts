@@ -36,7 +36,6 @@ export class Live {
   private take: Take | null = null;
   private marks: Mark[] = [];
   private prompt = "";
-  private refusal = "";
   private acknowledged = -1;
   private acknowledgedAt = 0;
   private expected: Mark | null = null;
@@ -81,10 +80,15 @@ export class Live {
     return Number(byId<HTMLSelectElement>("buffer").value);
   }
 
+  /** Frames ahead of the one played that a new prompt may not change any more; null keeps all that was sent. */
+  private get commit(): number | null {
+    const seconds = byId<HTMLSelectElement>("commit").value;
+    return seconds === "" ? null : Math.round(Number(seconds) * (this.model?.fps ?? 20));
+  }
+
   private start(text: string): void {
     this.stream?.abandon();
     this.prompt = text;
-    this.refusal = "";
     this.take = this.shown = this.started = this.expected = null;
     this.acknowledged = -1;
     this.marks = [];
@@ -98,11 +102,12 @@ export class Live {
       seed: seed.value === "" ? null : seed.valueAsNumber,
       steps: this.steps,
       buffer: this.buffer,
+      commit: this.commit,
     };
     this.stream = new Stream(options, {
       message: (message) => this.hear(message),
       packet: (bytes) => this.receive(bytes),
-      closed: (clean, reason) => this.closed(clean, reason),
+      closed: (ended) => this.closed(ended),
     });
   }
 
@@ -125,10 +130,9 @@ export class Live {
         byId("figure-latency").textContent = `${Math.round(message.latency_ms)} ms`;
         break;
       case "stopped":
-        if (message.reason && this.state !== "stopping") toast(`The stream ended: ${message.reason}.`);
+        if (message.reason !== "refused" && this.state !== "stopping") toast(`The stream ended: ${message.reason}.`);
         break;
       case "error":
-        this.refusal = message.message;
         toast(message.message, "fault");
         break;
     }
@@ -139,6 +143,7 @@ export class Live {
     while (this.marks.length && this.marks[this.marks.length - 1].firstFrame >= mark.firstFrame) this.marks.pop();
     this.marks.push(mark);
     this.strip.follow(this.marks);
+    if (this.shown) this.events.grown();
     if (mark.firstFrame === 0) return;
     this.expected = mark;
     const fps = this.take?.fps ?? 20;
@@ -147,7 +152,11 @@ export class Live {
 
   private receive(bytes: ArrayBuffer): void {
     if (!this.take) return;
-    for (const packet of parsePackets(bytes)) this.take.append(packet);
+    for (const packet of parsePackets(bytes)) {
+      // After a new prompt the server makes anew what was not committed: those frames replace the ones that were sent.
+      this.take.truncate(packet.firstFrame);
+      this.take.append(packet);
+    }
     if (this.shown) return this.events.grown();
     const seed = this.started!.seed;
     this.shown = { kind: "live", title: this.prompt, takes: [{ take: this.take, title: "", seed, prompts: this.marks }] };
@@ -215,8 +224,8 @@ export class Live {
     return { kind: "live", title, takes: [{ take, title: "", seed: this.started!.seed, prompts }] };
   }
 
-  private closed(clean: boolean, reason: string): void {
-    const lost = !clean && this.state !== "stopping" && !this.refusal;
+  private closed(ended: boolean): void {
+    const lost = !ended && this.state !== "stopping";
     const copy = this.copy();
     this.stream = null;
     this.enter(lost ? "lost" : "idle");
@@ -226,7 +235,7 @@ export class Live {
       made(`Stream of ${clock(copy.takes[0].take.seconds)} · seed ${copy.takes[0].seed}`);
     }
     this.events.ended();
-    if (lost) gone(reason || "The connection to the server was lost.", () => this.start(this.prompt));
+    if (lost) gone("The connection to the server was lost.", () => this.start(this.prompt));
   }
 
   private enter(state: LiveState): void {
@@ -237,7 +246,7 @@ export class Live {
     button("live-stop").disabled = !this.open;
     button("live-keep").disabled = !this.open;
     byId<HTMLInputElement>("live-seed").disabled = this.open;
-    byId<HTMLSelectElement>("live-model").disabled = this.open;
+    byId<HTMLSelectElement>("live-model").disabled = byId<HTMLSelectElement>("commit").disabled = this.open;
     relabel(button("live-pause"), state === "paused" ? "play" : "pause", state === "paused" ? "Go on" : "Pause");
     byId("go-label").textContent = this.open ? "Steer" : "Start";
     byId<HTMLTextAreaElement>("prompt").placeholder = this.open ? "What next?" : "A person walks forward";

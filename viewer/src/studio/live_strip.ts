@@ -5,9 +5,10 @@
 import { clock, make } from "./dom";
 import type { Mark } from "./shown";
 
-/** Seconds that the strip is wide, and the share of it left of the head. */
-const SPAN = 16;
-const HEAD = 0.55;
+/** Pixels of a second, fewer where the strip would show too little, and the share of it left of the head. */
+const SECOND = 72;
+const SHORTEST = 7;
+const HEAD = 0.5;
 
 export class LiveStrip {
   private marks: Mark[] = [];
@@ -36,7 +37,7 @@ export class LiveStrip {
 
   /** Draw the strip with the head at `frame`, and `frames` made so far. */
   draw(frame: number, frames: number): void {
-    const pixels = this.width / SPAN / this.fps();
+    const pixels = Math.min(SECOND, this.width / SHORTEST) / this.fps();
     const at = (place: number): number => (place - frame) * pixels + this.width * HEAD;
     const begun = Math.max(0, at(0));
     this.made.style.transform = `translateX(${begun}px)`;

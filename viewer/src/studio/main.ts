@@ -15,7 +15,10 @@ import { toast } from "./toasts";
 
 type Mode = "clip" | "live";
 
-const stage = new Stage(byId("stage"), theme(), document.querySelector<HTMLElement>(".top")!, byId("dock"));
+const stage = new Stage(byId("stage"), theme(), document.querySelector<HTMLElement>(".top")!, () => {
+  // The greeting is not to be stood on; later, only the prompt box counts, so that the figure keeps its place.
+  return document.querySelector<HTMLElement>('body[data-phase="empty"] .dock') ?? byId("composer");
+});
 const prompt = byId<HTMLTextAreaElement>("prompt");
 const still = matchMedia("(prefers-reduced-motion: reduce)");
 let mode: Mode = "clip";
@@ -105,6 +108,7 @@ function say(text: string): void {
 function grow(): void {
   prompt.style.height = "auto";
   prompt.style.height = `${prompt.scrollHeight}px`;
+  document.body.classList.toggle("silent", !prompt.value);
 }
 
 prompt.addEventListener("input", () => {
@@ -195,6 +199,7 @@ async function greet(text: string): Promise<void> {
 }
 
 phase("empty");
+grow();
 // For tests and for the curious: what is on the stage, to be read and not to be changed.
 Object.assign(window, { __moveset: { player: stage.player, stage, clip, live, recent } });
 void begin();

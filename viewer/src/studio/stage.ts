@@ -1,7 +1,12 @@
 /** The player as the studio uses it: one thing shown at a time, everybody told of the frame. */
 import { Player } from "../player/player";
+import { byId } from "./dom";
 import type { Shown } from "./shown";
 import type { Theme } from "./theme";
+
+/** Pixels between the player's bar and the prompt box, and for the line of words above the box. */
+const GAP = 12;
+const ABOVE_BOX = 42;
 
 export class Stage {
   readonly player: Player;
@@ -10,21 +15,22 @@ export class Stage {
   onstate: (() => void) | null = null;
   private readonly listeners: ((frame: number) => void)[] = [];
 
-  /** `above` and `below` lie over the picture: the figure stands between them. */
-  constructor(container: HTMLElement, theme: Theme, above: HTMLElement, below: HTMLElement) {
+  /** What lies over the picture: the figure stands between `above` and what `below` answers at the moment. */
+  constructor(container: HTMLElement, theme: Theme, above: HTMLElement, below: () => HTMLElement) {
     this.player = new Player(container, { theme, autoplay: false, filename: "moveset" });
     this.player.onframe = (frame) => {
       for (const listener of this.listeners) listener(frame);
     };
     this.player.onstate = () => this.onstate?.();
+    const bar = this.player.root.querySelector<HTMLElement>(".mv-bar")!;
     const cover = (): void => {
-      const [top, bottom] = [above.getBoundingClientRect().bottom, innerHeight - below.getBoundingClientRect().top];
+      document.documentElement.style.setProperty("--bar", `${innerHeight - bar.getBoundingClientRect().top + GAP}px`);
+      const [top, bottom] = [above.getBoundingClientRect().bottom, innerHeight - below().getBoundingClientRect().top];
       // On a low window the figure may reach behind the prompt box rather than become tiny.
-      this.player.inset = { above: top, below: Math.min(bottom, 0.6 * innerHeight) };
+      this.player.inset = { above: top, below: Math.min(bottom + ABOVE_BOX, 0.62 * innerHeight) };
     };
     const watcher = new ResizeObserver(cover);
-    watcher.observe(below);
-    watcher.observe(container);
+    for (const element of [container, bar, byId("dock"), byId("composer")]) watcher.observe(element);
   }
 
   onFrame(listener: (frame: number) => void): void {

@@ -6,7 +6,9 @@ export interface StartOptions {
   model: string | null;
   seed: number | null;
   steps: number | null;
+  /** Seconds that the server may run ahead of what was played. */
   buffer: number;
+  commit: number | null;
 }
 
 export interface Started {
@@ -44,9 +46,12 @@ export type ClientMessage =
 export interface StreamEvents {
   message(message: ServerMessage): void;
   packet(bytes: ArrayBuffer): void;
-  /** `clean` says that the stream had ended, or that the server said why it closed. */
-  closed(clean: boolean, reason: string): void;
+  /** `ended` says that the stream was over, or that the server told in an error why it closed the connection. */
+  closed(ended: boolean): void;
 }
+
+/** Codes with which the server closes after an error message: idle or malformed, too large, busy. */
+const TOLD = new Set([1008, 1009, 1013]);
 
 /** A stream from its start to its end; a new one needs a new object. */
 export class Stream {
@@ -67,7 +72,7 @@ export class Stream {
       this.ended = true;
       this.socket.close();
     };
-    this.socket.onclose = (event) => events.closed(this.ended, event.reason);
+    this.socket.onclose = ({ code }) => events.closed(this.ended || TOLD.has(code));
   }
 
   send(message: ClientMessage): void {

@@ -82,6 +82,7 @@ export class Timeline {
   select(at: number): void {
     this.selected = at;
     this.draw();
+    this.track.children[at]?.scrollIntoView({ inline: "nearest", block: "nearest" });
     this.events.selected();
   }
 
@@ -108,7 +109,7 @@ export class Timeline {
     this.root.hidden = this.entries.length < 2;
     if (this.root.hidden) return;
     const room = Math.max(240, this.root.clientWidth);
-    if (!this.dragging) this.scale = Math.max(30, (room - 4) / Math.max(6, this.total));
+    if (!this.dragging) this.scale = Math.max(30, (room - 14) / Math.max(6, this.total));
     const blocks = this.entries.map((entry, k) => this.block(entry, k));
     const focused = (document.activeElement as HTMLElement | null)?.dataset.handle;
     this.track.replaceChildren(...blocks, this.head);
