@@ -2,6 +2,8 @@
 
 from typing import Any
 
+_LONGEST = 600  # characters of a message
+
 
 class RequestError(Exception):
     """A request that cannot be answered.
@@ -15,7 +17,8 @@ class RequestError(Exception):
 
     def __init__(self, status: int, code: str, message: str, retry_after: int | None = None) -> None:
         super().__init__(message)
-        self.status, self.code, self.message, self.retry_after = status, code, message, retry_after
+        self.status, self.code, self.retry_after = status, code, retry_after
+        self.message = sayable(message)
 
     def body(self) -> dict[str, Any]:
         """The JSON answer."""
@@ -24,6 +27,15 @@ class RequestError(Exception):
     def headers(self) -> dict[str, str]:
         """With the JSON answer."""
         return {} if self.retry_after is None else {"Retry-After": str(self.retry_after)}
+
+
+def sayable(message: str) -> str:
+    """The message, not too long and without what cannot be sent: it may quote what a client wrote.
+
+    >>> sayable("half a character: \ud83d")
+    'half a character: \\ud83d'
+    """
+    return message[:_LONGEST].encode("utf-8", "backslashreplace").decode()
 
 
 def busy(what: str, limit: int) -> RequestError:

@@ -1,5 +1,6 @@
 """What stands before every route: who may ask, how much may be sent, and what browsers are told of the page."""
 
+import asyncio
 import re
 from collections.abc import Mapping, Sequence
 from urllib.parse import urlsplit
@@ -8,13 +9,14 @@ from fastapi.responses import JSONResponse
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from moveset.server.failures import RequestError
+from moveset.server.failures import RequestError, busy
 from moveset.server.limits import Limits
 from moveset.server.metrics import Metrics
 from moveset.server.wire import MEDIA_TYPE
 
 _HOST = re.compile(r"(\[[0-9a-fA-F:.]+\]|[A-Za-z0-9.-]+)(?::(\d{1,5}))?")
 _SAFE = ("GET", "HEAD", "OPTIONS")
+_TYPES = {"/v1/generate": "application/json", "/v1/jobs": "application/json", "/v1/export": MEDIA_TYPE}
 _HEADERS = {
     "X-Content-Type-Options": "nosniff",
     "X-Frame-Options": "DENY",
@@ -46,6 +48,7 @@ class Guard:
     ) -> None:
         self._app, self._limits, self._metrics = app, limits, metrics
         self._hosts, self._origins = hosts, origins
+        self._uploads = 0
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] not in ("http", "websocket"):
@@ -56,8 +59,8 @@ class Guard:
         answer = self._answering(scope, host, send)
         try:
             self._check(scope, headers, host)
-            if scope["type"] == "http":
-                receive = self._limited(scope, headers, receive)
+            if scope["type"] == "http" and scope["method"] not in _SAFE:
+                receive = _again(await self._read(scope, headers, receive), receive)
             await self._app(scope, receive, answer)
         except RequestError as error:
             self._metrics.refused.labels(error.code).inc()
@@ -74,35 +77,45 @@ class Guard:
             raise RequestError(
                 403, "foreign_origin", "pages of other sites may not use this server; start it with --allow-origin"
             )
-        if scope["type"] == "http" and scope["method"] == "POST":
-            self._check_type(scope["path"], headers.get("content-type", ""))
+        if scope["type"] == "http" and scope["method"] == "POST" and scope["path"] in _TYPES:
+            wanted = _TYPES[scope["path"]]
+            if headers.get("content-type", "").partition(";")[0].strip().lower() != wanted:
+                raise RequestError(415, "wrong_type", f"send this with the content type {wanted}")
 
     def _own(self, origin: str, host: str) -> bool:
-        return urlsplit(origin).netloc.lower() == host.lower() or origin in self._origins
+        try:
+            site = urlsplit(origin).netloc
+        except ValueError:
+            return False
+        return site.lower() == host.lower() or origin in self._origins
 
-    @staticmethod
-    def _check_type(path: str, given: str) -> None:
-        wanted = MEDIA_TYPE if path == "/v1/export" else "application/json"
-        if given.partition(";")[0].strip().lower() != wanted:
-            raise RequestError(415, "wrong_type", f"send this with the content type {wanted}")
-
-    def _limited(self, scope: Scope, headers: Headers, receive: Receive) -> Receive:
-        limit = self._limits.export if scope["path"] == "/v1/export" else self._limits.body
+    async def _read(self, scope: Scope, headers: Headers, receive: Receive) -> bytes:
+        """All that was sent, if that is not too much and comes without long pauses."""
+        large = scope["path"] == "/v1/export"
+        limit = self._limits.export if large else self._limits.body
         error = RequestError(413, "too_large", f"what was sent is larger than the limit of {limit:,} bytes; send less")
         length = headers.get("content-length", "")
         if length.isdecimal() and int(length[:20]) > limit:
             raise error
-        size = 0
-
-        async def counted() -> Message:
-            nonlocal size
-            message = await receive()
-            size += len(message.get("body", b""))
-            if size > limit:
-                raise error
-            return message
-
-        return counted
+        if large and self._uploads >= self._limits.exports:
+            raise busy("files", self._limits.exports)
+        self._uploads += large
+        try:
+            body = bytearray()
+            while True:
+                try:
+                    message = await asyncio.wait_for(receive(), self._limits.patience)
+                except TimeoutError:
+                    raise RequestError(
+                        408, "too_slow", "the rest of the request did not come; send it at once"
+                    ) from None
+                body += message.get("body", b"")
+                if len(body) > limit:
+                    raise error
+                if not message.get("more_body", False):
+                    return bytes(body)
+        finally:
+            self._uploads -= large
 
     def _answering(self, scope: Scope, host: str, send: Send) -> Send:
         """Sends with the headers that every answer has."""
@@ -120,6 +133,20 @@ class Guard:
             await send(message)
 
         return answer
+
+
+def _again(body: bytes, receive: Receive) -> Receive:
+    """Receives what was read already, then what comes after it."""
+    told = False
+
+    async def replay() -> Message:
+        nonlocal told
+        if told:
+            return await receive()
+        told = True
+        return {"type": "http.request", "body": body, "more_body": False}
+
+    return replay
 
 
 def _with_policy(host: str) -> Mapping[str, str]:

@@ -120,7 +120,9 @@ class JobBook:
 
     def forget(self) -> None:
         """Drop finished jobs: the oldest first, until number, age and size are within their limits."""
-        over = [job for job in self._jobs.values() if job.finished is not None]
+        over = sorted(
+            (job for job in self._jobs.values() if job.finished is not None), key=lambda job: job.finished or 0
+        )
         size = sum(len(job.answer.content) for job in over if job.answer)
         now = time.monotonic()
         for k, job in enumerate(over):

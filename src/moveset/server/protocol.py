@@ -6,6 +6,7 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from moveset.pipelines.request import MAX_GUIDANCE, SEEDS
+from moveset.server.failures import sayable
 from moveset.server.limits import Limits
 
 LIMITS = Limits()
@@ -131,4 +132,4 @@ def sentence(errors: list[dict]) -> str:
     first = errors[0]
     where = ".".join(str(part) for part in first["loc"] if part != "body")
     what = str(first["msg"]).removeprefix("Value error, ")
-    return f"{where}: {what}" if where else what
+    return sayable(f"{where}: {what}" if where else what)

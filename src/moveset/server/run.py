@@ -19,6 +19,7 @@ from moveset.server.service import Service
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 _FRAMES = 16  # times the longest message: what is longer is not even read
+_FLUSH = 5.0  # seconds in which what was said last must be taken
 
 
 class Server(uvicorn.Server):
@@ -114,6 +115,18 @@ class _Reading(WebSocketsSansIOProtocol):
         if not self.read_paused:
             self.transport.resume_reading()
 
+    def keepalive_timeout(self) -> None:
+        super().keepalive_timeout()
+        self._let_go()
+
+    def on_task_complete(self, task: asyncio.Task[None]) -> None:
+        super().on_task_complete(task)
+        self._let_go()
+
+    def _let_go(self) -> None:
+        """Closing waits until everything was sent, which is never for a client that does not read."""
+        self.loop.call_later(_FLUSH, self.transport.abort)
+
 
 def _patient(limits: Limits) -> type[H11Protocol]:
     """HTTP for a limited number of connections, which say what they want before patience ends."""
@@ -134,7 +147,8 @@ def _patient(limits: Limits) -> type[H11Protocol]:
                 super().connection_lost(exc)
 
         def _too_slow(self) -> None:
-            if self.cycle is None and not self.transport.is_closing():
+            # A WebSocket took the connection over, or a request has come.
+            if self.transport.get_protocol() is self and self.cycle is None:
                 self.transport.abort()
 
     return Patient

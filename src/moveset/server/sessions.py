@@ -119,12 +119,15 @@ class Session:
             self.due_since = time.monotonic()
 
     def keep(self) -> None:
-        """Remember where the next segment begins, in case a prompt is to go back there; forget what was played."""
+        """Remember where the next segment begins, in case a prompt is to go back there; forget what was played.
+
+        The next segment must then be made with a copy of the lane.
+        """
         assert self.lane is not None
         if self.commit is not None:
             oldest = self.played // self.segment
             self.kept = {number: lane for number, lane in self.kept.items() if number >= oldest}
-            self.kept[self.lane.number] = self.lane.copy()
+            self.kept[self.lane.number] = self.lane
 
     def go_back(self) -> None:
         """To the first segment that is not committed, if that was made already; what was wished for since stays."""

@@ -6,6 +6,7 @@ long as one of them is about to run out, up to ``_RUSH`` batches in a row. Jobs 
 nobody waits for more than a clip and a few batches, whatever the others ask for.
 """
 
+import logging
 import threading
 import time
 from collections import deque
@@ -17,13 +18,14 @@ import torch
 from moveset.errors import MovesetError
 from moveset.pipelines.stream_group import StreamGroup
 from moveset.server.catalog import Catalog
-from moveset.server.failures import RequestError, busy, stopping
+from moveset.server.failures import RequestError, busy, sayable, stopping
 from moveset.server.jobs import Job
 from moveset.server.limits import Limits
 from moveset.server.metrics import Metrics
 from moveset.server.sessions import Message, Session
 from moveset.server.wire import pack_packet, skeleton_json
 
+_log = logging.getLogger("moveset.server")
 _RUSH = 4  # batches in a row before a clip gets its turn
 _SOON = 0.5  # seconds before it runs out from which a stream goes before clips
 
@@ -177,20 +179,17 @@ class Worker:
 
     def _serve(self) -> None:
         """Streams: wishes first, then segments, until nobody is about to run out."""
-        for _ in range(_RUSH):
+        for batches in range(_RUSH):
             with self.lock:
                 waiting = [session for session in self._sessions if session.waiting]
             for session in waiting:
                 self._obey(session)
             with self.lock:
                 due = sorted((s for s in self._sessions if s.due), key=lambda s: s.deadline)
-                batch = [s for s in due if s.group is due[0].group]
-                alone = not self._jobs
-            if batch:
-                self._advance(batch)
-            # Without clips to make there is nothing to hurry for: the next turn comes at once.
-            if alone or not batch or due[0].deadline > time.monotonic() + _SOON:
+                batch = [session for session in due if session.group is due[0].group]
+            if not due or (batches and due[0].deadline > time.monotonic() + _SOON):
                 return
+            self._advance(batch)
 
     def _advance(self, batch: list[Session]) -> None:
         group = batch[0].group
@@ -199,14 +198,26 @@ class Worker:
         with self.lock:
             for session in batch:
                 session.keep()
-        pieces = group.advance([s.lane for s in batch if s.lane is not None])
+            lanes = [session.lane.copy() for session in batch if session.lane is not None]
+        try:
+            pieces = group.advance(lanes)
+        except Exception as error:
+            if len(batch) > 1:  # one of them; the others must not suffer
+                for session in batch:
+                    self._advance([session])
+                return
+            _log.exception("a segment could not be made")
+            batch[0].deliver([_broken(error), {"type": "stopped", "frames": batch[0].sent, "reason": "failed"}])
+            self.leave(batch[0])
+            return
         self._metrics.batch.observe(len(batch))
-        for session, piece in zip(batch, pieces, strict=True):
+        for session, lane, piece in zip(batch, lanes, pieces, strict=True):
             made = piece.segment
             packet = pack_packet(
                 made.motion, first_frame=made.first_frame, latency_ms=made.latency_ms, planted=piece.planted
             )
             with self.lock:
+                session.lane = lane
                 since, session.due_since = session.due_since or begun, None
                 session.sent = made.first_frame + made.frames
                 session.unsent += 1
@@ -242,12 +253,16 @@ class Worker:
         except RequestError as error:
             self._refuse(session, error.body()["error"], begin is not None)
         except MovesetError as error:
-            self._refuse(session, {"code": "invalid", "message": str(error)}, begin is not None)
+            self._refuse(session, {"code": "invalid", "message": sayable(str(error))}, begin is not None)
+        except Exception as error:
+            _log.exception("a wish could not be fulfilled")
+            self._refuse(session, _broken(error), True)
 
     def _refuse(self, session: Session, error: dict[str, str], fatal: bool) -> None:
         session.deliver([{"type": "error", **error}])
         if fatal:
             # There is no stream: the connection may start another.
+            self.leave(session)
             session.deliver([{"type": "stopped", "frames": 0, "reason": "refused"}])
 
     def _begin(self, session: Session, begin: Any) -> None:
@@ -305,6 +320,7 @@ class Worker:
         except MovesetError as problem:
             error = RequestError(400, "invalid", str(problem))
         except Exception as problem:
+            _log.exception("a clip could not be made")
             error = RequestError(
                 500, "internal", f"{type(problem).__name__} while a clip was made; see the server's log"
             )
@@ -334,6 +350,10 @@ class Worker:
         t2m = self._catalog.ready(order.t2m)
         job.made += t2m.generate([order.requests[made]], order.method, between=between)
         self._metrics.clip(job.made[-1])
+
+
+def _broken(error: Exception) -> dict[str, str]:
+    return {"type": "error", "code": "internal", "message": f"{type(error).__name__} in the server; see its log"}
 
 
 def _settings(session: Session) -> dict[str, Any]:
