@@ -20,7 +20,6 @@ import json
 import os
 import platform
 import random
-import resource
 import statistics
 import subprocess
 import sys
@@ -37,6 +36,7 @@ import torch
 
 from efficiency_methods import HORIZON, PARALLELOGRAM, ROWS, SIZES, TRIANGLE, Methods, Row, expected, pieces, staircase
 from efficiency_tally import Meter, Tally
+from moveset.evaluation.machine import cpu_name, peak_mb
 
 LENGTH_ROWS = (
     *(Row(f"RDM-{n}", TRIANGLE) for n in (4, 7, 14)),
@@ -231,23 +231,12 @@ def by_length(plan: Plan, runs: dict[Cell, list[Tally]]) -> list[dict]:
     ]
 
 
-def resident_mb() -> float:
-    """The most memory that this process has held."""
-    status = Path("/proc/self/status")
-    if status.is_file():
-        # Linux's ru_maxrss begins with what the process that started this one held.
-        line = next(line for line in status.read_text().splitlines() if line.startswith("VmHWM"))
-        return int(line.split()[1]) * 1.024e-3
-    unit = 1 if sys.platform == "darwin" else 1024
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit * 1e-6
-
-
 def peak(size: str, number: int, steps: int, batch: int) -> dict:
     """Memory of this process: with the libraries loaded, and after a run of one row."""
     torch.set_num_threads(1)
-    loaded, methods = resident_mb(), Methods(SIZES[size])
+    loaded, methods = peak_mb(), Methods(SIZES[size])
     methods.run(ROWS[number], steps, batch=batch)
-    return {"libraries_mb": round(loaded, 1), "peak_mb": round(resident_mb(), 1), "steps": steps, "batch": batch}
+    return {"libraries_mb": round(loaded, 1), "peak_mb": round(peak_mb(), 1), "steps": steps, "batch": batch}
 
 
 def peaks(size: str, steps: int, batch: int, rows: Iterable[int] = range(len(ROWS))) -> list[dict]:
@@ -276,7 +265,7 @@ def measure(size: str, plan: Plan, threads: int) -> dict:
         "about": SIZES[size].about, "date": date.today().isoformat(), "threads": threads, "rounds": rounds,
         "seconds": round(time.perf_counter() - start), "frames": HORIZON,
         "load": {"before": round(load, 2), "after": round(os.getloadavg()[0], 2)},
-        "machine": {"cpu": _cpu(), "cores": os.cpu_count(), "python": platform.python_version()},
+        "machine": {"cpu": cpu_name(), "cores": os.cpu_count(), "python": platform.python_version()},
         "torch": torch.__version__, "flow_parameters": sum(p.numel() for p in methods.flow.parameters()),
         "units": {row.label: units[row] for row in ROWS}, "rows": rows, "lengths": by_length(plan, runs),
     }  # fmt: skip
@@ -302,11 +291,6 @@ def main() -> None:
     path = given.out.with_suffix(".json")
     found = json.loads(path.read_text()) if path.is_file() else {}
     print(write({**found, given.size: measure(given.size, plan, given.threads)}, given.out))
-
-
-def _cpu() -> str:
-    lines = Path("/proc/cpuinfo").read_text().splitlines() if Path("/proc/cpuinfo").is_file() else []
-    return next((line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")), platform.machine())
 
 
 if __name__ == "__main__":

@@ -14,11 +14,10 @@ from contextlib import ExitStack, contextmanager, nullcontext
 from dataclasses import dataclass, field
 from itertools import pairwise
 
-import torch
 from torch import Tensor, nn
 from torch.nn.attention import SDPBackend, sdpa_kernel
-from torch.utils.flop_counter import FlopCounterMode
 
+from moveset.evaluation.operations import counter
 from moveset.models.flow import CouplingFlow
 
 
@@ -56,7 +55,7 @@ class Meter:
     def __init__(self) -> None:
         self.rows: Counter[str] = Counter()
         self.operations: Counter[str] = Counter()
-        self._counter = FlopCounterMode(display=False, custom_mapping={torch.ops.aten.mkldnn_rnn_layer: _lstm})
+        self._counter = counter()
         self._open: list[list] = []
 
     @contextmanager
@@ -112,8 +111,3 @@ class Meter:
         self.operations[name] += spent - inner
         if self._open:
             self._open[-1][2] += spent
-
-
-def _lstm(x_shape: list[int], weight_shape: list[int], recurrent_shape: list[int], *_: object, **__: object) -> int:
-    """oneDNN's LSTM layer, which torch's counter does not know: all four gates of every frame read input and state."""
-    return 2 * x_shape[0] * x_shape[1] * weight_shape[0] * (weight_shape[1] + recurrent_shape[1])

@@ -47,6 +47,7 @@ VERBS = {
     "doctor": Verb("moveset.cli.doctor", "doctor", "Check this installation and time a short self-test."),
     "data": Verb("moveset.cli.data", "COMMANDS", "Build and inspect training data."),
     "evaluate": Verb("moveset.cli.evaluate", "evaluate", "Measure models as the papers do, with intervals."),
+    "bench": Verb("moveset.cli.bench", "bench", "Measure what motion costs on this machine."),
     "train": Verb("moveset.cli.train", "train", "Train or distil a model."),
 }
 

@@ -1,0 +1,111 @@
+"""``moveset bench``: what motion costs on this machine, as JSON, a page and a picture."""
+
+import importlib.util
+import json as jsonlib
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import tyro
+
+from moveset.errors import InputError
+
+if TYPE_CHECKING:
+    from moveset.evaluation.bench import Plan
+
+Part = Literal["clips", "streams", "lengths", "batches", "operations", "processes", "endless"]
+
+
+def bench(
+    *,
+    output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"], metavar="FILE.json")] = None,
+    results: Annotated[tuple[Path, ...], tyro.conf.arg(metavar="DIR …")] = (),
+    redraw: Annotated[Path | None, tyro.conf.arg(metavar="FILE.json")] = None,
+    parts: tuple[Part, ...] = (),
+    clips: Annotated[str, tyro.conf.arg(metavar="NAME")] = "motionpcm-small",
+    streams: Annotated[str, tyro.conf.arg(metavar="NAME")] = "rdm-small",
+    rounds: Annotated[int | None, tyro.conf.arg(metavar="N")] = None,
+    processes: Annotated[int | None, tyro.conf.arg(metavar="N")] = None,
+    endless: Annotated[int | None, tyro.conf.arg(metavar="N")] = None,
+    quick: tyro.conf.FlagCreatePairsOff[bool] = False,
+    threads: Annotated[int | None, tyro.conf.arg(metavar="N")] = None,
+    device: Annotated[str, tyro.conf.arg(metavar="NAME")] = "auto",
+    json: tyro.conf.FlagCreatePairsOff[bool] = False,
+) -> int:
+    """Measure what motion costs here: time per sentence by stage, segments of streams, length, batch, memory.
+
+    Everything that is compared runs in turns, so that ratios hold on a busy machine too; milliseconds need a quiet one.
+
+    Args:
+        output: Where the report goes; the page and the picture go beside it, as FILE.md and FILE.png.
+        results: Folders with results of `moveset evaluate`: adds quality against time and the Pareto front.
+        redraw: Measure nothing; make page and picture again of this earlier report.
+        parts: What to measure; everything without it.
+        clips: A text-to-motion model, shipped or a folder.
+        streams: A stream model, shipped or a folder.
+        rounds: Rounds that count (20).
+        processes: Whole processes of each kind (5).
+        endless: Segments of the long stream (2000).
+        quick: One round of the least: does it run?
+        threads: CPU threads; by default torch's choice.
+        device: auto, cpu, cuda or mps.
+        json: Print the report as JSON on stdout and nothing else.
+    """
+    from moveset.evaluation.bench import PARTS, Plan, shortest
+    from moveset.evaluation.bench_page import load_report, markdown, write_page
+    from moveset.evaluation.quality_time import judged, read_results
+
+    for path in (output, redraw):
+        if path is not None and path.suffix != ".json":
+            raise InputError(f"a report is a .json file, not {path.name!r}; choose such a name")
+    output = output or redraw
+    if output is not None and not output.parent.is_dir():
+        raise InputError(f"there is no folder {output.parent}; make it, or choose another --output")
+    if output is not None and importlib.util.find_spec("matplotlib") is None:
+        raise InputError("a report with a picture needs matplotlib; `pip install 'moveset[train]'`, or leave --output")
+    # Before anything is measured: a folder that cannot be read should not cost an hour.
+    found = read_results(results)
+    if redraw is not None:
+        report = load_report(redraw)
+    else:
+        plan = Plan(clips=clips, streams=streams, device=device, parts=parts or PARTS)
+        given = {"rounds": rounds, "count": processes, "endless": endless}
+        asked: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
+        report = _measure(replace(shortest(plan) if quick else plan, **asked), threads)
+    rows = judged(report, found)
+    if results and not rows:
+        print(f"moveset: no two rows of the benchmark have results in {', '.join(map(str, results))}", file=sys.stderr)
+    files = write_page(report, rows, output) if output is not None else []
+    print(jsonlib.dumps(report) if json else markdown(report, rows, output.stem if output else "benchmarks"))
+    if files:
+        print(f"wrote {', '.join(map(str, files))}", file=sys.stderr)
+    return 0
+
+
+def _measure(plan: "Plan", threads: int | None) -> dict[str, Any]:
+    import torch
+
+    from moveset.evaluation.bench import Bench
+    from moveset.evaluation.machine import cores
+
+    if threads is not None:
+        if not 1 <= threads <= 4 * cores():
+            raise InputError(f"{threads} threads on {cores()} cores; use 1 to {4 * cores()}")
+        torch.set_num_threads(threads)
+    return Bench(plan, _bar).run()
+
+
+def _bar(name: str, count: int) -> Callable[[], object]:
+    """A progress bar on a terminal."""
+    from tqdm import tqdm
+
+    bar = tqdm(total=count, desc=name, disable=None, leave=False)
+
+    def tick() -> None:
+        bar.update()
+        if bar.n >= count:
+            bar.close()
+
+    return tick

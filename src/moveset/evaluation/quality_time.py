@@ -1,0 +1,123 @@
+"""Quality against time: results of ``moveset evaluate`` beside the times of ``moveset bench``, and who is on the front.
+
+Time is milliseconds for a second of motion, so that clips and streams share an axis: AITS of the longest clip, or the
+time of a segment. Results that were judged in different ways (data, split, evaluator) are never put side by side.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from moveset.errors import FormatError, InputError
+from moveset.evaluation.intervals import Interval
+from moveset.evaluation.plots import front
+from moveset.io.limits import read_limited
+from moveset.pipelines.verified_folder import json_object
+
+_SETTINGS = ("start", "lag", "eta")
+
+
+@dataclass(frozen=True)
+class Judged:
+    """A row of a benchmark that was evaluated too.
+
+    Args:
+        name: of the row.
+        way: how it was judged: split and number of items, data, evaluator.
+        time: milliseconds for a second of motion, median.
+        metrics: of the evaluation.
+    """
+
+    name: str
+    way: str
+    time: float
+    metrics: Mapping[str, Interval]
+
+
+@dataclass(frozen=True)
+class Result:
+    """What is read of a result of ``moveset evaluate``; ``way`` as in ``Judged``."""
+
+    model: str
+    network: str | None
+    steps: int | None
+    settings: Mapping[str, Any]
+    way: str
+    metrics: Mapping[str, Interval]
+
+    @classmethod
+    def of(cls, raw: Mapping[str, Any], where: Path) -> "Result":
+        """From its JSON.
+
+        Raises:
+            FormatError: something is missing, or of another type.
+        """
+        try:
+            data, evaluator = raw["data"], raw["evaluator"]
+            return cls(
+                model=raw["model"],
+                network=raw["network"],
+                steps=raw["steps"],
+                settings=dict(raw["settings"]),
+                way=f"{raw['items']} items of {data['name']} ({data['sha256'][:8]}), {raw['protocol']['split']}, "
+                f"judged by {evaluator['name']} ({str(evaluator['sha256'])[:8]})",
+                metrics={name: Interval.from_json(value) for name, value in raw["metrics"].items()},
+            )
+        except (KeyError, TypeError, ValueError, AttributeError, InputError) as error:
+            raise FormatError(f"{where} is no result of an evaluation ({error!r}); evaluate that again") from error
+
+
+def read_results(folders: Sequence[Path]) -> list[Result]:
+    """Results of known wordings in folders, whatever else lies there.
+
+    Raises:
+        InputError: a folder that is not there.
+        FormatError: a result that cannot be read.
+    """
+    found = []
+    for folder in folders:
+        if not folder.is_dir():
+            raise InputError(f"there is no folder {folder}; give one with results of `moveset evaluate`")
+        for path in sorted(folder.rglob("*.json")):
+            raw = json_object(read_limited(path), path)
+            if {"network", "metrics", "protocol", "evaluator"} <= set(raw) and raw["protocol"]["wording"] == "known":
+                found.append(Result.of(raw, path))
+    return found
+
+
+def judged(report: Mapping[str, Any], results: Sequence[Result]) -> list[Judged]:
+    """The benchmark's rows for which there is a result, by name; a way with only one of them tells nothing.
+
+    Raises:
+        FormatError: not a report of ``bench``.
+    """
+    found: dict[tuple[str, str], Judged] = {}
+    try:
+        for kind, part in (("clips", "clips"), ("streams", "segment")):
+            model = report["models"][kind]
+            seconds = model["frames"] / model["fps"]
+            for name, row in report.get(kind, {}).items():
+                label = name if kind == "clips" else f"stream {name}"
+                time = row["median_ms"]["total" if kind == "clips" else part] / seconds
+                for result in results:
+                    if result.model == model["name"] and _same(row, result):
+                        found.setdefault((label, result.way), Judged(label, result.way, time, result.metrics))
+    except (KeyError, TypeError, AttributeError) as error:
+        raise FormatError(f"this is no report of `moveset bench`: {error!r}; measure again") from error
+    ways = [judged.way for judged in found.values()]
+    return [judged for judged in found.values() if ways.count(judged.way) > 1]
+
+
+def pareto(rows: Sequence[Judged], metric: str = "fid") -> list[str]:
+    """Names of the rows of one way that no other beats in both time and a metric (the smaller, the better)."""
+    return front({row.name: (row.time, row.metrics[metric].mean) for row in rows if metric in row.metrics})
+
+
+def _same(row: Mapping[str, Any], result: Result) -> bool:
+    """Whether a result is of the network, steps and sampler of a row."""
+    ours, theirs = row.get("settings", {}), result.settings
+    shared = [name for name in _SETTINGS if name in ours and name in theirs]
+    return (row["network"], row["steps"]) == (result.network, result.steps) and all(
+        ours[name] == theirs[name] for name in shared
+    )

@@ -1,0 +1,76 @@
+"""``moveset bench``: what it prints and writes, and what it refuses before anything is measured."""
+
+import json
+
+import pytest
+import torch
+
+from moveset.cli.__main__ import main
+from tests.bundles import tiny_bundle
+from tests.streams import tiny_stream
+
+
+@pytest.fixture(scope="module")
+def models(tmp_path_factory):
+    root = tmp_path_factory.mktemp("models")
+    return ["--clips", str(tiny_bundle(root / "clips")), "--streams", str(tiny_stream(root / "streams"))]
+
+
+@pytest.fixture
+def threads():
+    before = torch.get_num_threads()
+    yield
+    torch.set_num_threads(before)
+
+
+@pytest.mark.usefixtures("threads")
+def test_a_report_with_its_page_and_again_from_its_file(models, tmp_path, capsys):
+    out = tmp_path / "costs.json"
+    command = ["bench", "--quick", "--parts", "clips", "operations", "--threads", "1", "--device", "cpu", *models]
+    assert main([*command, "-o", str(out), "--json"]) == 0
+    said = capsys.readouterr()
+    report = json.loads(said.out)
+    assert report == json.loads(out.read_text())
+    assert report["machine"]["threads"] == 1
+    assert report["plan"]["parts"] == ["clips", "operations"]
+    assert "costs.md" in said.err
+    page = out.with_suffix(".md").read_text()
+    assert out.with_suffix(".png").stat().st_size > 5_000
+
+    out.with_suffix(".md").unlink()
+    assert main(["bench", "--redraw", str(out)]) == 0
+    assert capsys.readouterr().out.strip().startswith("# What motion costs")
+    assert out.with_suffix(".md").read_text() == page
+    assert json.loads(out.read_text()) == report
+
+
+def test_without_an_output_nothing_is_written(models, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(["bench", "--quick", "--parts", "streams", "--device", "cpu", *models]) == 0
+    assert "| **" in capsys.readouterr().out
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("wrong", "match"),
+    [
+        (["-o", "costs.txt"], "a report is a .json file"),
+        (["-o", "nowhere/costs.json"], "there is no folder nowhere"),
+        (["--results", "nowhere"], "there is no folder nowhere"),
+        (["--redraw", "nothing.json"], "cannot read nothing.json"),
+        (["--threads", "0"], "0 threads"),
+        (["--rounds", "0"], "0 rounds"),
+        (["--processes", "-1"], "-1 processes"),
+        (["--endless", "0"], "0 segments"),
+        (["--parts", "sleep"], "sleep"),
+        (["--clips", "no-such-model"], "unknown model 'no-such-model'"),
+        (["--streams", "motionpcm-small"], "for `moveset generate`"),
+        (["--device", "abacus"], "unknown device 'abacus'"),
+    ],
+)
+def test_what_is_refused(wrong, match, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(["bench", "--quick", *wrong]) == 2
+    said = capsys.readouterr().err
+    assert match in said
+    assert said.count("\n") == 1

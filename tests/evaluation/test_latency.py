@@ -1,0 +1,349 @@
+"""The benchmark: how runs are paired, what is counted, what a report has. No test says how long anything takes."""
+
+import json
+import math
+import os
+import subprocess
+import sys
+
+import pytest
+import torch
+from torch import nn
+
+from moveset.errors import FormatError, InputError, MovesetError
+from moveset.evaluation import bench, bench_page, latency, machine
+from moveset.evaluation import processes as processes_module
+from moveset.evaluation.bench import PARTS, Bench, Plan, shortest
+from moveset.evaluation.interleaved import interleave, summarise
+from moveset.evaluation.operations import counted
+from moveset.evaluation.processes import run_process
+from moveset.evaluation.quality_time import Judged, judged, pareto, read_results
+from moveset.models.packed import PackedConv1d, PackedLinear, can_pack
+from moveset.pipelines.motion_stream import MotionStream
+from moveset.pipelines.text_to_motion import TextToMotion
+from tests.bundles import tiny_bundle
+from tests.streams import tiny_stream
+
+
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory):
+    root = tmp_path_factory.mktemp("models")
+    return tiny_bundle(root / "clips"), tiny_stream(root / "streams")
+
+
+@pytest.fixture(scope="module")
+def plan(folders):
+    clips, streams = map(str, folders)
+    return shortest(Plan(clips=clips, streams=streams, teacher_steps=(2,)))
+
+
+@pytest.fixture(scope="module")
+def report(plan):
+    """Everything but whole processes, which take seconds each."""
+    return Bench(bench.replace(plan, parts=tuple(p for p in PARTS if p != "processes"))).run()
+
+
+def test_every_round_runs_every_case_and_bursts_lose_their_first_call():
+    heard = []
+
+    def case(name):
+        return lambda call: heard.append((name, call)) or {"a": 1.0, "b": float(call)}
+
+    ticks = []
+    found = interleave(
+        {name: case(name) for name in "xyz"}, 5, warmup=2, burst=3, tick=lambda: ticks.append(len(heard))
+    )
+    assert len(ticks) == 7 * 3
+    rounds = [heard[k : k + 9] for k in range(0, len(heard), 9)]
+    for k, calls in enumerate(rounds):
+        # A case's burst is not interrupted; its calls are numbered on, so that no two are alike.
+        assert [name for name, _ in calls[::3]] == [name for name, _ in calls[2::3]]
+        assert sorted(calls) == [(name, 3 * k + i) for name in "xyz" for i in range(3)]
+    assert len({tuple(name for name, _ in calls[::3]) for calls in rounds}) > 1
+    assert [row["b"] for row in found["y"]] == [3 * k + i for k in range(2, 7) for i in (1, 2)]
+    assert interleave({"x": case("x")}, 1, warmup=0, burst=1)["x"] == [{"a": 1.0, "b": 0.0}]
+
+
+def test_ratios_are_of_pairs_and_survive_a_slow_moment():
+    # Every round another speed, but always three times the first: medians of milliseconds could not tell.
+    speeds = [1.0, 50.0, 2.0, 9.0]
+    runs = {
+        "one": [{"a": s, "b": s, "c": 7.0} for s in speeds],
+        "three": [{"a": 3 * s, "b": 3 * s, "c": 1.0} for s in speeds],
+    }
+    found = summarise(runs, ("a", "b"), ("a", "b", "c"))
+    assert found["one"]["ratio"] == 1.0
+    assert found["three"]["ratio"] == 3.0
+    assert found["one"]["median_ms"] == {"a": 5.5, "b": 5.5, "c": 7.0, "total": 11.0}
+    assert found["one"]["min_ms"]["total"] == 2.0
+    assert found["one"]["mean_ms"]["a"] == 15.5
+    assert found["one"]["calls"] == 4
+
+
+def test_operations_of_plain_and_packed_layers_are_those_of_their_definition():
+    linear, conv = nn.Linear(6, 5), nn.Conv1d(4, 8, 3, padding=1)
+    x, y = torch.randn(2, 7, 6), torch.randn(2, 4, 9)
+    products = 2 * 2 * 7 * 6 * 5
+    taps = 2 * 2 * 9 * 8 * 4 * 3
+    with torch.inference_mode():
+        assert counted(lambda: linear(x)) == products
+        assert counted(lambda: conv(y)) == taps
+        if can_pack("cpu"):
+            packed = PackedLinear.of(linear)
+            assert counted(lambda: packed(x)) == products
+            assert counted(lambda: packed.plus(x, torch.zeros(2, 7, 5))) == products
+            assert counted(lambda: PackedConv1d(conv)(y)) == taps
+        lstm = nn.LSTM(6, 5, batch_first=True)
+        assert counted(lambda: lstm(x)) == 2 * 2 * 7 * 4 * 5 * (6 + 5)
+        q = torch.randn(2, 1, 7, 6)
+        attention = nn.functional.scaled_dot_product_attention
+        assert counted(lambda: attention(q, q, q)) == 2 * (2 * 2 * 7 * 7 * 6)
+
+
+def test_operations_grow_with_evaluations_and_streams_with_steps(report):
+    clips, rows = report["operations"]["clips"], report["clips"]
+    each = {name: found["sample"] / rows[name]["evaluations"] for name, found in clips.items()}
+    # This network reads its text at every call; the teacher is the same without guidance by a number.
+    assert each["pcm-1"] == each["pcm-2"] == each["pcm-4"] == each["lcm-1"]
+    assert rows["teacher-2"]["evaluations"] == 4
+    assert len({found["text"] for found in clips.values()}) == len({found["decode"] for found in clips.values()}) == 1
+    streams = report["operations"]["streams"]
+    assert streams["pcm-1"]["segment"] < streams["pcm-2"]["segment"] < streams["md"]["segment"]
+
+
+def test_a_report_is_whole(report, plan):
+    assert [part for part in PARTS if part in report] == [part for part in PARTS if part != "processes"]
+    assert list(report["clips"]) == ["pcm-1", "pcm-2", "pcm-4", "lcm-1", "teacher-2"]
+    assert [row["evaluations"] for row in report["clips"].values()] == [1, 2, 4, 1, 4]
+    for row in report["clips"].values():
+        assert row["calls"] == plan.rounds * (plan.burst - 1)
+        assert set(row["median_ms"]) == {"text", "sample", "decode", "export", "total"}
+        parts = sum(row["mean_ms"][part] for part in latency.AITS)
+        assert math.isclose(row["mean_ms"]["total"], parts, abs_tol=0.01)
+    # The default network comes first: ratios are to it.
+    assert list(report["streams"]) == ["pcm-1", "rdm", "md", "pcm-2"]
+    assert [row["evaluations"] for row in report["streams"].values()] == [1, 3, 6, 2]
+    assert report["streams"]["rdm"]["settings"] == {"start": 3, "lag": 1, "eta": 0.0}
+    assert {k: [p["seconds"] for p in v] for k, v in report["lengths"].items()} == {
+        "pcm-1, one clip": [2.0, 9.8],
+        "pcm-1, clips in a row": [19.6],
+        "stream pcm-1": [1.4, 4.2],
+    }
+    assert {name: list(row) for name, row in report["batches"].items()} == {
+        "pcm-1": ["1", "2"],
+        "teacher-2": ["1", "2"],
+    }
+    assert report["endless"][-1]["segments"] == plan.endless == 20
+    assert json.loads(json.dumps(report)) == json.loads(json.dumps(report))
+
+
+def test_a_report_says_on_what_and_not_on_whose(report):
+    import platform
+
+    assert report["machine"]["cores"] == machine.cores()
+    assert report["machine"]["threads"] == torch.get_num_threads()
+    assert report["machine"]["torch"] == torch.__version__
+    assert {"cpu", "python", "system", "waiting"} <= set(report["machine"])
+    assert platform.node() not in json.dumps(report["machine"]).split('"')
+
+
+def test_the_commands_of_processes_are_those_of_the_rows(plan, monkeypatch):
+    asked = []
+
+    def fake(arguments):
+        asked.append(arguments)
+        stream = {"first_segment_seconds": 0.5} if arguments[0] == "stream" else {}
+        return {"seconds": float(len(asked)), "peak_mb": 100.0, **stream}
+
+    monkeypatch.setattr(processes_module, "run_process", fake)
+    found = Bench(bench.replace(plan, parts=("processes",), count=2)).run()["processes"]
+    assert list(found) == [
+        "pcm-1",
+        "pcm-2",
+        "pcm-4",
+        "lcm-1",
+        "teacher",
+        *(f"stream {n}" for n in ("pcm-1", "rdm", "md", "pcm-2")),
+    ]
+    assert asked[:9] == asked[9:] or [a[:-1] for a in asked[:9]] == [a[:-1] for a in asked[9:]]
+    assert found["pcm-1"]["seconds"] == {"median": 5.5, "min": 1.0}
+    assert "first_segment_seconds" in found["stream md"]
+    said = " ".join(asked[1])
+    assert "--solver pcm --steps 2 --seconds 9.8" in said
+    assert "OUT" not in said
+    assert "--network rdm" in " ".join(asked[6])
+
+
+def test_a_process_tells_its_time_and_its_own_memory(folders, tmp_path):
+    # What this process holds is not in it.
+    ballast = torch.ones(150_000_000)
+    command = processes_module.stream_command(str(folders[1]), "pcm-1", 2.8, "cpu")
+    found = run_process([part.replace("OUT", str(tmp_path)) for part in command])
+    assert 0 < found["first_segment_seconds"] < found["seconds"]
+    assert 50 < found["peak_mb"] < machine.peak_mb() - ballast.nbytes / 2e6
+    assert (tmp_path / "stream.bvh").is_file()
+
+
+def test_a_process_that_fails_is_no_measurement():
+    with pytest.raises(MovesetError, match=r"`moveset models --nonsense` failed.*nonsense"):
+        run_process(["models", "--nonsense"])
+
+
+def test_memory_is_that_of_the_process():
+    code = """
+from moveset.evaluation.machine import peak_mb, resident_mb
+before = peak_mb()
+held = b"x" * 80_000_000
+print(before, peak_mb(), resident_mb())
+del held
+print(peak_mb())
+"""
+    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, env=os.environ)
+    before, after, now, later = map(float, said.stdout.split())
+    assert 75 < after - before < 100
+    assert now <= after == later or math.isclose(after, later, rel_tol=0.02)
+
+
+def test_a_prompt_is_measured_to_the_segment_that_it_makes(folders):
+    stream = MotionStream.from_pretrained(folders[1], network="rdm", device="cpu")
+    case = latency.stream_case(stream, latency.sentences())
+    found = case(0)
+    assert set(found) == {"first", "segment", "evaluations"}
+    assert stream.timeline.prompts == (next(latency.sentences()),)
+    assert next(stream).prompt == next(latency.sentences())
+
+
+def test_sentences_differ():
+    said = [s for s, _ in zip(latency.sentences(5), range(500), strict=False)]
+    assert len(set(said)) == 500
+
+
+def test_batches_are_of_different_sentences(folders, monkeypatch):
+    t2m = TextToMotion.from_pretrained(folders[0], device="cpu")
+    heard = []
+    real = t2m.generate
+    monkeypatch.setattr(
+        t2m, "generate", lambda requests, *a, **k: heard.append((requests, k)) or real(requests, *a, **k)
+    )
+    method = latency.clip_methods(t2m.bundle.config)["pcm-2"]
+    case = latency.batch_case(t2m, method, 40, 3)
+    case(0)
+    case(1)
+    prompts = [request.prompts for requests, _ in heard for request in requests]
+    assert len(set(prompts)) == 6
+    assert all(k == {"batch": 3} for _, k in heard)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "match"),
+    [({"parts": ("sleep",)}, "unknown part 'sleep'"), ({"rounds": 0}, "0 rounds"), ({"endless": 0}, "0 segments")],
+)
+def test_plans_that_cannot_be(wrong, match):
+    with pytest.raises(InputError, match=match):
+        Plan(**wrong)
+
+
+def result(model, network, steps, fid, *, wording="known", items=300, settings=None):
+    """A result as `moveset evaluate` writes them, as far as it is read."""
+    return {
+        "model": model, "network": network, "steps": steps, "settings": settings or {},
+        "protocol": {"wording": wording, "split": "test", "group": 32}, "items": items, "distinct_texts": 200,
+        "labels": 90, "evaluator": {"name": "t2m-small", "sha256": "a" * 64}, "data": {"name": "c", "sha256": "b" * 64},
+        "weights_sha256": {"x": "c" * 64}, "repeats": [{"fid": fid}, {"fid": fid}],
+        "metrics": {"fid": {"mean": fid, "interval": 0.01}},
+    }  # fmt: skip
+
+
+@pytest.fixture
+def results(tmp_path):
+    folder = tmp_path / "results"
+    (folder / "deep").mkdir(parents=True)
+    made = [
+        result("clips", "pcm-1", 1, 0.30),
+        result("clips", "pcm-4", 4, 0.20),
+        result("clips", "teacher", 2, 0.25),
+        result("clips", "teacher", 50, 0.01),  # at steps that were not timed
+        result("clips", "pcm-2", 2, 0.05, wording="held-out"),
+        result("clips", "lcm-1", 1, 0.40, items=10),  # the only one of its kind
+        result("streams", "rdm", 6, 0.15, settings={"start": 3, "lag": 1, "eta": 0.0}),
+        result("streams", "rdm", 6, 0.02, settings={"start": 6, "lag": 6, "eta": 0.0}),  # another sampler
+        result("elsewhere", "pcm-1", 1, 0.01),
+    ]
+    for k, raw in enumerate(made):
+        (folder / "deep" / f"{k}.json").write_text(json.dumps(raw))
+    (folder / "rows.json").write_text('{"rows": []}')
+    return folder
+
+
+def test_quality_beside_time(report, results):
+    rows = judged(report, read_results([results]))
+    assert {row.name: row.metrics["fid"].mean for row in rows} == {
+        "pcm-1": 0.30, "pcm-4": 0.20, "teacher-2": 0.25, "stream rdm": 0.15
+    }  # fmt: skip
+    per_second = {row.name: row.time for row in rows}
+    assert math.isclose(per_second["pcm-4"], report["clips"]["pcm-4"]["median_ms"]["total"] / 9.8)
+    assert math.isclose(per_second["stream rdm"], report["streams"]["rdm"]["median_ms"]["segment"] / 1.4)
+    with pytest.raises(InputError, match="there is no folder"):
+        read_results([results / "nothing"])
+    with pytest.raises(FormatError, match="no report"):
+        judged({}, [])
+
+
+def test_the_front_is_what_no_other_beats_in_both():
+    from moveset.evaluation.intervals import Interval
+
+    def row(name, time, fid):
+        return Judged(name, "w", time, {"fid": Interval(fid, 0.0)})
+
+    rows = [row("slow and best", 9, 1), row("quick", 1, 5), row("beaten", 4, 6), row("middle", 3, 2), row("late", 9, 2)]
+    assert pareto(rows) == ["quick", "middle", "slow and best"]
+
+
+def test_the_page_has_every_part_and_keeps_published_numbers_apart(report, results, tmp_path):
+    whole = report | {
+        "processes": {"pcm-1": {"seconds": {"median": 2.5, "min": 2.25}, "peak_mb": {"median": 321.0, "min": 320.0}}}
+    }
+    rows = judged(whole, read_results([results]))
+    path = tmp_path / "costs.json"
+    written = bench_page.write_page(whole, rows, path)
+    assert [p.name for p in written] == ["costs.json", "costs.md", "costs.png"]
+    assert bench_page.load_report(path) == json.loads(json.dumps(whole))
+    text = path.with_suffix(".md").read_text()
+    measured, published = text.split("## The paper's own numbers")
+    headings = ("A clip of 9.8 s", "A stream, 1.4 s", "Time by length", "Time of one clip by batch", "Whole processes")
+    for heading in (*headings, "Operations", "A stream without end", "Quality against time"):
+        assert f"## {heading}" in measured
+    assert "(costs.png)" in measured
+    assert "2.50 (2.25)" in measured
+    assert "24.74" in published
+    assert "24.74" not in measured
+    assert "not measured here" in published
+    # Bold are the quickest and the best, whatever the machine.
+    front = pareto(rows)
+    assert all(f"| **{row.name}** |" in measured for row in rows if row.name in front)
+    assert all(f"| {row.name} |" in measured.split("## Quality")[1] for row in rows if row.name not in front)
+    assert written[2].read_bytes()[:4] == b"\x89PNG"
+
+
+def test_a_busy_machine_is_told(report):
+    quiet, busy = ({**report, "load": {"before": b, "after": 9.0}} for b in (0.1, 3.0))
+    assert "busy" not in bench_page.machine(quiet)
+    assert "**the machine was busy" in bench_page.machine(busy)
+    assert "load" not in bench_page.machine({**report, "load": {"before": None, "after": None}})
+
+
+def test_a_report_of_some_parts_has_a_page_too(report, tmp_path):
+    some = {k: v for k, v in report.items() if k not in PARTS or k == "streams"}
+    text = bench_page.markdown(some)
+    assert "## A stream" in text
+    assert "## A clip" not in text
+    bare = {k: v for k, v in report.items() if k not in PARTS}
+    assert [p.name for p in bench_page.write_page(bare, [], tmp_path / "x.json")] == ["x.json", "x.md"]
+
+
+def test_files_that_are_no_report(tmp_path):
+    path = tmp_path / "x.json"
+    for text in ("{}", '{"format": 2}', "[]", "nothing"):
+        path.write_text(text)
+        with pytest.raises(FormatError):
+            bench_page.load_report(path)
