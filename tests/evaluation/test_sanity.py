@@ -9,6 +9,7 @@ import pytest
 import torch
 
 from moveset.errors import InputError
+from moveset.evaluation.evaluator import EvaluatorCard
 from moveset.evaluation.sanity import JITTER, sanity
 from moveset.motion.features import get_codec
 from tests.motions import shaken, wander
@@ -41,7 +42,7 @@ def items():
 class Descriptor:
     """Embeds motions by how they move on average, and texts as the mean of the motions they stand for."""
 
-    name, codec = "descriptor", "hml"
+    card = EvaluatorCard(name="descriptor")
 
     def __init__(self, items):
         self.prototypes = {}

@@ -17,6 +17,7 @@ from torch import Tensor
 
 from moveset.data.humanml3d import Caption
 from moveset.errors import InputError
+from moveset.evaluation.evaluator import EvaluatorCard
 from moveset.evaluation.frechet import frechet_distance
 from moveset.evaluation.metrics import GROUP, group, matching_score, r_precision
 from moveset.motion.features import get_codec
@@ -35,12 +36,8 @@ class Judge(Protocol):
     """What is asked of an evaluator."""
 
     @property
-    def name(self) -> str:
-        """For the report."""
-
-    @property
-    def codec(self) -> str:
-        """Of its features: "hml" or "kit"."""
+    def card(self) -> EvaluatorCard:
+        """Its name and codec are used."""
 
     def embed_motions(self, features: Sequence[Tensor]) -> Tensor:
         """(M, E) float64 of features (F, D), not normalised."""
@@ -147,7 +144,7 @@ def sanity(evaluator: Judge, items: Sequence[RealMotion], generator: torch.Gener
     features = [item.features() for item in items]
     text, motion = evaluator.embed_texts(captions), evaluator.embed_motions(features)
     return SanityReport(
-        evaluator=evaluator.name,
+        evaluator=evaluator.card.name,
         items=len(items),
         texts=len(set(captions)),
         labels=None if known is None else len(set(known)),
@@ -191,9 +188,9 @@ def _texts(text: Tensor, motion: Tensor, groups: list[list[int]], generator: tor
 
 def _broken(evaluator: Judge, features: list[Tensor], real: Tensor, generator: torch.Generator) -> list[Check]:
     """Does broken motion lie further from real motion than other real motion does?"""
-    codec = get_codec(evaluator.codec)
+    codec = get_codec(evaluator.card.codec)
     if not isinstance(codec, HmlCodec):
-        raise InputError(f"sanity checks break joints of 'hml' or 'kit' features, not of {evaluator.codec!r}")
+        raise InputError(f"sanity checks break joints of 'hml' or 'kit' features, not of {evaluator.card.codec!r}")
     clips = [_with_one_more(codec.joints(f.double())) for f in features]
     halvings = [torch.randperm(len(clips), generator=generator).tensor_split(2) for _ in range(HALVINGS)]
 
