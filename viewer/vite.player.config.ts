@@ -7,8 +7,7 @@ export default defineConfig({
     outDir: "../src/moveset/viewer/player",
     emptyOutDir: true,
     target: "es2022",
-    lib: { entry: "src/embed.ts", formats: ["iife"], name: "MovesetPlayer", fileName: () => "player.js" },
-    // Never "</script" or "<!--" inside: the script is put into pages as it is (tests/viewer checks the built file).
+    lib: { entry: "src/standalone.ts", formats: ["iife"], name: "MovesetPlayer", fileName: () => "player.js" },
     rolldownOptions: { output: { codeSplitting: false } },
   },
 });

@@ -55,7 +55,7 @@ def test_every_format_is_written_whole_and_twice_alike(motion, suffix, tmp_path)
     assert sorted(p.name for p in (tmp_path / "one").iterdir()) == [f"a{suffix}", *beside]
 
 
-@pytest.mark.parametrize("name", ["a.bvh", "a.glb", "a.npz", "a.amass.npz", "a.npy", "a.png"])
+@pytest.mark.parametrize("name", ["a.bvh", "a.glb", "a.npz", "a.amass.npz", "a.npy", "a.html", "a.png"])
 def test_metadata_is_kept_with_the_file_or_beside_it(motion, name, tmp_path):
     save(motion, tmp_path / name, metadata=NOTES)
     assert read_metadata(tmp_path / name).items() >= NOTES.items()
@@ -74,9 +74,9 @@ def test_a_file_beside_that_is_damaged_is_refused(motion, tmp_path):
 
 @pytest.mark.parametrize("name", ["a.fbx", "a", "a.bvh.txt", ".bvh", "npz"])
 def test_unknown_extensions_are_said_with_the_known_ones(motion, name, tmp_path):
-    with pytest.raises(InputError, match=r"\.bvh \.glb \.npz \.npy \.mp4 \.gif \.png"):
+    with pytest.raises(InputError, match=r"\.bvh \.glb \.npz \.npy \.html \.mp4 \.gif \.png"):
         save(motion, tmp_path / name)
-    with pytest.raises(InputError, match=r"\.bvh \.glb \.npz \.npy;"):
+    with pytest.raises(InputError, match=r"\.bvh \.glb \.npz \.npy \.html;"):
         load(tmp_path / name)
     assert list(tmp_path.iterdir()) == []
 
@@ -128,7 +128,7 @@ def test_unwritable_places_are_said(motion, suffix, tmp_path):
 
 def test_feet_stand_on_the_floor_in_every_format(tmp_path):
     walk = gait(20)
-    for name in ("a.bvh", "a.glb", "a.npz", "a.amass.npz", "a.npy"):
+    for name in ("a.bvh", "a.glb", "a.npz", "a.amass.npz", "a.npy", "a.html"):
         save(walk, tmp_path / name)
         found = load(tmp_path / name)
         lowest = found.joints[:, list(found.skeleton.feet), 1].min()

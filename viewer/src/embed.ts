@@ -1,4 +1,4 @@
-/** Entry of the player build: what pages get as `MovesetPlayer`. */
+/** How pages show motions: what they get as `MovesetPlayer`. */
 
 import { Player, type PlayerOptions, type Prompt } from "./player/player";
 import { Skeleton, type SkeletonData } from "./skeleton";
@@ -6,11 +6,11 @@ import { Take } from "./take";
 
 export { Player, Skeleton, Take };
 
-/** One motion: packets as base64. */
+/** One motion: packets as base64, in one text or in several that follow one another. */
 export interface TakeData {
   title: string;
   prompts?: Prompt[];
-  data: string;
+  data: string | string[];
 }
 
 /** Takes to be seen side by side. */

@@ -18,8 +18,8 @@ def convert(
     """Convert a motion file, or rescue a take whose process was killed: `moveset convert walk.bvh.part rescued.glb`.
 
     Args:
-        source: A motion file: .bvh .glb .npz or .npy; or the .part of a take, which is finished beside it first.
-        target: File to write: .bvh .glb .npz .npy .mp4 .gif or .png.
+        source: A motion file: .bvh .glb .npz .npy or .html; or the .part of a take, which is finished beside it first.
+        target: File to write: .bvh .glb .npz .npy .html .mp4 .gif or .png.
         skeleton: Retarget to smpl, mixamo, vrm or ue5.
         fps: Frame rate of the new file.
         in_place: Without travel over the ground.

@@ -43,8 +43,8 @@ def generate(
 
     Args:
         prompt: What the person does, such as "a person walks forward and waves".
-        output: File to write: .bvh .glb .npz .npy .mp4 .gif or .png; give it several times for several files. Without
-            it motion.glb is written.
+        output: File to write: .bvh .glb .npz .npy .html .mp4 .gif or .png; give it several times for several files.
+            Without it motion.glb is written. An .html is a page that plays the motion by itself, offline.
         seconds: Duration of a clip; once for all prompts, or once for each. Without it the text decides.
         model: A shipped model (see `moveset models`) or a model folder.
         steps: Network evaluations a clip takes: 1, 2 or 4; by default 1 (50 for the teacher).
@@ -117,7 +117,7 @@ def prepare(arguments: Sequence[str]) -> list[str]:
     >>> prepare(["a person walks", "--seconds", "3", "2", "-o", "a.bvh", "b.glb", "then waves"])
     ['a person walks', '--seconds', '3', '--seconds', '2', '-o', 'a.bvh', '-o', 'b.glb', 'then waves']
     """
-    more = {"--seconds": r"[\d.]+(e\d+)?", "-o": r"\S+\.\w{3}", "--output": r"\S+\.\w{3}"}
+    more = {"--seconds": r"[\d.]+(e\d+)?", "-o": r"\S+\.(\w{3}|html)", "--output": r"\S+\.(\w{3}|html)"}
     out: list[str] = []
     flag = ""
     for argument in arguments:

@@ -6,10 +6,12 @@
 | .glb | skinned body with animation | skinned animations |
 | .npz | rotations and skeleton; ``.amass.npz``: AMASS poses | both |
 | .npy | joint positions (F, J, 3) | HumanML3D joints (F, 22, 3) at 20 fps |
+| .html | a page that plays it, offline and by itself | its first motion |
 | .mp4 .gif .png | video, animation, filmstrip | no |
 
-Metadata is kept inside .glb (``asset.extras.moveset``), .npz (``metadata``), .png (text chunk "moveset"), .gif and .mp4
-(comment). BVH, AMASS npz and npy have no place for it: there it goes into a file beside, ``walk.bvh.json``.
+Metadata is kept inside .glb (``asset.extras.moveset``), .npz and .html (``metadata``), .png (text chunk "moveset"),
+.gif and .mp4 (comment). BVH, AMASS npz and npy have no place for it: there it goes into a file beside,
+``walk.bvh.json``.
 """
 
 import json
@@ -22,7 +24,7 @@ from moveset.errors import FormatError, InputError
 if TYPE_CHECKING:
     from moveset.motion.clip import Motion
 
-READABLE = (".bvh", ".glb", ".npz", ".npy")
+READABLE = (".bvh", ".glb", ".npz", ".npy", ".html")
 WRITABLE = (*READABLE, ".mp4", ".gif", ".png")
 
 
@@ -40,6 +42,10 @@ def load(path: str | Path) -> "Motion":
         from moveset.io.gltf_reader import read_glb
 
         return read_glb(path)
+    if suffix == ".html":
+        from moveset.io.html import read_html
+
+        return read_html(path)
     from moveset.io.arrays import read_npy, read_npz
 
     return read_npz(path) if suffix == ".npz" else read_npy(path)
@@ -66,6 +72,10 @@ def save(motion: "Motion", path: str | Path, *, metadata: Mapping[str, str | int
         from moveset.io.gltf import write_glb
 
         write_glb(motion, path, metadata=notes)
+    elif suffix == ".html":
+        from moveset.io.html import save_html
+
+        save_html(motion, path, metadata=notes)
     elif suffix in (".npz", ".npy"):
         from moveset.io import arrays
 
@@ -95,7 +105,9 @@ def save_beside(metadata: Mapping[str, str | int | float | None], path: Path) ->
 
 
 def read_metadata(path: str | Path) -> dict[str, Any]:
-    """What ``save`` was told to remember in a .glb, .npz or .png, or beside a .bvh, .npy or AMASS npz; {} if nothing.
+    """What ``save`` was told to remember in a .glb, .npz, .html or .png, or beside a .bvh, .npy or AMASS npz.
+
+    {} if nothing.
 
     Raises:
         InputError: an extension without metadata that can be read, or a file that cannot be read.
@@ -110,6 +122,10 @@ def read_metadata(path: str | Path) -> dict[str, Any]:
         from moveset.io.arrays import npz_metadata
 
         return npz_metadata(path)
+    if suffix == ".html":
+        from moveset.io.html import html_metadata
+
+        return html_metadata(path)
     if suffix == ".png":
         from moveset.io.filmstrip import filmstrip_metadata
 

@@ -123,3 +123,9 @@ class Motion:
         from moveset.io import save
 
         return save(self, path)
+
+    def _repr_html_(self) -> str:
+        """The player, for notebooks (see ``moveset.io.html.inline_player``)."""
+        from moveset.io.html import inline_player
+
+        return inline_player(self)

@@ -23,12 +23,12 @@ const SIDES = ["left", "right"] as const;
 type Side = (typeof SIDES)[number];
 
 const HEAD: Ring[] = [
-  { s: -0.036, a: 0.034, b: 0.04, v: 0.052 },
-  { s: -0.012, a: 0.05, b: 0.062, v: 0.036 },
-  { s: 0.03, a: 0.064, b: 0.082, v: 0.022 },
-  { s: 0.085, a: 0.073, b: 0.095, v: 0.012 },
-  { s: 0.13, a: 0.07, b: 0.09, v: 0.006 },
-  { s: 0.16, a: 0.055, b: 0.071, v: 0.001 },
+  { s: -0.03, a: 0.042, b: 0.046, v: 0.046 },
+  { s: -0.008, a: 0.056, b: 0.066, v: 0.032 },
+  { s: 0.03, a: 0.067, b: 0.084, v: 0.02 },
+  { s: 0.085, a: 0.075, b: 0.095, v: 0.012 },
+  { s: 0.13, a: 0.071, b: 0.089, v: 0.006 },
+  { s: 0.158, a: 0.056, b: 0.07, v: 0.001 },
 ];
 const NECK: Ring[] = [
   { s: -0.05, a: 0.054, b: 0.05, v: -0.006 },
@@ -49,7 +49,7 @@ const PELVIS: Ring[] = [
   { s: -0.09, a: 0.115, b: 0.092, v: -0.02 },
   { s: -0.045, a: 0.146, b: 0.111, v: -0.024 },
   { s: 0.005, a: 0.143, b: 0.108, v: -0.022 },
-  { s: 0.05, a: 0.124, b: 0.094, v: -0.018 },
+  { s: 0.05, a: 0.128, b: 0.097, v: -0.017 },
 ];
 /** Lengths along limbs are parts of the whole. */
 const THIGH: Ring[] = [
@@ -68,8 +68,8 @@ const SHIN: Ring[] = [
   { s: 0.92, a: 0.031, b: 0.033, v: -0.002 },
 ];
 const UPPER_ARM: Ring[] = [
-  { s: 0.02, a: 0.05, b: 0.052 },
-  { s: 0.25, a: 0.05, b: 0.053 },
+  { s: 0.11, a: 0.0515, b: 0.0525 },
+  { s: 0.28, a: 0.05, b: 0.0525 },
   { s: 0.55, a: 0.044, b: 0.046, v: 0.002 },
   { s: 0.86, a: 0.036, b: 0.037 },
 ];
@@ -113,11 +113,13 @@ class Builder {
 
   build(): Part[] {
     const trunk = frameAlong(UP, FRONT);
-    this.shape("pelvis", "shell", trunk, PELVIS, { caps: [0.022, 0.026], around: 28, square: 2.25 });
-    this.ball("spine1", "core", trunk, 0.045, [0.111, 0.085, 0.088], 0.014);
-    this.ball("spine2", "core", trunk, -0.02, [0.109, 0.085, 0.083], 0.004);
+    this.shape("pelvis", "shell", trunk, PELVIS, { caps: [0.022, 0.03], around: 26, square: 2.25 });
+    // Three barrels deep in one another: the waist bends without a gap.
+    this.barrel("pelvis", trunk, 0.03, 0.085, -0.014);
+    this.barrel("spine1", trunk, -0.045, 0.095, 0.024);
+    this.barrel("spine2", trunk, -0.085, 0.05, 0.002);
     const chest = this.has("spine3") ? "spine3" : this.has("spine2") ? "spine2" : "spine1";
-    this.shape(chest, "shell", trunk, CHEST, { caps: [0.03, 0.012], around: 28, square: 2.2 });
+    this.shape(chest, "shell", trunk, CHEST, { caps: [0.03, 0.012], around: 26, square: 2.2 });
     this.shape("neck", "core", trunk, NECK, { caps: [0.01, 0.01] });
     this.shape("head", "shell", trunk, HEAD, { caps: [0.012, 0.022], around: 26 });
     if (this.has("head")) {
@@ -132,8 +134,6 @@ class Builder {
   }
 
   private leg(side: Side): void {
-    const thigh = frameAlong(this.reach(side, "hip", "knee"), FRONT);
-    this.ball(`${side}_hip`, side, thigh, 0.0, [0.074, 0.074, 0.08]);
     this.limb(side, "hip", "knee", THIGH, [0.05, 0.02]);
     const shin = frameAlong(this.reach(side, "knee", "ankle"), FRONT);
     this.ball(`${side}_knee`, side, shin, 0, [0.05, 0.05, 0.053], 0.002);
@@ -165,12 +165,12 @@ class Builder {
     if (![`${side}_shoulder`, `${side}_elbow`, `${side}_wrist`].every((role) => this.has(role))) return;
     if (this.has(`${side}_collar`)) {
       const across = this.reach(side, "collar", "shoulder");
-      const rings = [0.15, 0.6, 1].map((s) => ({ s: (s * length(across)) / this.size, a: 0.046, b: 0.05, u: 0 }));
+      const rings = [0.15, 0.6, 1].map((s) => ({ s: (s * length(across)) / this.size, a: 0.05 - 0.006 * s, b: 0.052 - 0.006 * s }));
       this.shape(`${side}_collar`, "shell", frameAlong(across, FRONT), rings, { caps: [0.03, 0.03] });
     }
     const upper = frameAlong(this.reach(side, "shoulder", "elbow"), FRONT);
-    this.ball(`${side}_shoulder`, side, upper, 0, [0.0585, 0.0585, 0.0585]);
-    this.limb(side, "shoulder", "elbow", UPPER_ARM, [0.03, 0.014]);
+    this.ball(`${side}_shoulder`, side, upper, 0, [0.053, 0.053, 0.053]);
+    this.limb(side, "shoulder", "elbow", UPPER_ARM, [0.022, 0.014]);
     const lower = frameAlong(this.reach(side, "elbow", "wrist"), FRONT);
     this.ball(`${side}_elbow`, side, lower, 0, [0.0365, 0.0365, 0.0365]);
     this.limb(side, "elbow", "wrist", FOREARM, [0.018, 0.01]);
@@ -189,12 +189,12 @@ class Builder {
         s: 0.09 + reach * (t - 0.14 * t * t), a: thick * (1 - 0.16 * t), b: thick * (1 - 0.12 * t),
         u: palm * (0.002 + 0.3 * reach * t * t), v: across * (1 - 0.06 * t),
       })); // prettier-ignore
-      this.shape(wrist, "shell", lower, bent, { caps: [0.008, 0.008], around: 10, between: 2 });
+      this.shape(wrist, "shell", lower, bent, { caps: [0.008, 0.008], around: 8, between: 1 });
     }
     const root = add(add([0, 0, 0], lower.d, 0.03), lower.v, 0.022);
     const along = add(add(lower.d, lower.v, 0.72), lower.u, 0.28 * palm);
     const thumb = [0, 0.5, 1].map((t) => ({ s: 0.056 * t, a: 0.0125 - 0.003 * t, b: 0.0125 - 0.003 * t, v: -0.006 * t * t })); // prettier-ignore
-    this.shape(wrist, "shell", { ...frameAlong(along, lower.v), origin: root }, thumb, { caps: [0.012, 0.009], around: 10, between: 2 }); // prettier-ignore
+    this.shape(wrist, "shell", { ...frameAlong(along, lower.v), origin: root }, thumb, { caps: [0.012, 0.009], around: 8, between: 1 }); // prettier-ignore
   }
 
   private limb(side: Side, start: string, end: string, rings: readonly Ring[], caps: [number, number]): void {
@@ -204,9 +204,14 @@ class Builder {
     this.shape(`${side}_${start}`, "shell", frameAlong(reach, FRONT), placed, { caps });
   }
 
+  private barrel(role: string, frame: Frame, from: number, to: number, v: number): void {
+    const rings = [0, 0.5, 1].map((t) => ({ s: from + t * (to - from), a: t === 0.5 ? 0.107 : 0.099, b: t === 0.5 ? 0.083 : 0.077, v })); // prettier-ignore
+    this.shape(role, "core", frame, rings, { caps: [0.045, 0.045], around: 26 });
+  }
+
   /** An ellipsoid at `s` along a frame; radii along u, d and v. */
   private ball(role: string, tone: Tone, frame: Frame, s: number, [a, along, b]: Vec, v = 0): void {
-    this.shape(role, tone, frame, [{ s, a, b, v }], { caps: [along, along], around: 22 });
+    this.shape(role, tone, frame, [{ s, a, b, v }], { caps: [along, along], around: 18 });
   }
 
   private shape(role: string, tone: Tone, frame: Frame, rings: readonly Ring[], options: LoftOptions): void {

@@ -3,7 +3,7 @@
 import * as THREE from "three";
 import type { Skeleton } from "../skeleton";
 import type { Pose, Take } from "../take";
-import { mannequin, type Tone } from "./body";
+import { mannequin, type Part, type Tone } from "./body";
 import type { Theme } from "./theme";
 import { Trail } from "./trail";
 
@@ -18,10 +18,8 @@ const TONES: Tone[] = ["shell", "core", "left", "right", "face"];
 export class Figure {
   readonly group = new THREE.Group();
   readonly pose: Pose;
-  private readonly bones: THREE.Bone[];
-  private readonly mesh: THREE.SkinnedMesh;
-  private readonly materials: Record<"matte" | "glossy", THREE.MeshStandardMaterial>;
-  private readonly tones: Uint8Array;
+  private readonly limbs: Limb[];
+  private readonly materials: Record<"matte" | "glossy", THREE.Material>;
   private readonly blobs: Blobs;
   private readonly rods: Rods;
   private readonly soles: THREE.InstancedMesh;
@@ -33,21 +31,11 @@ export class Figure {
     const { skeleton } = take;
     this.pose = { positions: new Float32Array(3 * skeleton.length), rotations: new Float32Array(4 * skeleton.length) };
     this.feet = skeleton.feet;
-    const { geometry, tones } = bodyGeometry(skeleton);
-    this.tones = tones;
     this.materials = {
-      matte: new THREE.MeshStandardMaterial({ vertexColors: true, roughness: 0.62, metalness: 0 }),
-      glossy: new THREE.MeshStandardMaterial({ vertexColors: true, roughness: 0.28, metalness: 0 }),
+      matte: new THREE.MeshLambertMaterial({ vertexColors: true }),
+      glossy: new THREE.MeshPhongMaterial({ vertexColors: true, specular: 0x8899aa, shininess: 60 }),
     };
-    this.mesh = new THREE.SkinnedMesh(geometry, [this.materials.matte, this.materials.glossy]);
-    this.mesh.frustumCulled = false;
-    this.mesh.castShadow = this.mesh.receiveShadow = true;
-    // Vertices are in their joints' axes: a bone's matrix is the joint's place in the take, the group's that of the take.
-    this.bones = Array.from({ length: skeleton.length }, () => new THREE.Bone());
-    for (const bone of this.bones) bone.matrixAutoUpdate = bone.matrixWorldAutoUpdate = false;
-    const inverses = this.bones.map(() => new THREE.Matrix4());
-    this.mesh.bindMode = THREE.DetachedBindMode;
-    this.mesh.bind(new THREE.Skeleton(this.bones, inverses), new THREE.Matrix4());
+    this.limbs = limbsOf(skeleton, this.materials);
     this.blobs = new Blobs(this.feet.length > 0 ? 5 : 1);
     this.rods = new Rods(skeleton);
     this.soles = new THREE.InstancedMesh(
@@ -57,16 +45,18 @@ export class Figure {
     );
     this.soles.frustumCulled = false;
     this.soles.renderOrder = 3;
-    this.group.add(this.mesh, this.blobs.mesh, this.rods.group, this.soles, this.trail.group);
+    this.group.add(...this.limbs.map(({ mesh }) => mesh), this.blobs.mesh, this.rods.group, this.soles, this.trail.group);
     this.show(this.overlays);
   }
 
   /** Colours of a theme. */
   paint(theme: Theme): void {
     const colours = TONES.map((tone) => new THREE.Color(theme[tone]));
-    const painted = this.mesh.geometry.getAttribute("color") as THREE.BufferAttribute;
-    this.tones.forEach((tone, k) => painted.setXYZ(k, colours[tone].r, colours[tone].g, colours[tone].b));
-    painted.needsUpdate = true;
+    for (const { mesh, tones } of this.limbs) {
+      const painted = mesh.geometry.getAttribute("color") as THREE.BufferAttribute;
+      tones.forEach((tone, k) => painted.setXYZ(k, colours[tone].r, colours[tone].g, colours[tone].b));
+      painted.needsUpdate = true;
+    }
     this.blobs.material.uniforms.strength.value = 1.5 * theme.shadow;
     this.rods.paint(theme);
     this.trail.paint(theme);
@@ -90,11 +80,10 @@ export class Figure {
   /** Move everything to a frame of the take, which may lie between two. */
   update(frame: number): void {
     const { positions, rotations } = this.take.pose(frame, this.pose);
-    this.bones.forEach((bone, j) => {
-      place.fromArray(positions, 3 * j);
-      turn.fromArray(rotations, 4 * j);
-      bone.matrixWorld.compose(place, turn, one);
-    });
+    for (const { mesh, joint } of this.limbs) {
+      place.fromArray(positions, 3 * joint);
+      mesh.matrix.compose(place, turn.fromArray(rotations, 4 * joint), one);
+    }
     this.blobs.update(positions, this.feet);
     if (this.overlays.skeleton) this.rods.update(positions);
     if (this.overlays.contacts) this.markContacts(frame);
@@ -112,8 +101,7 @@ export class Figure {
   }
 
   dispose(): void {
-    this.mesh.geometry.dispose();
-    this.mesh.skeleton.dispose();
+    for (const { mesh } of this.limbs) mesh.geometry.dispose();
     for (const material of Object.values(this.materials)) material.dispose();
     this.blobs.dispose();
     this.rods.dispose();
@@ -129,35 +117,41 @@ const turn = new THREE.Quaternion();
 const one = new THREE.Vector3(1, 1, 1);
 const matrix = new THREE.Matrix4();
 
-/** The mannequin as one geometry: first what is matte, then what is glossy. */
-function bodyGeometry(skeleton: Skeleton): { geometry: THREE.BufferGeometry; tones: Uint8Array } {
-  const parts = mannequin(skeleton).sort((a, b) => Number(a.tone === "face") - Number(b.tone === "face"));
-  const count = parts.reduce((sum, part) => sum + part.positions.length / 3, 0);
-  const [positions, joints, weights] = [new Float32Array(3 * count), new Uint16Array(4 * count), new Float32Array(4 * count)];
-  const tones = new Uint8Array(count);
-  const index: number[] = [];
-  let [base, matte] = [0, 0];
-  for (const part of parts) {
-    positions.set(part.positions, 3 * base);
-    for (const corner of part.triangles) index.push(base + corner);
-    const next = base + part.positions.length / 3;
-    for (; base < next; base++) {
-      joints[4 * base] = part.joint;
-      weights[4 * base] = 1;
-      tones[base] = TONES.indexOf(part.tone);
-    }
-    if (part.tone !== "face") matte = index.length;
+/** What moves with one joint. Rigid, so that a graphics card, or a processor in its place, has little to do. */
+interface Limb {
+  joint: number;
+  mesh: THREE.Mesh;
+  /** Index in TONES of each vertex. */
+  tones: Uint8Array;
+}
+
+function limbsOf(skeleton: Skeleton, materials: Record<"matte" | "glossy", THREE.Material>): Limb[] {
+  const together = new Map<string, Part[]>();
+  for (const part of mannequin(skeleton)) {
+    const key = `${part.joint} ${part.tone === "face"}`;
+    together.set(key, [...(together.get(key) ?? []), part]);
   }
-  const geometry = new THREE.BufferGeometry();
-  geometry.setAttribute("position", new THREE.BufferAttribute(positions, 3));
-  geometry.setAttribute("skinIndex", new THREE.BufferAttribute(joints, 4));
-  geometry.setAttribute("skinWeight", new THREE.BufferAttribute(weights, 4));
-  geometry.setAttribute("color", new THREE.BufferAttribute(new Float32Array(3 * count), 3));
-  geometry.setIndex(index);
-  geometry.computeVertexNormals();
-  geometry.addGroup(0, matte, 0);
-  geometry.addGroup(matte, index.length - matte, 1);
-  return { geometry, tones };
+  return [...together.values()].map((parts) => {
+    const positions = parts.flatMap((part) => part.positions);
+    const tones = parts.flatMap((part) => Array<number>(part.positions.length / 3).fill(TONES.indexOf(part.tone)));
+    const index: number[] = [];
+    let base = 0;
+    for (const part of parts) {
+      for (const corner of part.triangles) index.push(base + corner);
+      base += part.positions.length / 3;
+    }
+    const geometry = new THREE.BufferGeometry();
+    geometry.setAttribute("position", new THREE.BufferAttribute(Float32Array.from(positions), 3));
+    geometry.setAttribute("color", new THREE.BufferAttribute(new Float32Array(positions.length), 3));
+    geometry.setIndex(index);
+    geometry.computeVertexNormals();
+    const face = parts[0].tone === "face";
+    const mesh = new THREE.Mesh(geometry, face ? materials.glossy : materials.matte);
+    mesh.matrixAutoUpdate = false;
+    mesh.castShadow = !face;
+    mesh.receiveShadow = true;
+    return { joint: parts[0].joint, mesh, tones: Uint8Array.from(tones) };
+  });
 }
 
 /** Soft dark spots where the body comes near the ground: the key light's shadow alone lets a figure float. */

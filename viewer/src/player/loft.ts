@@ -77,10 +77,10 @@ export interface LoftOptions {
 
 /** The surface through the rings, closed by rounded ends. */
 export function loft(frame: Frame, rings: readonly Ring[], options: LoftOptions): Surface {
-  const { caps, around = 20, between = 3, square = 2 } = options;
+  const { caps, around = 18, between = 2, square = 2 } = options;
   const levels: Required<Ring>[] = [];
   const [first, last] = [rings[0], rings[rings.length - 1]];
-  const capRings = 4;
+  const capRings = 3;
   for (let k = 1; k <= capRings; k++) {
     const angle = (0.5 * Math.PI * k) / capRings;
     levels.push(shrunk(ringAt(rings, first.s), Math.sin(angle), -caps[0] * Math.cos(angle)));
@@ -144,14 +144,14 @@ export function patch(
   rings: readonly Ring[],
   { centre, reach, angle, height }: { centre: number; reach: number; angle: number; height: number },
 ): Surface {
-  const [rounds, around] = [7, 36];
+  const [rounds, around] = [6, 32];
   const positions: number[] = [];
   const place = (r: number, t: number) => {
     const [x, y] = onRing(t, 3.2);
     const ring = ringAt(rings, centre + reach * r * y);
     const phi = 0.5 * Math.PI - angle * r * x;
-    // Its rim dips into the surface.
-    const over = 1 + (height * (1 - 1.35 * r ** 6)) / ring.b;
+    // Rounded towards its rim, which stays just above the surface.
+    const over = 1 + (0.0007 + height * (1 - r ** 6)) / ring.b;
     const [u, v] = [ring.u + over * ring.a * Math.cos(phi), ring.v + over * ring.b * Math.sin(phi)];
     for (let k = 0; k < 3; k++) {
       positions.push(frame.origin[k] + ring.s * frame.d[k] + u * frame.u[k] + v * frame.v[k]);

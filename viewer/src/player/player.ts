@@ -46,6 +46,9 @@ export interface SetTakesOptions {
 /** Height of what is looked at, and half of what must be seen above and below it. */
 const EYE = 0.96;
 const HALF_HEIGHT = 1.08;
+/** Milliseconds a picture may take, and the least part of the screen's resolution. */
+const SLOW = 45;
+const COARSEST = 0.45;
 /** How many frame times are remembered. */
 const MEASURED = 240;
 
@@ -81,6 +84,7 @@ export class Player {
   private dirty = true;
   private ask = 0;
   private last = 0;
+  private slow = 0;
   private recording: Recording | null = null;
   private covered: { above: number; below: number } | null = null;
   private readonly intervals: number[] = [];
@@ -313,6 +317,7 @@ export class Player {
     if (this.isPlaying && !document.hidden && since > 0) this.advance(Math.min(since, 250) / 1000);
     const grew = this.notice();
     const turning = this.aim(false, since / 1000);
+    this.spare(since);
     if (this.dirty || grew || turning || this.isPlaying) {
       const begun = performance.now();
       this.dirty = false;
@@ -322,6 +327,24 @@ export class Player {
     }
     if (this.isPlaying || turning || this.dirty) this.ask ||= requestAnimationFrame((next) => this.tick(next));
     else this.last = 0;
+  }
+
+  /** Where drawing cannot keep up, fewer pixels while the picture moves, and all of them when it stands. */
+  private spare(since: number): void {
+    const moving = this.isPlaying && !this.recording;
+    if (!moving) {
+      this.slow = 0;
+      if (this.stage.quality < 1) {
+        this.stage.quality = 1;
+        this.dirty = true;
+      }
+      return;
+    }
+    this.slow = since > SLOW ? this.slow + 1 : 0;
+    if (this.slow >= 6 && this.stage.quality > COARSEST) {
+      this.stage.quality = Math.max(COARSEST, this.stage.quality * 0.7);
+      this.slow = 0;
+    }
   }
 
   private advance(seconds: number): void {

@@ -9,10 +9,11 @@ export class Stage {
   readonly scene = new THREE.Scene();
   readonly camera = new THREE.PerspectiveCamera(32, 1, 0.05, 200);
   readonly renderer: THREE.WebGLRenderer;
+  private scale = 1;
   private readonly hemisphere = new THREE.HemisphereLight();
   private readonly key = new THREE.DirectionalLight();
   private readonly rim = new THREE.DirectionalLight();
-  private readonly shade = new THREE.Mesh(new THREE.PlaneGeometry(GROUND, GROUND), new THREE.ShadowMaterial());
+  private readonly shade = new THREE.Mesh(new THREE.PlaneGeometry(1, 1), new THREE.ShadowMaterial());
   private readonly grid = new THREE.Mesh(new THREE.PlaneGeometry(GROUND, GROUND), gridMaterial());
   private readonly fog = new THREE.Fog(0, 9, 30);
 
@@ -20,11 +21,9 @@ export class Stage {
     this.renderer = new THREE.WebGLRenderer({ canvas, antialias: true, powerPreference: "high-performance" });
     this.renderer.shadowMap.enabled = true;
     this.renderer.shadowMap.type = THREE.PCFShadowMap;
-    this.renderer.toneMapping = THREE.NeutralToneMapping;
-    this.renderer.toneMappingExposure = 1.0;
     this.key.castShadow = true;
-    this.key.shadow.mapSize.set(2048, 2048);
-    this.key.shadow.radius = 3.5;
+    this.key.shadow.mapSize.set(1024, 1024);
+    this.key.shadow.radius = 5;
     this.key.shadow.bias = -0.0004;
     this.key.shadow.normalBias = 0.012;
     for (const mesh of [this.shade, this.grid]) mesh.rotation.x = -Math.PI / 2;
@@ -40,6 +39,7 @@ export class Stage {
     const theme = THEMES[name];
     this.scene.background = new THREE.Color(theme.background);
     this.fog.color.set(theme.background);
+    this.key.color.set(theme.sun);
     this.hemisphere.color.set(theme.sky);
     this.hemisphere.groundColor.set(theme.earth);
     this.hemisphere.intensity = theme.hemisphere;
@@ -49,6 +49,7 @@ export class Stage {
     const { uniforms } = this.grid.material as THREE.ShaderMaterial;
     uniforms.colour.value.set(theme.line);
     uniforms.opacity.value = theme.lineOpacity;
+    uniforms.pool.value.set(theme.pool);
     return theme;
   }
 
@@ -61,6 +62,8 @@ export class Stage {
       [camera.near, camera.far] = [0.5, 18 + 2 * reach];
       camera.updateProjectionMatrix();
     }
+    // No larger than the shadow can be: every pixel of it is paid for.
+    this.shade.scale.set(2.4 * reach, 2.4 * reach, 1);
     this.key.target.position.set(x, 0.8, z);
     this.key.position.set(x + 3.4, 7.2, z + 4.6);
     this.rim.target.position.set(x, 1, z);
@@ -73,9 +76,20 @@ export class Stage {
     this.fog.far = 30 + 4 * radius;
   }
 
+  /** Part of the screen's resolution that is drawn. */
+  get quality(): number {
+    return this.scale;
+  }
+
+  set quality(value: number) {
+    if (value === this.scale) return;
+    this.scale = value;
+    this.renderer.setPixelRatio(Math.min(devicePixelRatio, 2) * value);
+  }
+
   /** Size of the picture in CSS pixels. */
   resize(width: number, height: number): void {
-    this.renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
+    this.renderer.setPixelRatio(Math.min(devicePixelRatio, 2) * this.scale);
     this.renderer.setSize(width, height, false);
     this.camera.aspect = width / height;
     this.camera.updateProjectionMatrix();
@@ -106,11 +120,12 @@ function gridMaterial(): THREE.ShaderMaterial {
       opacity: { value: 0.3 },
       centre: { value: new THREE.Vector2() },
       reach: { value: 8 },
+      pool: { value: new THREE.Color() },
     },
     vertexShader: `varying vec2 spot;
       void main() { vec4 world = modelMatrix * vec4(position, 1.0); spot = world.xz;
         gl_Position = projectionMatrix * viewMatrix * world; }`,
-    fragmentShader: `uniform vec3 colour; uniform float opacity; uniform vec2 centre; uniform float reach; varying vec2 spot;
+    fragmentShader: `uniform vec3 colour, pool; uniform float opacity; uniform vec2 centre; uniform float reach; varying vec2 spot;
       float lines(vec2 at, float width) {
         vec2 pixel = fwidth(at);
         vec2 away = abs(fract(at - 0.5) - 0.5);
@@ -120,8 +135,13 @@ function gridMaterial(): THREE.ShaderMaterial {
         return max(near.x, near.y); }
       void main() {
         float shown = max(lines(spot, 0.006), 0.42 * lines(spot * 2.0, 0.008));
-        float fade = 1.0 - smoothstep(0.15, 1.0, length(spot - centre) / reach);
-        gl_FragColor = vec4(colour, opacity * shown * fade * fade);
+        float away = length(spot - centre) / reach;
+        float fade = 1.0 - smoothstep(0.15, 1.0, away);
+        float line = opacity * shown * fade * fade;
+        // Light on the ground around the figures, under the lines.
+        float lit = exp(-5.0 * away * away);
+        float cover = line + lit * (1.0 - line);
+        gl_FragColor = vec4(mix(pool, colour, line / max(cover, 1e-4)), cover);
         #include <colorspace_fragment>
       }`,
   });

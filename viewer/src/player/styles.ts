@@ -9,7 +9,7 @@ export const PLAYER_CSS = `
   -webkit-tap-highlight-color: transparent; container: moveset-player / inline-size; }
 .moveset-player[data-theme=dark] { --mv-ink: #e9edf4; --mv-soft: #9aa7bb; --mv-glass: rgba(31,36,46,.80); --mv-edge: rgba(200,215,240,.12);
   --mv-hover: rgba(200,215,240,.10); --mv-track: rgba(200,215,240,.22); --mv-accent: #a79bf5; --mv-on: rgba(167,155,245,.20);
-  --mv-back: #12151b; --mv-lift: 0 8px 28px rgba(0,0,0,.45); }
+  --mv-back: #161a21; --mv-lift: 0 8px 28px rgba(0,0,0,.45); }
 .moveset-player *, .moveset-player *::before { box-sizing: border-box; }
 .moveset-player canvas { position: absolute; inset: 0; width: 100%; height: 100%; display: block; touch-action: none; cursor: grab; }
 .moveset-player canvas:active { cursor: grabbing; }
@@ -59,12 +59,13 @@ export const PLAYER_CSS = `
 .mv-gap { flex: none; width: 1px; height: 20px; margin: 0 3px; background: var(--mv-edge); }
 .mv-fault { position: absolute; inset: 0; display: grid; place-items: center; padding: 24px; text-align: center; color: var(--mv-soft); }
 @container moveset-player (max-width: 700px) {
-  .mv-bar { flex-wrap: wrap; justify-content: center; gap: 2px; }
-  .mv-scrub { order: -2; flex: 1 1 55%; height: 30px; }
+  .mv-bar { flex-wrap: wrap; justify-content: space-around; gap: 2px; }
+  .mv-play { order: -3; }
+  .mv-scrub { order: -2; flex: 1 1 55%; }
   .mv-time { order: -1; }
   .mv-gap { display: none; }
   .mv-caption { font-size: 13px; }
 }
-@container moveset-player (max-width: 400px) { .mv-button, .mv-speed { min-width: 34px; } .mv-time { min-width: 4.6em; } }
+@container moveset-player (max-width: 430px) { .mv-button { min-width: 32px; } .mv-speed { padding: 0 4px; } .mv-time { min-width: 4.6em; } }
 @media (prefers-reduced-motion: reduce) { .moveset-player * { transition: none !important; animation: none !important; } }
 `;

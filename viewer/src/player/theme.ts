@@ -12,12 +12,15 @@ export interface Theme {
   /** Light from above and back from the ground, from the front, and from behind. */
   sky: number;
   earth: number;
+  sun: number;
   hemisphere: number;
   key: number;
   rim: number;
   /** Lines on the ground, and how strongly they show. */
   line: number;
   lineOpacity: number;
+  /** The ground where the figures stand. */
+  pool: number;
   shadow: number;
   trail: number;
 }
@@ -25,36 +28,40 @@ export interface Theme {
 export const THEMES: Record<ThemeName, Theme> = {
   light: {
     background: 0xe6eaf0,
-    shell: 0xf3efe8,
-    core: 0x4c5566,
+    shell: 0xefeae1,
+    core: 0x566073,
     left: 0xee7c54,
     right: 0x3a86be,
     face: 0x20262f,
-    sky: 0xffffff,
+    sky: 0xf4f8ff,
+    sun: 0xfff3e2,
     earth: 0xaab2bf,
-    hemisphere: 1.55,
-    key: 2.1,
-    rim: 0.7,
+    hemisphere: 1.9,
+    key: 1.6,
+    rim: 0.5,
     line: 0x55637a,
     lineOpacity: 0.34,
-    shadow: 0.3,
+    pool: 0xf4f6f9,
+    shadow: 0.26,
     trail: 0x786cc4,
   },
   dark: {
-    background: 0x12151b,
+    background: 0x161a21,
     shell: 0xdcd7ce,
-    core: 0x3a4352,
+    core: 0x55617a,
     left: 0xf08a62,
     right: 0x4b9ad6,
     face: 0x0d1014,
     sky: 0xbfd0ee,
-    earth: 0x20242c,
-    hemisphere: 1.05,
-    key: 2.3,
-    rim: 1.5,
+    sun: 0xffeeda,
+    earth: 0x343b48,
+    hemisphere: 1.0,
+    key: 2.1,
+    rim: 1.4,
     line: 0x8fa3c4,
     lineOpacity: 0.26,
-    shadow: 0.55,
+    pool: 0x2a313d,
+    shadow: 0.5,
     trail: 0x9a8df0,
   },
 };
