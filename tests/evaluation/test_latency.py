@@ -117,7 +117,7 @@ def test_a_report_is_whole(report, plan):
     assert [row["evaluations"] for row in report["clips"].values()] == [1, 2, 4, 1, 4]
     for row in report["clips"].values():
         assert row["calls"] == plan.rounds * (plan.burst - 1)
-        assert set(row["median_ms"]) == {"text", "sample", "decode", "export", "total"}
+        assert set(row["median_ms"]) == {"text", "sample", "decode", "joints", "export", "total"}
         parts = sum(row["mean_ms"][part] for part in latency.AITS)
         assert math.isclose(row["mean_ms"]["total"], parts, abs_tol=0.01)
     # The default network comes first: ratios are to it.

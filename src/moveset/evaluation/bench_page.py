@@ -100,14 +100,15 @@ def clips(report: Report) -> str:
         aits = row["median_ms"]["total"]
         parts = [_ms(row, part) for part in ("text", "sample", "decode")]
         operations = _giga(sum(counts[name].values())) if name in counts else "–"
-        cells = [*parts, f"**{_ms(row, 'total')}**", _ms(row, "export"), f"{row['ratio']:.2f}"]
+        cells = [*parts, f"**{_ms(row, 'total')}**", _ms(row, "joints"), _ms(row, "export"), f"{row['ratio']:.2f}"]
         body.append([name, str(row["evaluations"]), *cells, f"{model['frames'] / aits * 1e3:,.0f}", operations])
-    head = ["", "calls", "text", "sample", "decode", "AITS", "export", "×", "frames/s", "GFLOP"]
+    head = ["", "calls", "text", "sample", "decode", "AITS", "joints", "export", "×", "frames/s", "GFLOP"]
     first = next(iter(report["clips"]))
     return f"""## A clip of {seconds:g} s: `{model["name"]}`
 
-AITS, average inference time per sentence, is text + sample + decode at batch 1; export holds the feet and writes a BVH
-file. × is to {first}. Operations are those of text, sampling and decoding.
+AITS, average inference time per sentence, is text + sample + decode at batch 1, from a sentence to rotations. Then
+joints: all positions; export: feet held, and a BVH file written. × is to {first}, of AITS. Operations are those of
+text, sampling and decoding.
 
 {lined(head, body)}"""
 
@@ -280,7 +281,7 @@ def draw(report: Report, rows: Sequence[Judged], path: Path) -> bool:
 def _aits(report: Report, axes: "Axes") -> None:
     names = list(report["clips"])
     left = [0.0] * len(names)
-    for part, colour in zip(("text", "sample", "decode", "export"), COLOURS, strict=False):
+    for part, colour in zip(("text", "sample", "decode", "joints", "export"), COLOURS, strict=False):
         widths = [report["clips"][name]["median_ms"][part] for name in names]
         axes.barh(names, widths, left=left, color=colour, label=part, height=0.65)
         left = [a + b for a, b in zip(left, widths, strict=True)]

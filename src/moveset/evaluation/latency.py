@@ -5,6 +5,7 @@ Everything is a *case* of ``interleaved``, so that what a report compares was ru
 text     sentence to token states              export   holding the feet, and writing a BVH file
 sample   noise to latents                      first    a prompt never heard before to the segment it makes
 decode   latents to rotations and root path    segment  the segment after that one
+joints   positions of all joints
 
 AITS, the papers' average inference time per sentence, is text + sample + decode of one clip at batch 1. Theirs ends at
 features; what turns those into rotations is counted in here.
@@ -14,6 +15,7 @@ import itertools
 import statistics
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +32,7 @@ from moveset.pipelines.request import TEACHER_STEPS, Method, Request, check_meth
 from moveset.pipelines.text_to_motion import TextToMotion
 
 AITS = ("text", "sample", "decode")
-CLIP_PARTS = (*AITS, "export")
+CLIP_PARTS = (*AITS, "joints", "export")
 STREAM_PARTS = ("first", "segment")
 PROMPTS = (
     "a person walks forward and waves",
@@ -64,10 +66,12 @@ def clip_case(t2m: TextToMotion, method: Method, frames: int, folder: Path, clip
         prompts = tuple(PROMPTS[(call + k) % len(PROMPTS)] for k in range(clips))
         made = t2m.generate([Request(prompts, (frames,) * clips, seed=call)], method)[0]
         start = time.perf_counter()
+        # A fresh copy: the motion remembers its joints, which holding the feet has asked for.
+        _ = replace(made.raw[0]).joints
+        middle = time.perf_counter()
         made.motion.save(folder / "clip.bvh")
-        spent = dict(made.timings_ms)
-        export = spent.pop("finish") + (time.perf_counter() - start) * 1e3
-        return {**{part: spent[part] for part in AITS}, "export": export}
+        export = made.timings_ms["finish"] + (time.perf_counter() - middle) * 1e3
+        return {**{part: made.timings_ms[part] for part in AITS}, "joints": (middle - start) * 1e3, "export": export}
 
     return run
 
