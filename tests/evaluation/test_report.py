@@ -207,10 +207,17 @@ def test_physical_metrics_have_ratios_to_real(table: Table):
 
 
 def test_rows_that_were_judged_differently_are_not_put_side_by_side(tmp_path: Path):
-    for changed in ({"items": 319}, {"evaluator": {"name": "t2m-small", "sha256": "f" * 64}}, {"measures_sha256": "0"}):
+    for changed in ({"items": 319}, {"evaluator": {"name": "t2m-small", "sha256": "f" * 64}}):
         mixed = {**RESULTS, "pcm-4": {**RESULTS["pcm-4"], **changed}}
-        with pytest.raises(InputError, match="the rows of 'motionpcm' have different"):
+        with pytest.raises(InputError, match=r"PCM, 4 steps: other (items|evaluator) than Real"):
             markdown(load_table(suite_folder(tmp_path, "motionpcm", mixed)))
+
+
+def test_rows_that_older_code_measured_are_named(table: Table, tmp_path: Path):
+    assert "Measured by other code" not in markdown(table)
+    old = {**RESULTS, "lcm-1": {**RESULTS["lcm-1"], "measures_sha256": "0"}}
+    text = markdown(load_table(suite_folder(tmp_path / "old", "motionpcm", old)))
+    assert "**Measured by other code than the last row, so evaluate again:** LCM, 1 step." in text
 
 
 def test_latex_compiles_by_the_look_of_it(table: Table):

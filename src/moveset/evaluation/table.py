@@ -123,22 +123,31 @@ class Table:
         return checks(self.suite.name, self.metrics, shipped, labels)
 
     def common(self) -> Measured:
-        """What all results have in common: items, texts, labels, evaluator, data, wording, split, group and measures.
+        """What all results have in common: items, texts, labels, evaluator, data, wording, split and group.
 
         Raises:
             InputError: they have not, or there are none.
         """
         if not self.measured:
             raise InputError(f"no row of {self.suite.name!r} has been evaluated yet")
-        first, *others = self.measured.values()
-        for name in ("items", "texts", "labels", "evaluator", "data", "wording", "split", "group", "measures"):
-            found = {getattr(result, name) for result in (first, *others)}
-            if len(found) > 1:
+        key, first = next(iter(self.measured.items()))
+        for name in ("items", "texts", "labels", "evaluator", "data", "wording", "split", "group"):
+            if others := self._unlike(name):
                 raise InputError(
-                    f"the rows of {self.suite.name!r} have different {name}: {', '.join(sorted(map(str, found)))}; "
-                    "evaluate all of them in one way"
+                    f"{'; '.join(others)}: other {name} than {self.labels[key]}; evaluate all rows in one way"
                 )
         return first
+
+    @property
+    def stale(self) -> list[str]:
+        """Rows that were measured by other code than the last: they differ from it for reasons of no model."""
+        return self._unlike("measures", newest=True)
+
+    def _unlike(self, name: str, newest: bool = False) -> list[str]:
+        """Labels of the rows whose results differ from the first (or last) one in a field."""
+        found = {self.labels[key]: getattr(result, name) for key, result in self.measured.items()}
+        model = list(found.values())[-1 if newest else 0]
+        return [label for label, value in found.items() if value != model]
 
 
 def save_rows(name: str, rows: Sequence[tuple[Row, str, str]], out: Path) -> None:

@@ -111,7 +111,15 @@ def checks(suite: str, rows: Rows, shipped: Sequence[str], labels: Mapping[str, 
                 )
             ),
         ]  # fmt: skip
-    return [*out, *(physical(rows, key, column, labels[key]) for key in shipped for column in PHYSICAL)]
+    return [
+        *out,
+        *(
+            physical(rows, key, column, labels[key])
+            for key in shipped
+            for column in PHYSICAL
+            if column.name in rows[key]
+        ),
+    ]
 
 
 def outside(rows: Rows, key: str, reference: str, metric: str, target: str) -> Check:
