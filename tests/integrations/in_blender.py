@@ -101,8 +101,8 @@ def main(parent, folder, url):
         count = len(take.root) if rate != "SCENE" else len(take.resampled(30).root)
         shown[rate] = heads(armature, take.skeleton.joints, 5 + step * np.arange(count))
     scene.render.fps, settings.rate = 20, "SCENE"
-    scene.frame_set(1)
     for name in ("stream.mvst", "mixamo.npz", "ue5.npz"):
+        scene.frame_set(1)
         attempt(name, bpy.ops.moveset.import_take, filepath=str(folder / name))
         take = read_take(folder / name)
         shown[name] = heads(bpy.context.active_object, take.skeleton.joints, 1 + np.arange(len(take.root)))
