@@ -213,11 +213,11 @@ def test_rows_that_were_judged_differently_are_not_put_side_by_side(tmp_path: Pa
             markdown(load_table(suite_folder(tmp_path, "motionpcm", mixed)))
 
 
-def test_rows_that_older_code_measured_are_named(table: Table, tmp_path: Path):
+def test_rows_that_other_code_measured_are_named(table: Table, tmp_path: Path):
     assert "Measured by other code" not in markdown(table)
     old = {**RESULTS, "lcm-1": {**RESULTS["lcm-1"], "measures_sha256": "0"}}
     text = markdown(load_table(suite_folder(tmp_path / "old", "motionpcm", old)))
-    assert "**Measured by other code than the last row, so evaluate again:** LCM, 1 step." in text
+    assert "**Measured by other code than the rest, so evaluate the suite again:** LCM, 1 step." in text
 
 
 def test_latex_compiles_by_the_look_of_it(table: Table):

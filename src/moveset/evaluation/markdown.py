@@ -67,8 +67,8 @@ def about(table: Table) -> str:
         "better, → nearer to real motion is better. **Best** and <u>second best</u> of the rows that generate. "
         "Milliseconds an item are those of this run: in batches, on whatever the machine was doing besides.",
     ]
-    if table.stale:
-        lines.append(f"**Measured by other code than the last row, so evaluate again:** {'; '.join(table.stale)}.")
+    if table.odd:
+        lines.append(f"**Measured by other code than the rest, so evaluate the suite again:** {'; '.join(table.odd)}.")
     if rough:
         lines.append(f"Rows that cost much have fewer repeats; fewer than {ROUGH} make a rough interval.")
     return "\n\n".join(lines)

@@ -139,14 +139,15 @@ class Table:
         return first
 
     @property
-    def stale(self) -> list[str]:
-        """Rows that were measured by other code than the last: they differ from it for reasons of no model."""
-        return self._unlike("measures", newest=True)
+    def odd(self) -> list[str]:
+        """Labels of the rows that were measured by other code than most."""
+        return self._unlike("measures", most=True)
 
-    def _unlike(self, name: str, newest: bool = False) -> list[str]:
-        """Labels of the rows whose results differ from the first (or last) one in a field."""
+    def _unlike(self, name: str, most: bool = False) -> list[str]:
+        """Labels of the rows whose results differ in a field from the first, or from most."""
         found = {self.labels[key]: getattr(result, name) for key, result in self.measured.items()}
-        model = list(found.values())[-1 if newest else 0]
+        values = list(found.values())
+        model = max(values, key=values.count) if most else values[0]
         return [label for label, value in found.items() if value != model]
 
 
