@@ -79,9 +79,9 @@ def machine(report: Report) -> str:
     m, load = report["machine"], report["load"]
     gpu = f", {m['gpu']}" if m["gpu"] and m["device"] != "cpu" else ""
     text = (
-        f"{m['cpu']}{gpu}, {m['threads']} threads on {m['cores']} cores (OpenMP waits: {m['waiting']}), "
+        f"{m['cpu']}{gpu}, threads: {m['threads']} of {m['cores']} (OpenMP waits: {m['waiting']}), "
         f"torch {m['torch']}, Python {m['python']}, {m['system']}; device {m['device']}; moveset {report['moveset']}, "
-        f"{report['date']}; {report['plan']['rounds']} rounds, {report['wall_seconds']:.0f} s in all"
+        f"{report['date']}; rounds: {report['plan']['rounds']}, {report['wall_seconds']:.0f} s in all"
     )
     if load["before"] is None:
         return f"{text}."
@@ -207,6 +207,8 @@ def endless(report: Report) -> str:
     ]
     return f"""## A stream without end
 
+Resident is the benchmark's own process, with all that it measured before: what matters is that it stays.
+
 {lined(["after segments", "ms a segment", "resident, MB"], body)}"""
 
 
@@ -295,6 +297,7 @@ def _by_length(report: Report, axes: "Axes") -> None:
         xs, ys = [p["seconds"] for p in points], [p["median_ms"] for p in points]
         axes.plot(xs, ys, marker="o", ms=4, color=colour, label=label)
     axes.set(title="time by length", xlabel="seconds of motion", ylabel="ms", xscale="log", yscale="log")
+    _plain(axes, "xy")
     axes.legend(frameon=False)
 
 
@@ -302,8 +305,11 @@ def _by_batch(report: Report, axes: "Axes") -> None:
     for (name, row), colour in zip(report["batches"].items(), COLOURS, strict=False):
         xs, ys = [int(size) for size in row], [found["median_ms"]["clip"] for found in row.values()]
         axes.plot(xs, ys, marker="o", ms=4, color=colour, label=name)
-    axes.set(title="time of a clip by batch", xlabel="batch", ylabel="ms a clip", yscale="log")
-    axes.set_xscale("log", base=2)
+    axes.set(title="time of a clip by batch", xlabel="batch", ylabel="ms a clip", xscale="log", yscale="log")
+    sizes = list(next(iter(report["batches"].values())))
+    _plain(axes, "y")
+    axes.set_xticks([int(size) for size in sizes], sizes)
+    axes.set_xticks([], minor=True)
     axes.legend(frameon=False)
 
 
@@ -318,6 +324,20 @@ def _front(rows: Sequence[Judged], axes: "Axes") -> None:
     line = [points[name] for name in pareto(drawn)]
     axes.step([x for x, _ in line], [y for _, y in line], where="post", color=GREY, lw=1, ls="--")
     axes.set(title="quality against time", xlabel="ms a second of motion", ylabel="FID ↓", xscale="log", yscale="log")
+    _plain(axes, "xy")
+
+
+def _plain(axes: "Axes", which: str) -> None:
+    """Numbers on logarithmic axes as people write them."""
+    from matplotlib.ticker import LogFormatter
+
+    class Plain(LogFormatter):
+        def __call__(self, x: float, pos: int | None = None) -> str:
+            return f"{x:g}" if super().__call__(x, pos) else ""
+
+    for axis in (axes.xaxis if name == "x" else axes.yaxis for name in which):
+        axis.set_major_formatter(Plain())
+        axis.set_minor_formatter(Plain(minor_thresholds=(1.5, 0.5)))
 
 
 PLOTS = {"clips": _aits, "lengths": _by_length, "batches": _by_batch}

@@ -81,7 +81,10 @@ def read_results(folders: Sequence[Path]) -> list[Result]:
             raise InputError(f"there is no folder {folder}; give one with results of `moveset evaluate`")
         for path in sorted(folder.rglob("*.json")):
             raw = json_object(read_limited(path), path)
-            if {"network", "metrics", "protocol", "evaluator"} <= set(raw) and raw["protocol"]["wording"] == "known":
+            protocol = raw.get("protocol")
+            if not isinstance(protocol, dict) or not {"network", "metrics", "evaluator"} <= set(raw):
+                continue
+            if protocol.get("wording") == "known":
                 found.append(Result.of(raw, path))
     return found
 
