@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from websockets.sync.client import connect
 
 from moveset import MotionStream
 from moveset.io import load
@@ -126,6 +127,45 @@ def test_clients_say_what_is_wrong_in_one_sentence(node, served):
     done = run(*node, CLIENTS / "stream_client.mjs", "a", env={"MOVESET_SERVER": nowhere, "PATH": ""})
     assert done.returncode != 0
     assert "start one with: moveset serve" in done.stderr
+
+
+def events(socket, until):
+    """Messages up to the first of a type, packets as (first frame, frames)."""
+    seen = []
+    while not seen or not isinstance(seen[-1], dict) or seen[-1]["type"] != until:
+        message = socket.recv(timeout=60)
+        if isinstance(message, str):
+            seen.append(json.loads(message))
+        else:
+            take = unpack_packets(message)
+            seen.append((take.first_frame, len(take.motion)))
+    return seen
+
+
+def until_quiet(socket):
+    """Messages until none comes for three seconds."""
+    while True:
+        try:
+            yield socket.recv(timeout=3)
+        except TimeoutError:
+            return
+
+
+def test_what_the_page_says_about_acknowledgements_and_frames_taken_back(served):
+    with connect(served.replace("http", "ws") + "/v1/stream") as socket:
+        start = {"type": "start", "prompt": PROMPTS[0], "seed": 1, "buffer": 4.0, "commit": 10}
+        socket.send(json.dumps(start))
+        # Without acknowledgements: what the buffer holds, rounded up to whole segments, and no more.
+        packets = [unpack_packets(message) for message in until_quiet(socket) if isinstance(message, bytes)]
+        assert [(take.first_frame, len(take.motion)) for take in packets] == [(0, 28), (28, 28), (56, 28)]
+        # Twenty frames played and ten committed: the third segment, sent long ago, is free to change.
+        socket.send(json.dumps({"type": "played", "frame": 20}))
+        socket.send(json.dumps({"type": "prompt", "text": PROMPTS[1]}))
+        later = events(socket, "prompt")
+        effect = later[-1]["takes_effect_at"]
+        assert effect == 56
+        more = events(socket, "segment")[-1]
+        assert (more["first_frame"], more["prompt"]) == (56, PROMPTS[1])
 
 
 def test_the_stream_client_fits_on_a_screen():
