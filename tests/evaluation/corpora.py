@@ -1,6 +1,7 @@
 """Corpora and folders of motion with known items, for tests of evaluation."""
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +9,7 @@ import numpy as np
 from moveset.data import phrases
 from moveset.data.captions import train_captions
 from moveset.data.corpus import CorpusWriter, TakeEntry
+from moveset.data.labels import mirror_label
 from moveset.data.records import ClipRecord, Part, Recipe
 from moveset.data.synthetic import KINDS, synthetic_motion
 
@@ -25,12 +27,13 @@ def content_corpus(path: Path, *, frames: int = FRAMES, short: int = 0, split: s
     """
     writer = CorpusWriter()
     contents = list(phrases.TRAIN)
+    captions = own_captions(contents)
     for k, content in enumerate([*contents, *contents[:short]]):
         length = frames + k % 5 if k < len(contents) else 20
         writer.add_take(
             TakeEntry(
                 name=f"take{k}", take=f"take{k}", source="synthetic", content=content, style=None,
-                captions=train_captions(content)[:3], split=split, subject="s",
+                captions=captions[content], split=split, subject="s",
                 motion=synthetic_motion(KINDS[k % len(KINDS)], length, seed=k),
             )
         )  # fmt: skip
@@ -40,12 +43,19 @@ def content_corpus(path: Path, *, frames: int = FRAMES, short: int = 0, split: s
             contents=(contents[0], contents[10]), style=None, split=split, fps=20.0, frames=frames + frames - 10,
             captions=(), recipe=Recipe((Part(0, 0, frames), Part(10, 0, frames)), blend=10),
         ),
-        ("a person walks and then waves",),
+        ("a person walks and then waves with the left hand",),
     )  # fmt: skip
     return writer.write(path)
 
 
-
+def own_captions(contents: Sequence[str]) -> dict[str, tuple[str, ...]]:
+    """Three sentences of each content that no other content has, nor a mirror image of it."""
+    users: dict[str, set[str]] = {}
+    for content in contents:
+        for mirrored in (mirror_label(content), content):
+            for sentence in train_captions(mirrored):
+                users.setdefault(sentence, set()).add(mirrored)
+    return {c: tuple(s for s in train_captions(c) if users[s] == {c})[:3] for c in contents}
 
 
 def motion_folder(path: Path, count: int = 40, frames: int = 40) -> Path:

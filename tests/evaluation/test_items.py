@@ -79,7 +79,8 @@ def test_wordings_draw_the_same_captions(items):
 
 def test_all_captions_are_drawn_alike(items):
     item = items.items[0]
-    assert item.captions == train_captions("walk")[:3]
+    assert len(set(item.captions)) == 3
+    assert set(item.captions) < set(train_captions("walk"))
     draws = [items.draw(generator(k))[0].caption for k in range(90)]
     assert min(draws.count(caption) for caption in item.captions) > 15
 

@@ -1,0 +1,237 @@
+"""Files of repeats: resumed, shared out, never mistaken for others, and the same result however they came to be."""
+
+import json
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from moveset.errors import FormatError, InputError, MovesetError
+from moveset.evaluation import job as jobs
+from moveset.evaluation.items import open_items
+from moveset.evaluation.job import Job, open_session, run
+from moveset.evaluation.protocol import Protocol, Session, run_repeat
+from moveset.evaluation.results import Results, same
+from tests.bundles import tiny_bundle
+from tests.evaluation.corpora import content_corpus
+from tests.evaluation.judges import Oracle, Painter
+from tests.evaluators import tiny_evaluator
+
+PROTOCOL = Protocol(repeats=4, multimodality=1, samples=10, group=8)
+
+
+@pytest.fixture(scope="module")
+def items(tmp_path_factory):
+    return open_items(content_corpus(tmp_path_factory.mktemp("corpus") / "corpus.safetensors"), "test").limited(24)
+
+
+@pytest.fixture(scope="module")
+def oracle(items):
+    return Oracle(items)
+
+
+def opened(items, oracle, out, protocol=PROTOCOL, generator=None, again=False):
+    generator = generator or Painter()
+    session = Session(protocol.fitted(items, True), items, generator, oracle)
+    return session, Results(session, out, again)
+
+
+def make(session, results, numbers):
+    for number in numbers:
+        results.add(run_repeat(session, number))
+
+
+def whole(items, oracle, out, order=range(4)):
+    session, results = opened(items, oracle, out)
+    make(session, results, order)
+    return results.finish(), results
+
+
+def timeless(path):
+    text = Path(path).read_text()
+    return [line for line in text.splitlines() if "seconds" not in line]
+
+
+def test_a_result_says_what_it_is_of(items, oracle, tmp_path):
+    result, results = whole(items, oracle, tmp_path)
+    assert results.path == tmp_path / "painter-test.json"
+    assert json.loads(results.path.read_text()) == result
+    assert (result["model"], result["network"], result["steps"]) == ("painter", "paint", 1)
+    assert (result["items"], result["labels"], result["groups"]) == (24, len(set(items.labels)), 3)
+    assert result["data"]["name"] == "corpus.safetensors"
+    assert len(result["repeats"]) == 4
+    mean = sum(repeat["fid"] for repeat in result["repeats"]) / 4
+    assert result["metrics"]["fid"]["mean"] == pytest.approx(mean)
+    assert result["metrics"]["fid"]["interval"] > 0
+    assert set(result["repeats"][0]) == set(result["metrics"])
+    assert result["weights_sha256"]
+    assert result["seconds_per_item"] > 0
+
+
+def test_the_same_seed_gives_the_same_bytes_but_for_the_time(items, oracle, tmp_path):
+    one, a = whole(items, oracle, tmp_path / "a")
+    other, b = whole(items, oracle, tmp_path / "b", order=(2, 0, 3, 1))
+    assert same(one, other)
+    assert timeless(a.path) == timeless(b.path)
+
+
+def test_an_interrupted_evaluation_goes_on(items, oracle, tmp_path):
+    straight, _ = whole(items, oracle, tmp_path / "straight")
+    session, results = opened(items, oracle, tmp_path / "halves")
+    make(session, results, results.missing()[:2])
+    assert results.finish() is None
+    assert not results.path.exists()
+    session, results = opened(items, oracle, tmp_path / "halves")
+    assert (results.done, results.missing()) == ([0, 1], [2, 3])
+    make(session, results, results.missing())
+    assert same(results.finish(), straight)
+
+
+def test_shares_make_the_same_table(items, oracle, tmp_path):
+    straight, _ = whole(items, oracle, tmp_path / "straight")
+    first, second = (opened(items, oracle, tmp_path / "shared") for _ in range(2))
+    assert (first[1].missing(0, 2), second[1].missing(1, 2)) == ([0, 2], [1, 3])
+    make(*second, second[1].missing(1, 2))
+    assert second[1].finish() is None
+    make(*first, first[1].missing(0, 2))
+    assert same(first[1].finish(), straight)
+
+
+def test_more_repeats_keep_those_that_are_there(items, oracle, tmp_path):
+    whole(items, oracle, tmp_path)
+    _, results = opened(items, oracle, tmp_path, replace(PROTOCOL, repeats=6))
+    assert results.missing() == [4, 5]
+    _, results = opened(items, oracle, tmp_path, replace(PROTOCOL, repeats=2))
+    assert len(results.finish()["repeats"]) == 2
+
+
+@pytest.mark.parametrize("change", [{"seed": 1}, {"wording": "held-out"}, {"multimodality": 3}, {"group": 9}])
+def test_another_protocol_is_another_evaluation(items, oracle, tmp_path, change):
+    whole(items, oracle, tmp_path)
+    _, results = opened(items, oracle, tmp_path, replace(PROTOCOL, **change))
+    assert results.done == []
+
+
+def test_other_weights_data_judges_and_settings_are_other_evaluations(items, oracle, tmp_path, monkeypatch):
+    whole(items, oracle, tmp_path)
+    for what in ("weights", "describe"):
+        other = Painter()
+        monkeypatch.setattr(other, what, lambda: {"paint.safetensors": "2"})
+        assert opened(items, oracle, tmp_path, generator=other)[1].done == []
+    assert opened(replace(items, sha256="2" * 64), oracle, tmp_path)[1].done == []
+    monkeypatch.setattr(oracle, "sha256", "3" * 64, raising=False)
+    assert opened(items, oracle, tmp_path)[1].done == []
+
+
+def test_making_everything_anew(items, oracle, tmp_path):
+    whole(items, oracle, tmp_path)
+    assert opened(items, oracle, tmp_path, again=True)[1].done == []
+
+
+def test_a_damaged_repeat_is_named(items, oracle, tmp_path):
+    _, results = whole(items, oracle, tmp_path)
+    path = next((tmp_path / "repeats").glob("*/002.json"))
+    for text in (path.read_text()[:50], "[]", '{"repeat": 1, "metrics": {"fid": 1}}', '{"repeat": 2}'):
+        path.write_text(text)
+        with pytest.raises(FormatError, match=r"002\.json is not what an evaluation wrote"):
+            results.finish()
+
+
+@pytest.mark.parametrize("out", ["/proc/nowhere", "file/below"])
+def test_a_folder_that_cannot_be_written_to(items, oracle, tmp_path, out, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("file").write_text("")
+    with pytest.raises(InputError, match="choose another --out"):
+        opened(items, oracle, Path(out))
+
+
+# ----------------------------------------------------------------------------------------------- real jobs, processes
+
+
+@pytest.fixture(scope="module")
+def job(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("job")
+    return Job(
+        model=str(tiny_bundle(folder / "tiny")),
+        data=content_corpus(folder / "corpus.safetensors"),
+        evaluator=str(tiny_evaluator(folder / "judge")),
+        protocol=Protocol(repeats=3, multimodality=1, samples=10, group=8),
+        items=24,
+        device="cpu",
+    )
+
+
+@pytest.fixture(scope="module")
+def alone(job, tmp_path_factory):
+    return run(job, tmp_path_factory.mktemp("alone"), processes=1)
+
+
+def test_two_processes_make_the_same_table_as_one(job, alone, tmp_path):
+    result, path = run(job, tmp_path, processes=2)
+    assert same(result, alone[0])
+    assert timeless(path) == timeless(alone[1])
+
+
+def test_ranks_of_torchrun_make_the_same_table(job, alone, tmp_path):
+    early, path = run(job, tmp_path, share=(1, 2))
+    assert early is None
+    assert not path.exists()
+    result, _ = run(job, tmp_path, share=(0, 2))
+    assert same(result, alone[0])
+
+
+def test_finished_work_makes_nothing(job, alone, monkeypatch):
+    monkeypatch.setattr(jobs, "run_repeat", None)
+    assert same(run(job, alone[1].parent, processes=1)[0], alone[0])
+
+
+def test_a_process_that_dies_is_told_of(job, tmp_path, monkeypatch):
+    class Dead:
+        exitcode = -9
+
+        def is_alive(self):
+            return False
+
+        def terminate(self):
+            pass
+
+    monkeypatch.setattr(jobs, "_start", lambda *_: Dead())
+    monkeypatch.setattr(jobs, "work", lambda *_: None)
+    with pytest.raises(MovesetError, match="process 1 of 2 ended with code -9; run again to resume"):
+        run(job, tmp_path, processes=2)
+
+
+def test_progress_is_told(job, tmp_path):
+    heard = []
+    run(
+        replace(job, protocol=Protocol(repeats=1, multimodality=0)),
+        tmp_path,
+        processes=1,
+        watch=lambda *x: heard.append(x),
+    )
+    assert heard[-1] == (1, 1, "0")
+    assert any("motions 24/24" in stage for _, _, stage in heard)
+
+
+def test_what_does_not_fit_is_refused_before_anything_is_made(job, tmp_path):
+    few = replace(job, items=20, protocol=Protocol())
+    with pytest.raises(InputError, match="20 items, and R-precision needs 32"):
+        run(few, tmp_path, processes=1)
+    assert os.listdir(tmp_path) == []
+    with pytest.raises(InputError, match="unknown evaluator"):
+        open_session(replace(job, evaluator="nobody"))
+    with pytest.raises(InputError, match="there is no corpus"):
+        open_session(replace(job, data=tmp_path / "nothing"))
+    with pytest.raises(InputError, match="batch 0"):
+        open_session(replace(job, batch=0))
+    with pytest.raises(InputError, match="0 processes"):
+        run(job, tmp_path, processes=0)
+
+
+def test_a_truncated_judge_is_refused(job, tmp_path):
+    judge = tiny_evaluator(tmp_path / "judge")
+    weights = judge / "model.safetensors"
+    weights.write_bytes(weights.read_bytes()[:-1])
+    with pytest.raises(FormatError):
+        open_session(replace(job, evaluator=str(judge)))

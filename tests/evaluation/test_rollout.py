@@ -1,0 +1,109 @@
+"""Long motion: clips in a row, windows over them, what a window is told, and what drifts."""
+
+import pytest
+import torch
+
+from moveset.errors import InputError
+from moveset.evaluation.generators import Given
+from moveset.evaluation.items import open_items, text_of
+from moveset.evaluation.protocol import Protocol, Session
+from moveset.evaluation.rollout import WINDOW, cut, drift, rollouts, run_rollout, spread_change, starts
+from moveset.motion.features import get_codec
+from tests.evaluation.corpora import content_corpus
+from tests.evaluation.judges import Oracle, Painter
+from tests.motions import gait
+
+PROTOCOL = Protocol(split="rollout", group=8)
+
+
+@pytest.fixture(scope="module")
+def items(tmp_path_factory):
+    return open_items(content_corpus(tmp_path_factory.mktemp("corpus") / "corpus.safetensors", frames=90), "test")
+
+
+def draws(items, seed=0):
+    return items.draw(torch.Generator().manual_seed(seed))
+
+
+def test_windows_cover_a_rollout():
+    assert starts(600) == [0, 98, 196, 294, 392]
+    assert starts(WINDOW) == starts(50) == [0]
+    joints = torch.zeros(600, 22, 3)
+    assert [len(window) for window in cut(joints)] == [WINDOW + 1] * 5
+
+
+def test_rollouts_are_half_a_minute_of_whole_clips(items):
+    made = rollouts(draws(items), 20.0)
+    assert len(made) >= 10
+    for one in made:
+        assert 580 <= sum(one.frames) <= 600
+        assert [n for n, _ in zip(one.frames[:-1], one.draws, strict=False)] == [d.frames for d in one.draws[:-1]]
+        assert one.frames[-1] >= 20
+    names = [draw.item.name for one in made for draw in one.draws]
+    assert len(names) == len(set(names))
+
+
+def test_too_little_for_one(items):
+    with pytest.raises(InputError, match="one rollout takes 30"):
+        rollouts(draws(items)[:3], 20.0)
+
+
+def test_windows_are_told_what_holds_longest_in_them(items):
+    one = rollouts(draws(items), 20.0)[0]
+    first, second = one.draws[:2]
+    assert one.said(0, 60)[0] == text_of(first.caption).rstrip(".")
+    sentence, label = one.said(30, one.frames[0] + 60)
+    assert label == (*first.item.label, *second.item.label)
+    assert (
+        sentence.lower() == f"{text_of(first.caption).rstrip('.')}, then {text_of(second.caption).rstrip('.')}".lower()
+    )
+    # A twentieth of a window is not told of it.
+    assert one.said(5, one.frames[0] + 4)[1] == first.item.label
+
+
+def test_the_real_motion_is_the_clips_in_a_row(items):
+    one = rollouts(draws(items), 20.0)[0]
+    joints, features = one.real(items.codec)
+    assert len(joints) == sum(one.frames)
+    assert [x.shape for x in features] == [(min(WINDOW, len(joints) - 1 - s), 263) for s in starts(len(joints))]
+
+
+def test_real_rollouts_against_themselves(items):
+    session = Session(PROTOCOL.fitted(items, False), items, Given("real"), Oracle(items))
+    found = run_rollout(session, 0)
+    assert found["metrics"]["fid"] == pytest.approx(0.0, abs=1e-6)
+    assert found["windows"] == sum(1 for _ in range(found["rollouts"])) * 5
+    assert found["metrics"]["spread_change"] > 0
+    assert {"drift_height", "drift_speed", "drift_jerk", "drift_skating", "skating"} <= set(found["metrics"])
+
+
+def test_models_are_told_the_timeline(items):
+    painter = Painter()
+    painter.segment = 1.4
+    session = Session(PROTOCOL.fitted(items, True), items, painter, Oracle(items))
+    found = run_rollout(session, 0)
+    assert found == {**run_rollout(session, 0), "seconds": found["seconds"]}
+    assert all(580 <= one.frames <= 600 and len(one.parts) > 3 for one in painter.asked)
+    assert found["metrics"]["boundary_jerk"] > 0
+    assert "multimodality" not in found["metrics"]
+
+
+def test_single_actions_only(items):
+    painter = Painter()
+    run_rollout(Session(PROTOCOL.fitted(items, True), items, painter, Oracle(items)), 0)
+    told = {prompt for one in painter.asked for prompt, _ in one.parts}
+    assert "a person walks and then waves with the left hand" not in told
+
+
+def test_what_sinks_drifts():
+    steady = gait(600).joints
+    sinking = steady - torch.linspace(0, 0.5, 600)[:, None, None] * torch.tensor((0.0, 1.0, 0.0))
+    codec = get_codec("hml")
+    assert abs(drift([steady], codec)["drift_height"]) < 0.01
+    assert drift([sinking], codec)["drift_height"] == pytest.approx(-1.0, abs=0.05)  # metres a minute
+
+
+def test_spread_that_shrinks():
+    points = torch.randn(10, 4, 8, dtype=torch.float64)
+    points[:, -1] = 0.1 * points[:, 0]
+    assert spread_change(points.flatten(0, 1), [4] * 10) == pytest.approx(0.1)
