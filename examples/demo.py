@@ -1,6 +1,7 @@
 """What ``make demo`` runs: sentences as clips in one, two and four steps, and a stream that turns from one to the next.
 
-All as BVH, GLB, filmstrip and GIF, with timings. A model folder for the clips may be given as argument.
+All as BVH, GLB, filmstrip and GIF, with timings, and one page, out/index.html, that plays everything. A model folder
+for the clips may be given as argument.
 """
 
 import sys
@@ -11,6 +12,7 @@ from pathlib import Path
 import torch
 
 from moveset import Generation, Motion, MotionStream, TextToMotion, save
+from moveset.io.html import Scene, Shown, write_html
 
 OUT = Path("out")
 FILES, PICTURES = ("bvh", "glb"), ("png", "gif")
@@ -37,25 +39,31 @@ def main() -> None:
     columns = ("text", "sample", "decode", "feet", "files", "pictures")
     print(f"{'file':<10}{'seconds':>8}{'steps':>6}" + "".join(f"{column:>10}" for column in columns) + "  prompt")
     made_files = 0
+    scenes = []
     for name, prompt in PROMPTS.items():
+        takes = []
         for steps in t2m.bundle.config.steps("pcm"):
             made = t2m(prompt, steps=steps, seed=SEED)
             spent = [*made.timings_ms.values()]
             spent += [write(made.motion, OUT / f"{name}-{steps}", formats, made) for formats in (FILES, PICTURES)]
             made_files += len(FILES + PICTURES)
+            takes.append(Shown(made.motion, f"{steps} step{'s' * (steps > 1)}", ((prompt, 0),)))
             times = "".join(f"{ms:>10.1f}" for ms in spent)
             print(f"{f'{name}-{steps}':<10}{made.seconds:>8.2f}{steps:>6}{times}  {prompt}", flush=True)
             for warning in made.warnings:
                 print(f"    note: {warning}")
-    made_files += stream()
+        scenes.append(Scene(prompt, tuple(takes), "side by side: " + ", ".join(take.title for take in takes)))
+    live, files = stream()
+    page = write_html(OUT / "index.html", [*scenes, live], title="moveset: what it made just now")
     print(
-        f"\n{made_files} files in {OUT}/. Open a .png or a .gif to look, a .bvh or a .glb in Blender (File > Import)."
+        f"\n{made_files + files} files in {OUT}/: .bvh and .glb for Blender (File > Import), .png and .gif to look at."
     )
+    print(f"All of it plays in one page, offline: open {page.resolve()} in a browser.")
     print("Try your own: .venv/bin/moveset generate 'a person …' -o my.glb")
 
 
-def stream() -> int:
-    """One motion of four sentences, three segments each; the number of files."""
+def stream() -> tuple[Scene, int]:
+    """One motion of four sentences, three segments each, and the number of its files."""
     live = MotionStream.from_pretrained(prompt=STREAM, seconds=4.2, seed=SEED)
     segments = list(islice(live, 3 * len(STREAM)))
     spent = sorted(segment.latency_ms for segment in segments)[len(segments) // 2]
@@ -71,7 +79,8 @@ def stream() -> int:
     print(f"\nstream: {motion.seconds:.1f} s, {speed}")
     for segment in segments[::3]:
         print(f"    from frame {segment.first_frame}: {segment.prompt}")
-    return len(FILES + PICTURES)
+    prompts = tuple((segment.prompt, segment.first_frame) for segment in segments[::3])
+    return Scene("a stream", (Shown(motion, prompts=prompts),), ", ".join(STREAM)), len(FILES + PICTURES)
 
 
 def write(motion: Motion, stem: Path, formats: tuple[str, ...], made: Generation | None = None) -> float:

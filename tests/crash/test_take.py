@@ -17,7 +17,7 @@ REPOSITORY = Path(__file__).resolve().parents[2]
 pytestmark = [pytest.mark.skipif(os.name == "nt", reason="kills by POSIX signals"), pytest.mark.timeout(600)]
 
 
-@pytest.mark.parametrize("suffix", [".bvh", ".glb", ".npz"])
+@pytest.mark.parametrize("suffix", [".bvh", ".glb", ".npz", ".html"])
 def test_sigkill_at_every_operation_on_the_disk(suffix, tmp_path):
     environment = {**os.environ, "PYTHONPATH": str(REPOSITORY), "OMP_NUM_THREADS": "1"}
     command = [sys.executable, "-m", "tests.crash.take_victim", str(tmp_path), suffix]

@@ -63,7 +63,7 @@ def test_a_page_needs_nothing_from_anywhere(walk, tmp_path):
 def test_the_policy_allows_the_one_script(walk):
     text = html_page([Scene("walk", (Shown(walk),))])
     scripts = [(a, data) for (tag, a), data in zip(_scripts(text), Elements(text).of("script"), strict=True)]
-    (data, _), (_, code) = scripts
+    (_, code), (data, _) = scripts
     assert data == {"type": "application/json", "id": "moveset-page"}
     digest = base64.b64encode(hashlib.sha256(code.encode()).digest()).decode()
     assert f"script-src 'sha256-{digest}';" in html.unescape(text)

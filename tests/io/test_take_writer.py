@@ -20,7 +20,7 @@ from moveset.motion.retarget import retarget
 from moveset.motion.skeleton import HML22
 from tests.motions import wander
 
-SUFFIXES = [".bvh", ".glb", ".npz"]
+SUFFIXES = [".bvh", ".glb", ".npz", ".html"]
 every_format = pytest.mark.parametrize("suffix", SUFFIXES)
 LENGTHS = (28, 1, 60, 28, 7)
 
@@ -151,7 +151,7 @@ class Disk:
         return self.real(handle, data[:allowed])
 
 
-@pytest.mark.parametrize("after", [20, 10_000, 31_000, 60_001])
+@pytest.mark.parametrize("after", [20, 10_000, 31_000, 40_001])
 @every_format
 def test_a_full_disk_ends_the_take_after_its_last_whole_frame(motion, suffix, after, tmp_path, monkeypatch):
     path, parts, sizes = tmp_path / f"take{suffix}", pieces(motion, (28,) * 4), {}
@@ -177,7 +177,7 @@ def test_a_full_disk_ends_the_take_after_its_last_whole_frame(motion, suffix, af
         rows = (tmp_path / path.name).read_bytes().splitlines(keepends=True)[-take.frames :]
         longest = max(map(len, rows)) + 40
         assert after - longest < sum(map(len, rows[28:])) <= after
-    else:
+    elif suffix != ".html":
         # The file is arranged in the space that was kept for it.
         assert path.stat().st_size <= sizes[f".{path.name}.space"]
 

@@ -50,7 +50,7 @@ def stream(
 
     Args:
         prompt: What the person does, such as "a person walks forward"; the last one is held.
-        output: File to write while it grows: .bvh .glb or .npz; give it several times for several files. What has
+        output: File to write while it grows: .bvh .glb .npz or .html; give it several times for several files. What has
             been made so far is kept, however the stream ends.
         seconds: Duration of a prompt; once for all prompts, or once for each. Prompts change between two segments
             (every 1.4 s), so durations are rounded; without it a prompt lasts four segments.
@@ -187,10 +187,12 @@ def _notes(made: "MotionStream", request: "StreamRequest") -> dict[str, str | in
     """What the files tell about how they were made."""
     from moveset import __version__
 
+    each = made.bundle.config.segment / made.bundle.config.fps
     return {
         "generator": f"moveset {__version__}",
         "model": made.bundle.config.name,
         "prompt": " | ".join(request.timeline.prompts),
+        "starts": " | ".join(f"{each * start:g}" for start in request.timeline.starts),
         "seed": request.seed,
         "network": request.settings.network,
         "steps": request.settings.steps,

@@ -21,11 +21,14 @@ import torch
 
 from moveset.errors import FormatError, InputError
 from moveset.io.limits import MAX_BYTES, MAX_JOINTS, atomic_write, read_limited
-from moveset.io.packets import pack_packet, skeleton_json, unpack_packets
+from moveset.io.packets import HEADER, MAGIC, VERSION, pack_packet, skeleton_json, unpack_packets
 from moveset.motion.clip import Motion
 from moveset.motion.rigs import as_skeleton
+from moveset.motion.skeleton import Skeleton
 
 _OPENS, _CLOSES = '<script type="application/json" id="moveset-page">', "</script>"
+_TAIL = f"{_CLOSES}\n</body>\n</html>\n"
+FRAMES_BEGIN = b', "data": [""\n'
 _FORMAT = 1
 
 
@@ -78,13 +81,8 @@ def write_html(
         InputError: nothing to show, motions on different skeletons side by side, more than can be read back, or a path
             that cannot be written to.
     """
-    # A command line's bytes that are no text come as lone surrogates, which UTF-8 does not know.
-    page = html_page(scenes, title=title, metadata=metadata).encode("utf-8", "replace")
-    if len(page) > MAX_BYTES:
-        raise InputError(
-            f"{path} would have {len(page) / 2**20:.0f} MB, more than the limit of {MAX_BYTES / 2**20:g} MB; put fewer "
-            "or shorter motions on a page"
-        )
+    page = _encoded(html_page(scenes, title=title, metadata=metadata))
+    _check_size(path, len(page))
     with atomic_write(path) as file:
         file.write(page)
     return Path(path)
@@ -103,24 +101,62 @@ def html_page(
         "scenes": [_scene(scene) for scene in scenes],
         "metadata": dict(metadata or {}),
     }
-    return page_head(title) + for_script(page) + page_tail()
+    return _page_head(title) + for_script(page) + _TAIL
 
 
 def save_html(motion: Motion, path: str | Path, *, metadata: Mapping[str, str | int | float | None]) -> Path:
     """Write a page of one motion; the prompt of its metadata is its title, and ``starts`` when each part of it begins.
 
     Raises:
-        InputError: as for ``write_html``.
+        InputError: more than can be read back, or a path that cannot be written to.
     """
-    prompt = str(metadata.get("prompt") or "")
-    texts = prompt.split(" | ") if prompt else []
-    starts = re.findall(r"[0-9.]+", str(metadata.get("starts") or "0"))
+    page = [open_page(motion.skeleton, motion.fps, metadata), *frame_lines(motion), close_page()]
+    _check_size(path, sum(map(len, page)))
+    with atomic_write(path) as file:
+        file.writelines(page)
+    return Path(path)
+
+
+def open_page(skeleton: Skeleton, fps: float, metadata: Mapping[str, str | int | float | None]) -> bytes:
+    """A page of one motion up to its frames, which may come while it is made: ``frame_lines``, then ``close_page``."""
+    title = title_of(metadata)
+    page = for_script({"format": _FORMAT, "title": title or "Motion", "metadata": dict(metadata)})
+    scene = for_script({"title": title, "note": "", "skeleton": skeleton_json(skeleton)})
+    take = for_script({"title": "", "prompts": prompts_of(metadata, fps)})
+    begun = f'{page[:-1]}, "scenes": [{scene[:-1]}, "takes": [{take[:-1]}'
+    return _encoded(_page_head(title or "Motion") + begun) + FRAMES_BEGIN
+
+
+def frame_lines(motion: Motion, first_frame: int = 0) -> list[bytes]:
+    """A line for each frame, all of one length: a packet in base64."""
+    rows = torch.cat((motion.root.float(), motion.rotations.flatten(1).float()), dim=1).contiguous().numpy()
+    rows = rows.astype("<f4", copy=False)
+    joints = len(motion.skeleton)
+    heads = (HEADER.pack(MAGIC, VERSION, joints, 1, first_frame + k, motion.fps, 0.0, 0) for k in range(len(rows)))
+    return [b',"' + base64.b64encode(head + row.tobytes()) + b'"\n' for head, row in zip(heads, rows, strict=True)]
+
+
+def close_page() -> bytes:
+    """What ends a page of one motion."""
+    return b"]}]}]}" + _TAIL.encode()
+
+
+def title_of(metadata: Mapping[str, str | int | float | None]) -> str:
+    """A line that says what is seen: the prompts in their order."""
+    return str(metadata.get("prompt") or "").replace(" | ", ", then ")
+
+
+def prompts_of(metadata: Mapping[str, str | int | float | None], fps: float) -> list[dict[str, str | int]]:
+    """What was said from which frame on; all at once where the metadata do not tell the seconds.
+
+    >>> prompts_of({"prompt": "walk | wave", "starts": "0 | 2.5"}, 20.0)
+    [{'text': 'walk', 'firstFrame': 0}, {'text': 'wave', 'firstFrame': 50}]
+    """
+    texts = str(metadata.get("prompt") or "").split(" | ")
+    starts = re.findall(r"\d+(?:\.\d+)?", str(metadata.get("starts") or ""))
     if len(starts) != len(texts):
-        texts, starts = [text for text in (prompt.replace(" | ", ", then "),) if text], ["0"]
-    frames = [round(float(start) * motion.fps) for start in starts]
-    shown = Shown(motion, prompts=tuple(zip(texts, frames, strict=False)))
-    title = prompt.replace(" | ", ", then ")
-    return write_html(path, [Scene(title, (shown,))], title=title, metadata=metadata)
+        texts, starts = [title_of(metadata)], ["0"]
+    return [{"text": text, "firstFrame": round(float(s) * fps)} for text, s in zip(texts, starts, strict=True) if text]
 
 
 def inline_player(motion: Motion, *, height: int = 480) -> str:
@@ -165,8 +201,8 @@ def html_metadata(path: str | Path) -> dict[str, Any]:
     return found if isinstance(found, dict) else {}
 
 
-def page_head(title: str) -> str:
-    """The page up to its data."""
+def _page_head(title: str) -> str:
+    """The page up to its data: the policy and the player, which looks for data when the page is complete."""
     digest = base64.b64encode(hashlib.sha256(player_script().encode()).digest()).decode()
     policy = f"default-src 'none'; script-src 'sha256-{digest}'; img-src data: blob:; media-src blob:; base-uri 'none'"
     return (
@@ -175,13 +211,9 @@ def page_head(title: str) -> str:
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
         '<meta name="color-scheme" content="light dark">\n<meta name="generator" content="moveset">\n'
         f"<title>{html.escape(title)}</title>\n</head>\n<body>\n"
-        f"<noscript>This page plays motions with JavaScript and WebGL.</noscript>\n{_OPENS}"
+        "<noscript>This page plays motions with JavaScript and WebGL.</noscript>\n"
+        f"<script>{player_script()}</script>\n{_OPENS}"
     )
-
-
-def page_tail() -> str:
-    """The page after its data: the player, which finds them."""
-    return f"{_CLOSES}\n<script>{player_script()}</script>\n</body>\n</html>\n"
 
 
 def for_script(value: Any) -> str:
@@ -219,6 +251,19 @@ def _scene(scene: Scene) -> dict[str, Any]:
             for shown in scene.takes
         ],
     }
+
+
+def _encoded(page: str) -> bytes:
+    # A command line's bytes that are no text come as lone surrogates, which UTF-8 does not know.
+    return page.encode("utf-8", "replace")
+
+
+def _check_size(path: str | Path, size: int) -> None:
+    if size > MAX_BYTES:
+        raise InputError(
+            f"{path} would have {size / 2**20:.0f} MB, more than the limit of {MAX_BYTES / 2**20:g} MB; put fewer or "
+            "shorter motions on a page"
+        )
 
 
 def _read_page(path: str | Path) -> dict[str, Any]:

@@ -7,7 +7,7 @@
 The take grows in ``walk.bvh.part`` and becomes ``walk.bvh`` when the block ends, however it ends: after an error, an
 interrupt, a closed pipe or on a full disk the file holds every frame that was written whole. A process that is killed,
 or a machine that fails, leaves the part: ``recover_take("walk.bvh")`` makes the file of it, up to the last whole frame.
-A BVH part needs no more than that; an npz or a GLB is arranged from its part in the space that is kept for it.
+A BVH or HTML part needs no more than that; an npz or a GLB is arranged from its part in the space that is kept for it.
 """
 
 from collections.abc import Mapping
@@ -19,11 +19,12 @@ from moveset.errors import InputError, MovesetError
 from moveset.io.growing import part_of
 from moveset.io.limits import MAX_FRAMES, MAX_JOINTS, MAX_POSES
 from moveset.io.take_bvh import BvhTake, recover_bvh
+from moveset.io.take_html import HtmlTake, recover_html
 from moveset.io.take_rows import RowsTake, recover_rows
 from moveset.motion.clip import Motion
 from moveset.motion.skeleton import Skeleton
 
-SUFFIXES = (".bvh", ".glb", ".npz")
+SUFFIXES = (".bvh", ".glb", ".npz", ".html")
 
 
 def open_take(
@@ -32,7 +33,7 @@ def open_take(
     """Begin a take.
 
     Args:
-        path: where to; .bvh, .glb or .npz. A file of this name stays until the take ends and is then replaced.
+        path: where to; .bvh, .glb, .npz or .html. A file of this name stays until the take ends and is then replaced.
         skeleton: of every piece.
         fps: of every piece.
         metadata: as in ``moveset.io.save``.
@@ -50,7 +51,9 @@ def open_take(
     notes = dict(metadata or {})
     try:
         if path.suffix.lower() == ".bvh":
-            store: BvhTake | RowsTake = BvhTake(path, skeleton, fps)
+            store: BvhTake | HtmlTake | RowsTake = BvhTake(path, skeleton, fps)
+        elif path.suffix.lower() == ".html":
+            store = HtmlTake(path, skeleton, fps, notes)
         else:
             store = RowsTake(path, skeleton, fps, notes)
     except OSError as error:
@@ -63,7 +66,11 @@ class Take:
     """A take in progress, made by ``open_take``; leaving its ``with`` block ends it."""
 
     def __init__(
-        self, store: BvhTake | RowsTake, skeleton: Skeleton, fps: float, notes: Mapping[str, str | int | float | None]
+        self,
+        store: BvhTake | HtmlTake | RowsTake,
+        skeleton: Skeleton,
+        fps: float,
+        notes: Mapping[str, str | int | float | None],
     ) -> None:
         self.path = store.path
         self._store = store
@@ -161,7 +168,8 @@ def recover_take(path: str | Path) -> int:
     if not (part := part_of(path)).is_file():
         raise InputError(f"there is no {part}, so nothing to recover; give the path that the take was opened with")
     try:
-        return recover_bvh(path) if path.suffix.lower() == ".bvh" else recover_rows(path)
+        recover = {".bvh": recover_bvh, ".html": recover_html}.get(path.suffix.lower(), recover_rows)
+        return recover(path)
     except OSError as error:
         reason = error.strerror or error
         raise MovesetError(

@@ -72,7 +72,7 @@ class Generation:
     @property
     def metadata(self) -> dict[str, str | int | float]:
         """What a file should tell about how it was made; for ``moveset.save(…, metadata=…)``."""
-        return {
+        notes = {
             "generator": f"moveset {__version__}",
             "model": self.model,
             "prompt": " | ".join(self.prompts),
@@ -80,6 +80,10 @@ class Generation:
             "steps": self.steps,
             "guidance": self.guidance,
         }
+        if len(self.prompts) > 1:
+            # In seconds, which stay true at any frame rate.
+            notes["starts"] = " | ".join(f"{start / self.motion.fps:g}" for start in self.starts)
+        return notes
 
 
 class TextToMotion:

@@ -1,0 +1,105 @@
+"""A take as a page that plays it: a line of base64 for each frame, between a head and a tail.
+
+The tail is written again behind every piece, so that the part is a whole page itself between two calls.
+"""
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+
+from moveset.errors import FormatError
+from moveset.io.growing import GrowingFile, claim, part_of
+from moveset.io.html import FRAMES_BEGIN, close_page, frame_lines, open_page
+from moveset.io.limits import MAX_BYTES, read_limited
+from moveset.io.packets import HEADER
+from moveset.motion.clip import Motion
+from moveset.motion.skeleton import Skeleton
+
+
+class HtmlTake:
+    """Grows ``path.part``, a page that plays what has been made so far.
+
+    Raises:
+        InputError: a path that cannot be written to.
+        OSError: no space.
+    """
+
+    def __init__(
+        self, path: Path, skeleton: Skeleton, fps: float, notes: Mapping[str, str | int | float | None]
+    ) -> None:
+        self.path = path
+        self._tail = close_page()
+        # Four characters of base64 for three bytes, and what stands around them.
+        self._row = 4 * -(-(HEADER.size + 4 * (3 + 4 * len(skeleton))) // 3) + 4
+        self._file = GrowingFile(path, open_page(skeleton, fps, notes))
+
+    @property
+    def part(self) -> Path:
+        return self._file.part
+
+    @property
+    def frames(self) -> int:
+        return self._file.frames
+
+    @property
+    def room(self) -> int:
+        """Frames that fit the longest page that is read back."""
+        return (MAX_BYTES - self._file.size - len(self._tail)) // self._row
+
+    def append(self, motion: Motion) -> None:
+        """Raises OSError on a full disk, having kept the frames that fitted."""
+        try:
+            self._file.grow(frame_lines(motion, self.frames))
+        finally:
+            self._close_page()
+
+    def _close_page(self) -> None:
+        if not self.frames:
+            return
+        try:
+            self._file.write(self._file.size, self._tail)
+        except OSError:
+            # No space even for these few bytes: the last frame's are longer.
+            self._file.frames, self._file.size = self._file.frames - 1, self._file.size - self._row
+            self._file.write(self._file.size, self._tail)
+            raise
+
+    def finish(self) -> None:
+        """Become ``path``, or nothing if there are no frames."""
+        if not self.frames:
+            self._file.remove()
+            return
+        os.ftruncate(self._file.handle, self._file.size + len(self._tail))
+        os.fsync(self._file.handle)
+        self._file.close()
+        os.replace(self.part, self.path)
+
+    def close(self) -> None:
+        self._file.close()
+
+
+def recover_html(path: Path) -> int:
+    """Close the page in ``path.part`` after its last whole frame, make it ``path``; the number of its frames.
+
+    Raises:
+        InputError: it is still being written.
+        FormatError: it holds no whole frame, or is no take.
+        OSError: it cannot be read or written.
+    """
+    part = part_of(path)
+    with part.open("r+b") as file:
+        claim(file.fileno(), part)
+        data = read_limited(part)
+        begun = data.find(FRAMES_BEGIN) + len(FRAMES_BEGIN)
+        frames, end = 0, begun
+        while begun >= len(FRAMES_BEGIN) and data.startswith(b',"', end) and (stop := data.find(b'"\n', end)) > 0:
+            frames, end = frames + 1, stop + 2
+        if not frames:
+            raise FormatError(f"{part} holds no whole frame of a take; delete it")
+        file.seek(end)
+        file.write(close_page())
+        file.truncate()
+        file.flush()
+        os.fsync(file.fileno())
+    os.replace(part, path)
+    return frames
