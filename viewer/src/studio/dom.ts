@@ -82,7 +82,8 @@ export function segments<T>(
 
 /** Arrow keys, Home and End among the buttons of a group, pressing the one that they reach. */
 export function roving(group: HTMLElement, buttons: () => HTMLElement[]): void {
-  group.addEventListener("keydown", (event) => {
+  // Assigned, not added: a group may be filled anew.
+  group.onkeydown = (event) => {
     const all = buttons();
     const at = all.indexOf(document.activeElement as HTMLElement);
     const step = { ArrowRight: 1, ArrowDown: 1, ArrowLeft: -1, ArrowUp: -1 }[event.key];
@@ -91,7 +92,7 @@ export function roving(group: HTMLElement, buttons: () => HTMLElement[]): void {
     event.preventDefault();
     all[to].focus();
     all[to].click();
-  });
+  };
 }
 
 /** A time as people read it on a transport: 7.4 s, 1:07.4. */
@@ -102,7 +103,7 @@ export function clock(seconds: number): string {
   return `${Math.floor(tenths / 600)}:${rest < 100 ? "0" : ""}${(rest / 10).toFixed(1)}`;
 }
 
-/** Bytes to base64 and back live in wire.ts; this is the save dialogue: a click on a link to the blob. */
+/** Offer a blob as a download, as a link to it that is pressed. */
 export function save(blob: Blob, name: string): void {
   const url = URL.createObjectURL(blob);
   const link = make("a", { href: url, download: name });

@@ -232,10 +232,18 @@ export class Live {
     phase(this.shown ? "shown" : "empty");
     if (copy) {
       this.events.kept(copy);
-      made(`Stream of ${clock(copy.takes[0].take.seconds)} · seed ${copy.takes[0].seed}`);
+      if (document.body.dataset.mode === "live") made(`Stream of ${clock(copy.takes[0].take.seconds)} · seed ${copy.takes[0].seed}`);
     }
     this.events.ended();
     if (lost) gone("The connection to the server was lost.", () => this.start(this.prompt));
+  }
+
+  /** What the prompt box says while live mode has it. */
+  label(): void {
+    if (document.body.dataset.mode !== "live") return;
+    byId("go-label").textContent = this.open ? "Steer" : "Start";
+    byId<HTMLTextAreaElement>("prompt").placeholder = this.open ? "What next?" : "A person walks forward";
+    byId("live-strip").hidden = !this.open && !this.shown;
   }
 
   private enter(state: LiveState): void {
@@ -248,9 +256,7 @@ export class Live {
     byId<HTMLInputElement>("live-seed").disabled = this.open;
     byId<HTMLSelectElement>("live-model").disabled = byId<HTMLSelectElement>("commit").disabled = this.open;
     relabel(button("live-pause"), state === "paused" ? "play" : "pause", state === "paused" ? "Go on" : "Pause");
-    byId("go-label").textContent = this.open ? "Steer" : "Start";
-    byId<HTMLTextAreaElement>("prompt").placeholder = this.open ? "What next?" : "A person walks forward";
-    byId("live-strip").hidden = !this.open && !this.shown;
+    this.label();
     const words = { idle: "Stream ended", connecting: "Starting", running: "Streaming", paused: "Paused", stopping: "Stopping", lost: "Connection lost" };
     announce(words[state]);
   }

@@ -66,7 +66,7 @@ export class LiveStrip {
       block.classList.toggle("coming", frame < mark.firstFrame);
     });
     const current = this.marks.findLast((mark) => mark.firstFrame <= frame);
-    const label = current ? `Now: ${current.text}. ${clock(frame / this.fps())}` : "Nothing yet";
+    const label = current ? `Now: ${current.text}` : "Nothing yet";
     if (this.root.getAttribute("aria-label") !== label) this.root.setAttribute("aria-label", label);
   }
 }

@@ -36,6 +36,7 @@ const recent = new Recent((kept) => {
   made("");
   stage.show(kept.shown, true);
   downloads.enable(true);
+  byId("live-strip").hidden = true;
 });
 
 const clip = new Clip({
@@ -59,8 +60,8 @@ const live = new Live({
 });
 
 stage.onFrame((frame) => {
-  if (mode === "live") return live.at(frame);
   const shown = stage.shown;
+  if (mode === "live") return void (shown === live.shown && live.at(frame));
   if (!shown || clip.timeline.entries.length < 2) return;
   const { take, prompts } = shown.takes[0];
   const entry = prompts.findLastIndex((mark) => mark.firstFrame <= frame);
@@ -84,11 +85,10 @@ function enter(wanted: Mode): void {
   }
   notice([]);
   made("");
-  byId("go-label").textContent = mode === "clip" ? "Move" : "Start";
-  byId("timeline").hidden = mode === "live" || clip.timeline.entries.length < 2;
-  byId("live-strip").hidden = mode === "clip" || !live.shown;
-  if (mode === "clip") clip.restore(clip.timeline.entries);
-  else prompt.placeholder = "A person walks forward";
+  byId("live-strip").hidden = byId("timeline").hidden = true;
+  byId("go-label").textContent = "Move";
+  if (mode === "clip") return clip.restore(clip.timeline.entries);
+  live.label();
 }
 
 function submit(): void {

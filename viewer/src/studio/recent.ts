@@ -14,6 +14,8 @@ export interface Kept {
 }
 
 export class Recent {
+  /** How many there were, forgotten ones included. */
+  added = 0;
   private kept: Kept[] = [];
   private readonly popover: Popover;
 
@@ -22,12 +24,9 @@ export class Recent {
   }
 
   add(kept: Kept): void {
+    this.added++;
     this.kept = [kept, ...this.kept].slice(0, MOST);
     if (!this.popover.panel.hidden) this.fill();
-  }
-
-  get length(): number {
-    return this.kept.length;
   }
 
   private fill(): void {

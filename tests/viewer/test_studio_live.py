@@ -1,0 +1,159 @@
+"""Streams in the studio: what is said takes effect at the frame that the server reports, and what is lost is told."""
+
+import json
+
+import numpy as np
+import pytest
+
+import moveset
+from moveset.motion.kinematics import fk
+from moveset.server.wire import unpack_packets
+
+
+class Spy:
+    """Listens to the WebSockets of a page."""
+
+    def __init__(self, page):
+        self.messages, self.packets, self.sent = [], [], []
+        page.on("websocket", self._listen)
+
+    def _listen(self, socket):
+        socket.on("framereceived", lambda data: self._got(data))
+        socket.on("framesent", lambda data: self.sent.append(json.loads(data)))
+
+    def _got(self, data):
+        if isinstance(data, bytes):
+            self.packets.append(data)
+        else:
+            self.messages.append(json.loads(data))
+
+    def said(self, kind):
+        """Messages of the server of one type."""
+        return [message for message in self.messages if message["type"] == kind]
+
+
+def start(studio, text):
+    """Begin a stream and wait for its first frames."""
+    studio.click("#mode-live")
+    studio.say(text)
+    studio.wait("document.body.dataset.live === 'running' && __moveset.live.shown")
+    # Where pictures are slow, as in software, the clock of the player is as well.
+    studio.run("__moveset.player.speed = 2")
+
+
+def test_a_new_sentence_takes_effect_at_the_reported_frame(studio):
+    spy = Spy(studio.page)
+    start(studio, "a person walks forward")
+    studio.wait("__moveset.player.frame > 2")
+    studio.say("a person waves with both hands")
+    studio.wait("__moveset.live.shown.takes[0].prompts.length === 2")
+    told = spy.said("prompt")[-1]
+    assert told["text"] == "a person waves with both hands"
+    at = told["takes_effect_at"]
+    marks = studio.run("__moveset.live.shown.takes[0].prompts")
+    assert marks[1] == {"text": told["text"], "firstFrame": at}
+    assert at > 0
+    # It is marked on the strip, counted down to, and current as soon as that frame is played.
+    assert studio.wait(f"document.querySelector('.strip [data-frame=\"{at}\"]')")
+    studio.wait(f"__moveset.player.frame >= {at}")
+    studio.wait(f"document.querySelector('.strip .now').dataset.frame === '{at}'")
+    assert studio.run("document.querySelector('#live-strip').getAttribute('aria-label')") == f"Now: {told['text']}"
+    assert studio.words("#figure-latency").endswith("ms")
+    # What plays is what was sent last for each frame.
+    studio.click("#live-pause")
+    studio.wait("document.body.dataset.live === 'paused'")
+    studio.wait("!__moveset.player.playing")
+    frames = studio.run("__moveset.live.shown.takes[0].take.frames")
+    expected = np.full((frames, 22, 3), np.nan)
+    for packet in spy.packets:
+        take = unpack_packets(packet)
+        places = fk(take.motion.rotations, take.motion.root, take.motion.skeleton)[1].numpy()
+        expected[take.first_frame : take.first_frame + len(places)] = places[: frames - take.first_frame]
+    said = {segment["first_frame"]: segment["prompt"] for segment in spy.said("segment")}
+    assert said[at] == told["text"]
+    seen = np.array(
+        studio.run(f"Array.from({{ length: {frames} }}, (_, k) => Array.from(__moveset.player.jointPositions(k, 0)))")
+    ).reshape(-1, 22, 3)
+    assert np.abs(seen - expected).max() < 1e-3
+    # Playing was acknowledged in order, and never more than was shown.
+    played = [message["frame"] for message in spy.sent if message["type"] == "played"]
+    assert played == sorted(set(played))
+    assert played[-1] <= studio.run("__moveset.player.frame")
+
+
+def test_a_stream_pauses_goes_on_stops_and_is_kept(studio, tmp_path):
+    kept = studio.run("__moveset.recent.added")
+    start(studio, "a person walks forward")
+    # Space on the page stops the motion and the making of it.
+    studio.run("document.activeElement.blur()")
+    studio.page.keyboard.press("Space")
+    studio.wait("document.body.dataset.live === 'paused'")
+    frame = studio.run("__moveset.player.frame")
+    studio.page.keyboard.press("Space")
+    studio.wait(f"document.body.dataset.live === 'running' && __moveset.player.frame > {frame}")
+    studio.page.keyboard.press("h")
+    assert studio.run("__moveset.recent.added") == kept + 1
+    studio.page.keyboard.press("x")
+    studio.wait("document.body.dataset.live === 'idle'")
+    assert studio.run("__moveset.recent.added") == kept + 2
+    assert studio.words("#made").startswith("Stream of")
+    studio.run("__moveset.player.pause()")
+    studio.run("__moveset.player.seek(5)")
+    assert studio.run("__moveset.player.frame") == 5
+    with studio.page.expect_download() as download:
+        studio.click("#open-downloads")
+        studio.click("[data-format=npz]")
+    download.value.save_as(tmp_path / "stream.npz")
+    assert len(moveset.load(tmp_path / "stream.npz").root) > 20
+
+
+def test_a_lost_stream_is_told_and_found_again(studio):
+    lose = {"next": True}
+
+    def route(socket):
+        if not lose.pop("next", False):
+            socket.connect_to_server()
+            return
+        upstream = socket.connect_to_server()
+
+        def heard(message):
+            socket.send(message)
+            if isinstance(message, bytes):
+                socket.close(code=1011, reason="gone")
+
+        upstream.on_message(heard)
+
+    studio.page.route_web_socket("**/v1/stream", route)
+    studio.click("#mode-live")
+    studio.say("a person walks forward")
+    studio.wait("document.body.dataset.live === 'lost' && !document.querySelector('#gone').hidden")
+    assert "lost" in studio.words("#gone-text")
+    studio.click("#reconnect")
+    studio.wait("document.body.dataset.live === 'running' && document.querySelector('#gone').hidden")
+    assert studio.run("__moveset.live.prompt") == "a person walks forward"
+
+
+def test_the_servers_refusal_is_shown_and_the_stream_goes_on(studio):
+    start(studio, "a person walks forward")
+    studio.run("__moveset.live.stream.send({ type: 'prompt', text: '' })")
+    studio.wait("document.querySelector('.toast.fault')")
+    assert studio.words(".toast.fault p")
+    assert studio.run("document.body.dataset.live") == "running"
+
+
+@pytest.mark.parametrize("mode", ["clip", "live"])
+def test_hostile_prompts_are_text(studio, mode):
+    attack = "<img src=x onerror=window.pwned=1><script>window.pwned=1</script> \"'&{{7*7}}"
+    if mode == "clip":
+        studio.say(attack, "Control+Enter")
+        studio.make(attack)
+        studio.click("#open-recent")
+        assert attack in studio.words("#shelf")
+        assert attack in studio.words("#timeline")
+    else:
+        start(studio, attack)
+        studio.wait("document.querySelector('.strip .words')")
+        assert attack in studio.words("#live-strip")
+    studio.wait(f"document.querySelector('.mv-caption').textContent === {json.dumps(attack)}")
+    assert attack[:30] in studio.words("#notice")
+    assert studio.run("window.pwned === undefined && document.querySelectorAll('img, body script').length") == 0

@@ -1,0 +1,174 @@
+"""The studio around its stage: colours, narrow windows, keys, faults told in the server's words."""
+
+import io
+import json
+
+import numpy as np
+import pytest
+from PIL import Image
+
+NARROW = {"width": 390, "height": 844}
+
+
+def brightness(studio):
+    """Mean of the stage's upper corner, 0 to 255."""
+    picture = studio.page.screenshot(clip={"x": 0, "y": 70, "width": 60, "height": 60})
+    return float(np.asarray(Image.open(io.BytesIO(picture)).convert("L")).mean())
+
+
+def test_dark_and_light(studio):
+    studio.prefer("dark")
+    studio.wait("__moveset.player.theme === 'dark'")
+    assert brightness(studio) < 60
+    studio.click("#open-theme")
+    assert studio.run("document.documentElement.dataset.theme") == "light"
+    assert brightness(studio) > 180
+    # The page remembers, and the first thing in it is the prompt box.
+    studio.open()
+    assert brightness(studio) > 180
+    assert studio.run("document.activeElement.id") == "prompt"
+    # The player's own switch and the page's are one; what the system says already need not be remembered.
+    studio.run("__moveset.player.toggle('dark')")
+    assert studio.run("[document.documentElement.dataset.theme, localStorage.length]") == [None, 0]
+    studio.prefer("light")
+    studio.wait("__moveset.player.theme === 'light'")
+
+
+BEYOND = """(() => {
+    const parts = '.top *, .dock > *, .composer, .composer .settings *, .mv-bar *, .popover *';
+    const scrolled = '.chips, .timeline, .strip, .mv-scrub, svg, .hidden';
+    const outside = box => box.left < -0.5 || box.right > innerWidth + 0.5;
+    return [...document.querySelectorAll(parts)]
+        .filter(one => one.getClientRects().length && !one.closest(scrolled) && outside(one.getBoundingClientRect()))
+        .map(one => one.outerHTML.slice(0, 90));
+})()"""
+
+
+def test_a_phone_has_nothing_beyond_its_edges(studio):
+    studio.page.set_viewport_size(NARROW)
+
+    def fits():
+        return [studio.run("document.documentElement.scrollWidth"), studio.run(BEYOND)] == [NARROW["width"], []]
+
+    assert fits(), studio.run(BEYOND)
+    studio.click("#open-settings")
+    assert fits(), studio.run(BEYOND)
+    studio.say("a person walks forward", "Control+Enter")
+    studio.make("a person waves with the left hand and then turns around to the right")
+    assert fits(), studio.run(BEYOND)
+    # Bar and dock do not cover one another.
+    gap = studio.run(
+        "document.querySelector('.mv-bar').getBoundingClientRect().top"
+        " - document.querySelector('.composer').getBoundingClientRect().bottom"
+    )
+    assert 4 <= gap <= 24
+    for panel in ("#open-downloads", "#open-recent"):
+        studio.click(panel)
+        assert fits(), studio.run(BEYOND)
+    studio.click("#mode-live")
+    studio.say("a person walks forward")
+    studio.wait("document.body.dataset.live === 'running' && __moveset.live.shown")
+    assert fits(), studio.run(BEYOND)
+
+
+def test_keys_alone_are_enough(studio):
+    press = studio.page.keyboard.press
+    press("Tab")
+    reached = []
+    for _ in range(40):
+        reached.append(studio.run("document.activeElement.id || document.activeElement.className"))
+        press("Tab")
+    for wanted in ("go", "seconds", "seed", "add-prompt", "moveset-player", "mv-button mv-play"):
+        assert wanted in reached, reached
+    assert (
+        reached.index("go") < reached.index("seconds") < reached.index("add-prompt") < reached.index("moveset-player")
+    )
+    # Radio groups have one stop and move by arrows.
+    studio.run("document.querySelector('#mode-clip').focus()")
+    press("ArrowRight")
+    assert studio.run("document.body.dataset.mode") == "live"
+    studio.run("document.activeElement.blur()")
+    press("1")
+    assert studio.run("document.body.dataset.mode") == "clip"
+    press("/")
+    assert studio.run("document.activeElement.id") == "prompt"
+    # Letters belong to the sentence while somebody writes.
+    studio.page.keyboard.type("2d")
+    assert studio.run("[document.body.dataset.mode, document.querySelector('#prompt').value]") == ["clip", "2d"]
+    studio.run("document.activeElement.blur()")
+    press("?")
+    assert studio.run("document.querySelector('#help').open")
+    assert studio.run("document.querySelectorAll('#keys dt').length") > 10
+    press("Escape")
+    assert not studio.run("document.querySelector('#help').open")
+    # And single keys can be switched off.
+    studio.run("document.querySelector('#single-keys').click()")
+    press("2")
+    assert studio.run("document.body.dataset.mode") == "clip"
+    studio.run("document.querySelector('#single-keys').click()")
+
+
+def test_everything_has_a_name(studio):
+    nameless = studio.run(
+        "[...document.querySelectorAll('button, input, select, textarea, [role=slider], [role=dialog], dialog')]"
+        ".filter(one => !(one.getAttribute('aria-label') || one.textContent.trim() || one.labels?.length"
+        " || document.getElementById(one.getAttribute('aria-labelledby'))?.textContent))"
+        ".map(one => one.outerHTML.slice(0, 120))"
+    )
+    assert nameless == []
+    assert studio.run("document.querySelector('#status').getAttribute('aria-live')") == "polite"
+    studio.make("a person bows")
+    assert "seed" in studio.words("#status")
+
+
+def test_a_suggestion_is_one_press_away(studio):
+    text = studio.words(".chip")
+    studio.click(".chip")
+    studio.wait(f"__moveset.stage.shown.title === {json.dumps(text)}")
+
+
+def test_far_from_known_is_said_gently(studio):
+    studio.make("the quarterly budget of a submarine orchestra")
+    assert not studio.run("document.querySelector('#notice').hidden")
+    assert "submarine" in studio.words("#notice")
+    assert studio.run("document.querySelectorAll('.toast').length") == 0
+    studio.make("a person walks forward")
+    assert studio.run("document.querySelector('#notice').hidden")
+
+
+def test_faults_are_told_in_the_servers_words(studio):
+    studio.expected.append("the server responded with a status of 400")
+    studio.run("(() => { const box = document.querySelector('#seconds'); box.value = 33;"
+               " box.dispatchEvent(new Event('change')) })()")  # fmt: skip
+    before = studio.run("__moveset.recent.added")
+    studio.say("a person walks forward")
+    studio.wait("document.querySelector('.toast.fault')")
+    assert "33" in studio.words(".toast.fault p")
+    assert studio.run("__moveset.recent.added") == before
+
+
+def test_a_lost_server_is_told_and_found_again(studio):
+    studio.expected.append("net::ERR_FAILED")
+    studio.page.route("**/v1/generate", lambda route: route.abort())
+    studio.say("a person walks forward")
+    studio.wait("!document.querySelector('#gone').hidden")
+    assert "moveset serve" in studio.words("#gone-text")
+    studio.page.unroute("**/v1/generate")
+    studio.click("#reconnect")
+    studio.wait("document.querySelector('#gone').hidden && document.body.dataset.phase === 'shown'")
+
+
+@pytest.mark.parametrize("path", ["/", "/assets"])
+def test_no_inline_code_or_style_is_in_the_page(path):
+    from importlib.resources import files
+
+    folder = files("moveset") / "viewer" / "studio"
+    if path == "/":
+        html = (folder / "index.html").read_text("utf-8")
+        assert " style=" not in html
+        assert " onclick=" not in html
+        assert "<script>" not in html
+        assert "<style" not in html
+    else:
+        names = [one.name for one in (folder / "assets").iterdir()]
+        assert {name.rsplit(".", 1)[1] for name in names} == {"js", "css", "svg"}
