@@ -82,7 +82,7 @@ def program(models):
     running = Program(models, "--streams", "4")
     yield running
     code, _, err = running.stop()
-    assert (code, err) == (0, "")
+    assert (code, err) == (0, ""), err
 
 
 @pytest.fixture

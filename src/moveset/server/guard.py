@@ -104,7 +104,8 @@ class Guard:
             body = bytearray()
             while True:
                 try:
-                    message = await asyncio.wait_for(receive(), self._limits.patience)
+                    async with asyncio.timeout(self._limits.patience):
+                        message = await receive()
                 except TimeoutError:
                     raise RequestError(
                         408, "too_slow", "the rest of the request did not come; send it at once"

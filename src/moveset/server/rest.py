@@ -80,7 +80,8 @@ async def generate(the: The, request: Request, body: GenerateBody) -> Response:
     job = the.submit(the.order(body))
     while not job.done.is_set():
         try:
-            await asyncio.wait_for(job.done.wait(), _LOOK)
+            async with asyncio.timeout(_LOOK):
+                await job.done.wait()
         except TimeoutError:
             if await request.is_disconnected():
                 the.cancel(job)

@@ -78,7 +78,7 @@ def listen(host: str, port: int) -> socket.socket:
     return bound
 
 
-def make_server(app: FastAPI, *, opened: Callable[[], None] | None = None, log_level: str = "warning") -> Server:
+def make_server(app: FastAPI, *, opened: Callable[[], None] | None = None, log_level: str = "error") -> Server:
     """A server; ``run([listen(…)])`` serves until it is told to stop.
 
     Args:

@@ -79,6 +79,7 @@ class _Connection:
             for task in (sender, reader):
                 task.cancel()
             self._end()
+            await asyncio.gather(sender, reader, return_exceptions=True)
 
     async def farewell(self) -> None:
         """Tell the client that the server stops."""
@@ -100,7 +101,9 @@ class _Connection:
         while True:
             await self._room.wait()
             try:
-                got = await asyncio.wait_for(self._socket.receive(), limits.idle)
+                # Not wait_for: it may swallow that this task is cancelled.
+                async with asyncio.timeout(limits.idle):
+                    got = await self._socket.receive()
             except TimeoutError:
                 raise _Closed(1008, "idle", f"no message came for {limits.idle:g} s; acknowledge frames") from None
             if got["type"] == "websocket.disconnect":
