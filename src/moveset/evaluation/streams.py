@@ -93,8 +93,7 @@ class Streams:
 
     @property
     def _uses_flow(self) -> bool:
-        # The baseline was trained without a flow.
-        return FLOW in self._bundle.config.models and self._settings.network != "md"
+        return self._bundle.config.flows(self._settings.network)
 
     def _plan(self, segments: int) -> Staircase:
         settings = self._settings

@@ -368,5 +368,4 @@ class MotionStream(Iterator[Segment]):
         return {name: self.bundle.files[f"{name}.safetensors"][0] for name in names}
 
     def _uses_flow(self, settings: StreamSettings) -> bool:
-        # The baseline was trained without a flow.
-        return FLOW in self.bundle.config.models and settings.network != "md"
+        return self.bundle.config.flows(settings.network)

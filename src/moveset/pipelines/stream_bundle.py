@@ -56,6 +56,10 @@ class StreamConfig(FolderConfig):
     eta: float = 0.0
     idle: str = "a person stands still"
 
+    def flows(self, network: str) -> bool:
+        """Whether a network's segments pass through the flow; the baseline was trained without."""
+        return FLOW in self.models and network != "md"
+
     @property
     def denoisers(self) -> tuple[str, ...]:
         """Names of the networks that a stream can be made with."""

@@ -121,8 +121,7 @@ class StreamGroup:
         self._network = bundle.module(settings.network, self.device)
         self._guided = bool(config.models[settings.network].config.get("guided"))
         self._colour: Callable[[Tensor], Tensor] | None = getattr(self._network, "colour", None)
-        flows = FLOW in config.models and settings.network != "md"
-        flow = cast(CouplingFlow, bundle.module(FLOW, self.device)) if flows else None
+        flow = cast(CouplingFlow, bundle.module(FLOW, self.device)) if config.flows(settings.network) else None
         self._transport = Transport(flow, max(config.depth_cap, 1))
         self._schedule, self._levels = get_schedule(config), settings.levels(config)
         self._shape = (config.segment, codec.dim)
