@@ -38,8 +38,9 @@ body { background: #e6eaf0; font: 14px/1.45 system-ui, -apple-system, "Segoe UI"
   .mv-side { border: 0; border-bottom: 1px solid var(--edge); min-width: 0; }
   .mv-side h1 { padding: 10px 14px 4px; font-size: 14px; }
   .mv-list { display: flex; gap: 4px; padding: 0 8px 8px; overflow: auto hidden; }
-  .mv-list li { flex: none; max-width: 72vw; }
-  .mv-list button { padding: 6px 12px; }
+  .mv-list li { flex: none; }
+  .mv-list button { max-width: 72vw; padding: 6px 12px; overflow: hidden; text-overflow: ellipsis; white-space: nowrap; }
+  .mv-list small { display: none; }
 }
 `;
 
