@@ -86,6 +86,12 @@ def _options(
         parts = urlsplit(origin)
         if parts.scheme not in ("http", "https") or not parts.netloc or parts.path or parts.query:
             raise InputError(f"{origin!r} is no origin; give a scheme and a host, such as https://example.org")
-    limits = Limits(streams=streams, idle=idle)
+    room = Limits()
+    limits = Limits(
+        streams=streams,
+        idle=idle,
+        connections=max(room.connections, 2 * streams),
+        sockets=max(room.sockets, 4 * streams),
+    )
     hosts = ("127.0.0.1", "localhost", "[::1]") if host in _LOOPBACK else None
     return Options(models, device, limits, origins, hosts)
