@@ -162,6 +162,8 @@ def prompts_of(metadata: Mapping[str, str | int | float | None], fps: float) -> 
 def inline_player(motion: Motion, *, height: int = 480) -> str:
     """A frame for notebooks with a page of one motion in it, kept apart from the notebook's own page."""
     page = html.escape(html_page([Scene("", (Shown(motion),))]), quote=True)
+    # The script must arrive to the letter whatever encoding the notebook's page has, or its hash is another.
+    page = page.encode("ascii", "xmlcharrefreplace").decode()
     return (
         f'<iframe srcdoc="{page}" title="Motion player" sandbox="allow-scripts allow-downloads" allow="fullscreen" '
         f'loading="lazy" style="width:100%;height:{height}px;border:0;border-radius:12px"></iframe>'
