@@ -61,12 +61,12 @@ def own_captions(contents: Sequence[str]) -> dict[str, tuple[str, ...]]:
 def motion_folder(path: Path, count: int = 40, frames: int = 40) -> Path:
     """Joint positions with a list of distinct prompts."""
     path.mkdir(parents=True)
-    contents = list(phrases.TRAIN)
-    lines = []
+    contents, lines = list(phrases.TRAIN), []
+    captions = own_captions(contents)
     for k in range(count):
         motion = synthetic_motion(KINDS[k % len(KINDS)], frames, seed=100 + k)
         np.save(path / f"m-{k:03d}.npy", motion.joints.numpy())
-        prompt = train_captions(contents[k % len(contents)])[k // len(contents)]
+        prompt = captions[contents[k % len(contents)]][k // len(contents)]
         lines.append(json.dumps({"name": f"{k:03d}", "prompt": prompt}))
     (path / "prompts.jsonl").write_text("\n".join(lines) + "\n")
     return path

@@ -96,12 +96,15 @@ class Protocol:
         """With as many texts and pairs as there are items for; nothing that is random where nothing is.
 
         Raises:
-            InputError: too few items for one group.
+            InputError: too few items, or kinds of them, for one group.
         """
         if len(items) < self.group:
             raise InputError(
                 f"{items.name} has {len(items)} items, and R-precision needs {self.group} at least; give more"
             )
+        if self.split != "rollout":
+            # As every repeat will, so that what cannot be grouped is refused before anything is made.
+            metrics.group(items.labels, len(items), torch.Generator(), self.group)
         texts = min(self.multimodality, len(items), items.texts) if random and self.split != "rollout" else 0
         return Protocol(**{**asdict(self), "multimodality": texts, "diversity": min(self.diversity, len(items))})
 
@@ -140,9 +143,9 @@ class Session:
     def real(self, draws: Sequence[Draw]) -> Tensor:
         """(M, E) of the real motions of a repeat; read once where crops do not change."""
         if any(draw.item.cropped for draw in draws):
-            return self.evaluator.embed_motions([draw.features() for draw in draws])
+            return self.evaluator.embed_motions(real_features(draws, self.items.codec))
         if self._real is None:
-            self._real = self.evaluator.embed_motions([draw.features() for draw in draws])
+            self._real = self.evaluator.embed_motions(real_features(draws, self.items.codec))
         return self._real
 
 
@@ -204,8 +207,15 @@ def random_of(protocol: Protocol, number: int, *key: str | int) -> torch.Generat
 def features_of(generator: Generator, asked: Sequence[Draw], made: Sequence[Tensor], codec: HmlCodec) -> list[Tensor]:
     """(F - 1, D) features of joints; real motion has its own already."""
     if isinstance(generator, Given):
-        return [draw.features() for draw in asked]
+        return real_features(asked, codec)
     return encoded(made, codec)
+
+
+def real_features(draws: Sequence[Draw], codec: HmlCodec) -> list[Tensor]:
+    """(rows, D) features of items: those that are stored, or of many motions at once."""
+    if any(draw.item.motion is None for draw in draws):
+        return [draw.features() for draw in draws]
+    return encoded([draw.joints() for draw in draws], codec)
 
 
 def encoded(clips: Sequence[Tensor], codec: HmlCodec) -> list[Tensor]:

@@ -1,0 +1,170 @@
+"""``moveset evaluate``: a table to paste, JSON for programs, and one sentence for whatever cannot be judged."""
+
+import json
+
+import numpy as np
+import pytest
+
+from moveset.cli.__main__ import main
+from moveset.cli.evaluate import notes, title
+from tests.bundles import tiny_bundle
+from tests.evaluation.corpora import content_corpus, motion_folder
+from tests.evaluators import tiny_evaluator
+from tests.streams import tiny_stream
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory):
+    """A folder with data, a judge, and two tiny models."""
+    folder = tmp_path_factory.mktemp("place")
+    content_corpus(folder / "corpus.safetensors")
+    tiny_evaluator(folder / "judge")
+    tiny_bundle(folder / "tiny")
+    tiny_stream(folder / "flow")
+    return folder
+
+
+@pytest.fixture
+def evaluate(place, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(place)
+
+    def run(*arguments):
+        usual = {"--data": "corpus.safetensors", "--evaluator": "judge", "--out": str(tmp_path / "results")}
+        usual |= {"--device": "cpu", "--processes": "1"}
+        given = [a for pair in usual.items() if pair[0] not in arguments for a in pair]
+        code = main(["evaluate", *arguments, *given])
+        return code, *capsys.readouterr()
+
+    return run
+
+
+def test_a_table_to_paste(evaluate, tmp_path):
+    code, out, err = evaluate("real", "tiny", "--repeats", "2", "--multimodality", "0")
+    assert code == 0, err
+    lines = out.splitlines()
+    assert lines[0].startswith("| model | R@1 ↑ | R@2 ↑ | R@3 ↑ | FID ↓ |")
+    assert [line.split(" | ")[0] for line in lines[2:4]] == ["| real", "| tiny pcm-1, 1 step"]
+    assert "±" in lines[3]
+    assert "80 items of 45 kinds with" in out
+    assert "2 groups of 32; mean ± 95 % interval of 2 repeats; judged by judge" in out
+    assert "Diversity over 80 pairs, for want of items." in out
+    assert sorted(path.name for path in (tmp_path / "results").glob("*.json")) == [
+        "real-test.json",
+        "tiny-pcm-1-test.json",
+    ]
+
+
+def test_json_for_programs(evaluate):
+    code, out, _ = evaluate("flow", "--repeats", "1", "--multimodality", "0", "--items", "70", "--json")
+    assert code == 0
+    result = json.loads(out)["results"][0]
+    assert (result["model"], result["network"], result["items"]) == ("flow", "pcm-1", 70)
+    assert result["metrics"]["boundary_jerk"]["mean"] > 0
+    assert result["metrics"]["fid"]["interval"] is None
+
+
+def test_a_folder_of_ones_own(evaluate, tmp_path):
+    folder = motion_folder(tmp_path / "mine")
+    code, out, err = evaluate("--motions", str(folder), "--repeats", "1")
+    assert code == 0, err
+    assert "| mine | " in out
+    assert "40 items of 40 kinds with 40 distinct texts" in out
+
+
+def test_only_the_last_process_of_torchrun_tells(evaluate, monkeypatch):
+    arguments = ["real", "--repeats", "2", "--json"]
+    monkeypatch.setenv("WORLD_SIZE", "2")
+    monkeypatch.setenv("RANK", "1")
+    code, out, err = evaluate(*arguments)
+    assert (code, out) == (0, "")
+    assert "other processes are still at work" in err
+    monkeypatch.setenv("RANK", "0")
+    assert len(json.loads(evaluate(*arguments)[1])["results"]) == 1
+
+
+def spoiled(folder, name, array):
+    np.save(folder / name, array)
+    return ["--motions", str(folder)]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ([], "no model was given"),
+        (["nothing"], "unknown model 'nothing'"),
+        (["tiny", "--network", "rdm"], "unknown solver 'rdm'"),
+        (["tiny", "--network", "pcm", "--steps", "3"], "no pcm student for 3 steps"),
+        (["tiny", "--start", "3"], "--start is a setting of streams"),
+        (["flow", "--network", "teacher"], "unknown network 'teacher'"),
+        (["tiny", "--guidance", "-1"], "guidance -1 is not in"),
+        (["real", "--repeats", "0"], "repeats 0 is not in 1"),
+        (["real", "--split", "train"], "train"),
+        (["real", "--split", "val"], "no val clips"),
+        (["real", "--wording", "loud"], "loud"),
+        (["real", "--items", "31"], "31 items, and R-precision needs 32"),
+        (["real", "--items", "36"], "groups of 32 items of different labels"),
+        (["real", "--data", "nowhere"], "no corpus at nowhere"),
+        (["real", "--evaluator", "nobody"], "unknown evaluator 'nobody'"),
+        (["real", "--evaluator", "tiny"], "describes no evaluator"),
+        (["real", "--out", "corpus.safetensors/below"], "choose another --out"),
+        (["real", "--motions", "tiny"], "takes the place of a model"),
+        (["--motions", "tiny"], "holds no .npy files"),
+        (["--motions", "nowhere"], "no folder 'nowhere'"),
+        (["real", "--device", "abacus"], "unknown device"),
+        (["real", "--processes", "0"], "0 processes"),
+        (["tiny", "--suite", "motionpcm", "--steps", "1"], "a suite says itself"),
+        (["--suite", "motionpcm", "--row", "nothing"], "no row 'nothing'"),
+    ],
+)
+def test_what_cannot_be_judged_is_one_sentence(evaluate, arguments, message):
+    code, out, err = evaluate(*arguments)
+    assert (code, out) == (2, "")
+    assert message in err
+    assert err.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("name", "array", "message"),
+    [
+        ("m-000.npy", np.full((40, 22, 3), np.nan), "NaN"),
+        ("m-000.npy", np.zeros((40, 263)), "not joints (frames, 22, 3)"),
+        ("new.npy", np.zeros((40, 22, 3)), "new.npy has no prompt"),
+    ],
+)
+def test_motions_that_cannot_be_judged(evaluate, tmp_path, name, array, message):
+    code, _, err = evaluate(*spoiled(motion_folder(tmp_path / "mine"), name, array))
+    assert (code, message in err) == (2, True)
+
+
+def test_fewer_motions_than_a_group(evaluate, tmp_path):
+    code, _, err = evaluate("--motions", str(motion_folder(tmp_path / "mine", 20)))
+    assert (code, "mine has 20 items, and R-precision needs 32" in err) == (2, True)
+
+
+def test_a_suite_writes_its_tables(evaluate, tmp_path):
+    code, out, err = evaluate("--suite", "motionpcm", "--row", "real", "--repeats", "1")
+    assert code == 0, err
+    assert "Real" in out
+    rows = json.loads((tmp_path / "results" / "motionpcm" / "rows.json").read_text())["rows"]
+    assert [(row["key"], row["result"]) for row in rows] == [("real", "real-test.json")]
+
+
+def test_notes_say_what_was_not_as_asked_for():
+    result = {
+        "model": "m", "network": "pcm-4", "steps": 4, "items": 100, "labels": None, "distinct_texts": 90, "groups": 3,
+        "data": {"name": "d"}, "evaluator": {"name": "e"}, "shortened": 2, "dropped": {"too short": 5},
+        "metrics": {"multimodality": {}}, "repeats": [{}],
+        "protocol": {"split": "test", "wording": "known", "group": 32, "multimodality": 90, "samples": 30,
+                     "diversity": 100},
+    }  # fmt: skip
+    said = " ".join(notes(result))
+    for part in (
+        "100 items with 90",
+        "1 repeat;",
+        "5 (too short)",
+        "2 motions are shorter",
+        "90 texts with 30",
+        "100 pairs",
+    ):
+        assert part in said
+    assert title(result) == "m pcm-4, 4 steps"
