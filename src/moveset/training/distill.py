@@ -32,7 +32,6 @@ from moveset.text.encoder import TextEmbedding, stack
 from moveset.training import frozen
 from moveset.training.ema import Ema
 from moveset.training.engine import Loop, Task
-from moveset.training.latents import LatentBatch
 from moveset.training.optim import cosine_lr
 from moveset.training.reading import Disturbance
 from moveset.training.tasks import Sources
@@ -121,14 +120,6 @@ class _DistillationTask(Task):
         """Latents by this student."""
         raise NotImplementedError
 
-    def _read(self, batch: LatentBatch) -> tuple[TextEmbedding, TextEmbedding]:
-        """What the student reads, and what its teachers and its judge read.
-
-        The student hears a roughened sentence and learns what is said to the sentence as it was written: reading is
-        where the teacher itself goes wrong in unknown words, and a student need not inherit that.
-        """
-        return self.data.read(batch.captions, self.draws), self.data.read(batch.written)
-
     def _bound_teacher(self, text: TextEmbedding, frames: Tensor) -> Teacher:
         both = _bound(self.teacher, stack([text, self.data.read([""] * len(text))]), frames.repeat(2))
 
@@ -146,11 +137,13 @@ class LCMTask(_DistillationTask):
 
     def training_step(self, step: int, loop: Loop) -> dict[str, Tensor]:
         batch = self.data.batch(self.config.batch, step)
-        rough, text = self._read(batch)
-        draws = draw(self.grid, batch.z0, self.config.guidance, self.draws)
+        text, draws = (
+            self.data.read(batch.captions, self.draws),
+            draw(self.grid, batch.z0, self.config.guidance, self.draws),
+        )
         t = self.grid.time(draws.point_B)
         z = add_noise(self.schedule, batch.z0, draws.noise_BND, t)
-        student, ema = _bound(self.student, rough, batch.frames), _bound(self.ema.module, text, batch.frames)
+        student, ema = _bound(self.student, text, batch.frames), _bound(self.ema.module, text, batch.frames)
         teacher = self._bound_teacher(text, batch.frames)
         target = lcm_target(self.schedule, self.grid, teacher, ema, z, draws.point_B, draws.w_B)
         made = lcm_prediction(self.schedule, student, z, t, draws.w_B)
@@ -192,10 +185,9 @@ class PCMTask(_DistillationTask):
     def training_step(self, step: int, loop: Loop) -> dict[str, Tensor]:
         config = self.config
         batch = self.data.batch(config.batch, step)
-        rough, text = self._read(batch)
-        draws = draw(self.grid, batch.z0, config.guidance, self.draws)
+        text, draws = self.data.read(batch.captions, self.draws), draw(self.grid, batch.z0, config.guidance, self.draws)
         z = add_noise(self.schedule, batch.z0, draws.noise_BND, self.grid.time(draws.point_B))
-        student, ema = _bound(self.student, rough, batch.frames), _bound(self.ema.module, text, batch.frames)
+        student, ema = _bound(self.student, text, batch.frames), _bound(self.ema.module, text, batch.frames)
         teacher = self._bound_teacher(text, batch.frames)
         target = phased_target(self.schedule, self.grid, teacher, ema, z, draws.point_B, draws.w_B)
         made = phased_prediction(self.schedule, self.grid, student, z, draws.point_B, draws.w_B)

@@ -31,19 +31,15 @@ class Encoder(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class LatentBatch:
-    """Normalised latents z_0 (B, N, d), clip lengths (B,) in frames, and a caption for each.
-
-    ``written`` are the captions as they stand in the corpus, ``captions`` the same, some of them said otherwise.
-    """
+    """Normalised latents z_0 (B, N, d), clip lengths (B,) in frames, and a caption for each."""
 
     z0: Tensor
     frames: Tensor
     captions: list[str]
-    written: list[str]
 
     def to(self, device: torch.device | str) -> "LatentBatch":
         """The same on another device."""
-        return LatentBatch(self.z0.to(device), self.frames.to(device), self.captions, self.written)
+        return LatentBatch(self.z0.to(device), self.frames.to(device), self.captions)
 
 
 class LatentSet:
@@ -110,13 +106,12 @@ class LatentSet:
         noise = torch.randn(size, *self.mean.shape[1:], generator=generator)
         z0 = (self.mean[entries] + self.std[entries] * noise - self.center) / self.scale
         pick, other = torch.rand(2, size, generator=generator).tolist()
-        options = [self.captions(entry) for entry in entries.tolist()]
-        written = [said[int(share * len(said))] for said, share in zip(options, pick, strict=True)]
-        captions = [
-            paraphrase(caption) if share < self.paraphrased else caption
-            for caption, share in zip(written, other, strict=True)
-        ]
-        return LatentBatch(z0, self.frames[entries], captions, written)
+        captions = []
+        for entry, share, said in zip(entries.tolist(), pick, other, strict=True):
+            options = self.captions(entry)
+            caption = options[int(share * len(options))]
+            captions.append(paraphrase(caption) if said < self.paraphrased else caption)
+        return LatentBatch(z0, self.frames[entries], captions)
 
 
 def _entries(source: ClipSource, clips: Sequence[int], store: FeatureStore, windows: int) -> list[Crop]:
