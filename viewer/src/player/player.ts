@@ -487,7 +487,7 @@ export class Player {
     this.stage.resize(width, height);
     // The picture's middle is that of what caption and bar leave free.
     const below = this.covered?.below ?? (this.controls ? this.controls.root.offsetHeight + 14 : 0);
-    const above = this.covered?.above ?? (this.caption.isConnected ? 46 : 0);
+    const above = this.covered?.above ?? ((this.caption.isConnected ? 46 : 0) + (this.tags.length > 0 ? 26 : 0));
     const free = Math.max(0.4, 1 - (below + above) / height);
     const { camera } = this.stage;
     camera.setViewOffset(width, height, 0, (below - above) / 2, width, height);
