@@ -1,4 +1,4 @@
-"""Grouped streams are the same streams: whoever else is in the batch, whenever they joined, wherever they went back to."""
+"""Grouped streams are the same streams: whoever else is in the batch, whenever they joined, wherever they go back."""
 
 import itertools
 

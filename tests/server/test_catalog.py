@@ -1,0 +1,73 @@
+"""Which models are offered, what is suggested, and that the shipped ones work together."""
+
+import base64
+import json
+
+import pytest
+import torch
+from fastapi.testclient import TestClient
+
+from moveset.errors import InputError
+from moveset.pipelines.motion_stream import MotionStream
+from moveset.server.app import create_app
+from moveset.server.catalog import Catalog, varied
+from moveset.server.failures import RequestError
+from moveset.server.service import Options
+from moveset.server.wire import unpack_packets
+from tests.bundles import tiny_bundle
+
+
+def test_suggestions_are_far_from_one_another():
+    around = torch.tensor([[1.0, 0.0], [0.999, 0.04], [0.0, 1.0], [-1.0, 0.0], [-0.999, 0.04]])
+    names = ["east", "nearly east", "north", "west", "nearly west"]
+    assert sorted(varied(names, around, 3)) in (["east", "north", "west"], ["east", "nearly west", "north"])
+    assert sorted(varied(names, around)) == sorted(names)
+    assert varied(["x" * 100, "short"], around[:2], 2) == ["short"]
+    assert varied(["x" * 100], around[:1], 2) == ["x" * 100]
+
+
+def test_models_are_known_by_name(models, tmp_path):
+    catalog = Catalog(models, "cpu")
+    assert catalog.clip(None) is catalog.clip("tiny")
+    assert catalog.stream(None) is catalog.stream("tiny-stream")
+    for wrong in ("tiny-stream", str(models[0]), "../tiny", ""):
+        with pytest.raises(RequestError, match="no model"):
+            catalog.clip(wrong)
+    with pytest.raises(InputError, match="two models are called 'tiny'"):
+        Catalog([models[0], tiny_bundle(tmp_path / "tiny")], "cpu")
+    only = Catalog([models[0]], "cpu")
+    assert only.default == {"clip": "tiny", "stream": None}
+    with pytest.raises(RequestError, match="start the server with one"):
+        only.stream(None)
+
+
+def test_the_encoder_is_shared(models):
+    catalog = Catalog(models, "cpu")
+    bundle = catalog.stream(None)
+    settings = [catalog.request(bundle, None, 0, 1, w).settings for w in (0.0, 3.0)]
+    groups = [catalog.group(bundle, one) for one in settings]
+    assert groups[0] is groups[1]
+    assert catalog.ready(catalog.clip(None)).encoder is groups[0].encoder
+
+
+def test_the_shipped_models():
+    with TestClient(create_app(Options(device="cpu")), base_url="http://127.0.0.1") as client:
+        found = client.get("/v1/models").json()
+        assert found["default"] == {"clip": "motionpcm-small", "stream": "rdm-small"}
+        assert {model["license"] for model in found["models"]} == {"CC-BY-NC-4.0"}
+        assert len(client.get("/v1/prompts").json()["prompts"]) == 24
+        body = {"prompts": [{"text": "a person walks forward", "seconds": 2.0}], "seed": 7}
+        made = client.post("/v1/generate", json=body).json()
+        assert made["warnings"] == []
+        assert len(unpack_packets(base64.b64decode(made["takes"][0]["data"])).motion) == 40
+        with client.websocket_connect("ws://127.0.0.1/v1/stream") as socket:
+            socket.receive_json()
+            socket.send_text(json.dumps({"type": "start", "prompt": "a person walks forward", "seed": 7}))
+            takes = []
+            while len(takes) < 2:
+                got = socket.receive()
+                if got.get("bytes"):
+                    takes.append(unpack_packets(got["bytes"]))
+    alone = MotionStream.from_pretrained("rdm-small", "a person walks forward", seed=7, device="cpu")
+    for take in takes:
+        assert torch.allclose(take.motion.joints, next(alone).motion.joints.float(), atol=1e-3)
