@@ -27,10 +27,16 @@ def drawn(studio, frames):
 
 
 def picture(studio):
-    """(H, W, 3) what the stage shows above the dock, now."""
+    """(H, W, 3) what the stage shows above the dock, once the camera has come to rest."""
     top = studio.run("document.querySelector('.dock').getBoundingClientRect().top")
     clip = {"x": 0, "y": 60, "width": 760, "height": top - 60}
-    return np.asarray(Image.open(io.BytesIO(studio.page.screenshot(clip=clip))).convert("RGB"), dtype=int)
+    last = None
+    for _ in range(40):
+        now = np.asarray(Image.open(io.BytesIO(studio.page.screenshot(clip=clip))).convert("RGB"), dtype=int)
+        if last is not None and np.array_equal(now, last):
+            return now
+        last = now
+    raise AssertionError("the picture of a motion that stands still goes on changing")
 
 
 def shown(studio):

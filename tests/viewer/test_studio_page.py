@@ -44,6 +44,12 @@ BEYOND = """(() => {
 })()"""
 
 
+GAP = (
+    "(document.querySelector('.mv-bar').getBoundingClientRect().top"
+    " - document.querySelector('.composer').getBoundingClientRect().bottom)"
+)
+
+
 def test_a_phone_has_nothing_beyond_its_edges(studio):
     studio.page.set_viewport_size(NARROW)
 
@@ -57,11 +63,7 @@ def test_a_phone_has_nothing_beyond_its_edges(studio):
     studio.make("a person waves with the left hand and then turns around to the right")
     assert fits(), studio.run(BEYOND)
     # Bar and dock do not cover one another.
-    gap = studio.run(
-        "document.querySelector('.mv-bar').getBoundingClientRect().top"
-        " - document.querySelector('.composer').getBoundingClientRect().bottom"
-    )
-    assert 4 <= gap <= 24
+    studio.wait(f"{GAP} >= 4 && {GAP} <= 24")
     for panel in ("#open-downloads", "#open-recent"):
         studio.click(panel)
         assert fits(), studio.run(BEYOND)

@@ -97,8 +97,15 @@ export class Clip {
 
   /** Back to what was made earlier. */
   restore(entries: Entry[]): void {
+    clearTimeout(this.settling);
     this.timeline.load(entries.map((entry) => ({ ...entry })));
     this.showEntry();
+  }
+
+  /** Whatever is being made is no longer wanted. */
+  leave(): void {
+    clearTimeout(this.settling);
+    this.working?.abort();
   }
 
   /** Make takes of what is written; `seed` overrides the seed field. */

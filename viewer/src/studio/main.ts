@@ -75,6 +75,7 @@ stage.onFrame((frame) => {
 function enter(wanted: Mode): void {
   if (wanted === mode) return;
   if (live.open) live.stop();
+  clip.leave();
   mode = wanted;
   document.body.dataset.mode = mode;
   for (const one of ["clip", "live"] as const) {

@@ -24,11 +24,13 @@ export class Stage {
     this.player.onstate = () => this.onstate?.();
     const bar = this.player.root.querySelector<HTMLElement>(".mv-bar")!;
     const cover = (): void => {
-      document.documentElement.style.setProperty("--bar", `${innerHeight - bar.getBoundingClientRect().top + GAP}px`);
-      const [top, bottom] = [above.getBoundingClientRect().bottom, innerHeight - below().getBoundingClientRect().top];
+      const { bottom: ground, height } = container.getBoundingClientRect();
+      document.documentElement.style.setProperty("--bar", `${ground - bar.getBoundingClientRect().top + GAP}px`);
+      const [top, bottom] = [above.getBoundingClientRect().bottom, ground - below().getBoundingClientRect().top];
       // On a low window the figure may reach behind the prompt box rather than become tiny.
-      this.player.inset = { above: top, below: Math.min(bottom + ABOVE_BOX, 0.62 * innerHeight) };
+      this.player.inset = { above: top, below: Math.min(bottom + ABOVE_BOX, 0.62 * height) };
     };
+    window.addEventListener("resize", cover);
     const watcher = new ResizeObserver(cover);
     for (const element of [container, bar, byId("dock"), byId("composer")]) watcher.observe(element);
   }
