@@ -153,7 +153,7 @@ def test_notes_say_what_was_not_as_asked_for():
     result = {
         "model": "m", "network": "pcm-4", "steps": 4, "items": 100, "labels": None, "distinct_texts": 90, "groups": 3,
         "data": {"name": "d"}, "evaluator": {"name": "e"}, "shortened": 2, "dropped": {"too short": 5},
-        "metrics": {"multimodality": {}}, "repeats": [{}],
+        "metrics": {"multimodality": {}}, "repeats": [{}], "rollouts": 6, "windows": 30,
         "protocol": {"split": "test", "wording": "known", "group": 32, "multimodality": 90, "samples": 30,
                      "diversity": 100},
     }  # fmt: skip
@@ -163,6 +163,8 @@ def test_notes_say_what_was_not_as_asked_for():
         "1 repeat;",
         "5 (too short)",
         "2 motions are shorter",
+        "6 rollouts",
+        "30 windows",
         "90 texts with 30",
         "100 pairs",
     ):

@@ -66,7 +66,7 @@ def test_a_result_says_what_it_is_of(items, oracle, tmp_path):
     assert result["metrics"]["fid"]["interval"] > 0
     assert set(result["repeats"][0]) == set(result["metrics"])
     assert result["weights_sha256"]
-    assert result["seconds_per_item"] > 0
+    assert result["seconds_per_item"] >= 0
 
 
 def test_the_same_seed_gives_the_same_bytes_but_for_the_time(items, oracle, tmp_path):
@@ -205,7 +205,7 @@ def test_a_process_that_dies_is_told_of(job, tmp_path, monkeypatch):
 def test_progress_is_told(job, tmp_path):
     heard = []
     run(
-        replace(job, protocol=Protocol(repeats=1, multimodality=0)),
+        replace(job, protocol=Protocol(repeats=1, multimodality=0, group=8)),
         tmp_path,
         processes=1,
         watch=lambda *x: heard.append(x),

@@ -204,9 +204,15 @@ def tell(done: Sequence[tuple[dict[str, Any], Path]], json: bool) -> None:
     from moveset.evaluation.columns import ALL, Column
     from moveset.evaluation.intervals import Interval
 
-    extra = {name: Column(name, label, "down", 2, "mm", 1000.0) for name, label in
-             (("mpjpe", "MPJPE"), ("mpjpe_aligned", "MPJPE, root aligned"))}  # fmt: skip
-    columns = [c for name, c in {**ALL, **extra}.items() if any(name in result["metrics"] for result, _ in done)]
+    extra = (
+        Column("mpjpe", "MPJPE", "down", 2, "mm", 1000.0),
+        Column("mpjpe_aligned", "MPJPE, root aligned", "down", 2, "mm", 1000.0),
+        Column("drift_height", "Height a minute", "real", 1, "mm", 1000.0),
+        Column("drift_speed", "Speed a minute", "real", 2, "m/s"),
+        Column("spread_change", "Spread at the end", "real", 2),
+    )
+    known = {**ALL, **{column.name: column for column in extra}}
+    columns = [column for name, column in known.items() if any(name in result["metrics"] for result, _ in done)]
     print("| model | " + " | ".join(column.head for column in columns) + " |")
     print("|---" * (len(columns) + 1) + "|")
     for result, _ in done:
@@ -238,6 +244,8 @@ def notes(result: dict[str, Any]) -> list[str]:
         f"{protocol['split']}, {protocol['wording']} wording; {result['groups']} groups of {protocol['group']}; mean ± "
         f"95 % interval of {count} repeat{'s' * (count != 1)}; judged by {result['evaluator']['name']}."
     ]
+    if "rollouts" in result:
+        said.append(f"{result['rollouts']} rollouts of the items one after the other, {result['windows']} windows.")
     said += [f"Left out: {number} ({reason})." for reason, number in result["dropped"].items()]
     if result["shortened"]:
         said.append(

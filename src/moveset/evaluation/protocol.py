@@ -189,7 +189,7 @@ def run_repeat(session: Session, number: int, say: Say = lambda stage, done, cou
         "metrics": found,
         "groups": len(groups),
         "shortened": 0 if isinstance(generator, Given) else _shorter(made, asked),
-        "seconds": {"generating": round(generated, 2), "all": round(time.perf_counter() - begun, 2)},
+        "seconds": {"generating": round(generated, 4), "all": round(time.perf_counter() - begun, 4)},
     }
 
 

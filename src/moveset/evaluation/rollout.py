@@ -161,7 +161,7 @@ def run_rollout(session: Session, number: int, say: Say = lambda stage, done, co
         "rollouts": len(made),
         "windows": len(told),
         "shortened": sum(len(joints) < one.frames for joints, one in zip(made, wanted, strict=True)),
-        "seconds": {"generating": round(generated, 2), "all": round(time.perf_counter() - begun, 2)},
+        "seconds": {"generating": round(generated, 4), "all": round(time.perf_counter() - begun, 4)},
     }
 
 
