@@ -31,6 +31,8 @@ PANELS = {
     "rdm-pcm-1 ": ("val", "ema_gap", "RDM student, 1 step: distance to teacher"),
     "rdm-pcm-2": ("train", "consistency", "RDM student, 2 steps: pseudo-Huber"),
     "rdm-pcm-4": ("train", "consistency", "RDM student, 4 steps: pseudo-Huber"),
+    "movement": ("val", "reconstruction", "evaluator, movement: val L1"),
+    "evaluator": ("val", "nearest", "evaluator: val share of sentences nearest to their motion"),
 }
 
 

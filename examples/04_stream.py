@@ -20,6 +20,6 @@ print("the stored stream goes on alike:", bool((again.motion.rotations == follow
 
 # From the end of another motion, by a timeline: prompts last a whole number of segments.
 timeline = MotionStream.from_pretrained(
-    prompt=["a person runs", "a person jumps"], seconds=[4.2, 2.8], seed_motion=following.motion, network="pcm-2"
+    prompt=["a person runs", "a person jumps"], seconds=[4.2, 2.8], seed_motion=following.motion, network="rdm"
 )
 print("segments of each prompt:", timeline.timeline.segments())

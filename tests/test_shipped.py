@@ -41,7 +41,7 @@ def test_every_method_ships():
 def test_every_network_of_streams_ships():
     config = StreamBundle.find(DEFAULT_STREAM).config
     assert config.name == DEFAULT_STREAM
-    assert {"rdm", "md", "flow", "pcm-1", "pcm-2"} <= set(config.models)
+    assert {"rdm", "md", "flow", "pcm-1"} <= set(config.models)
     assert config.network in config.denoisers
     assert config.provenance
 
@@ -92,7 +92,7 @@ def test_a_whole_process_that_streams(tmp_path):
     assert len(load(tmp_path / "take.bvh")) == 600
 
 
-@pytest.mark.parametrize("network", ["pcm-1", "pcm-2", "rdm"])
+@pytest.mark.parametrize("network", ["pcm-1", "rdm"])
 def test_a_stream_walks_and_then_waves(network):
     walked, lifted = [], []
     for seed in SEEDS:
