@@ -52,6 +52,32 @@ def test_pages_of_other_sites_change_nothing(paged, origin, status):
             pass
 
 
+def test_pages_that_may_use_the_server_may_also_read_its_answers(paged):
+    friend = {"Origin": "https://friend.example"}
+    asked = {**friend, "Access-Control-Request-Method": "POST", "Access-Control-Request-Headers": "content-type"}
+    told = paged.options("/v1/generate", headers=asked)
+    assert told.status_code == 204
+    assert told.headers["access-control-allow-origin"] == "https://friend.example"
+    assert "POST" in told.headers["access-control-allow-methods"]
+    assert "Content-Type" in told.headers["access-control-allow-headers"]
+    for answer in (
+        paged.get("/v1/models", headers=friend),
+        paged.post("/v1/generate", json=PROMPTS, headers=friend),
+        paged.get("/v1/jobs/1", headers=friend),
+    ):
+        assert answer.headers["access-control-allow-origin"] == "https://friend.example"
+        assert "Content-Disposition" in answer.headers["access-control-expose-headers"]
+        assert "Origin" in answer.headers["vary"]
+
+
+@pytest.mark.parametrize("origin", ["https://evil.example", "null", "", "http://127.0.0.1"])
+def test_other_pages_read_nothing(paged, origin):
+    asked = {"Origin": origin, "Access-Control-Request-Method": "POST"}
+    for answer in (paged.options("/v1/generate", headers=asked), paged.get("/v1/models", headers=asked)):
+        assert not any(name.startswith("access-control") for name in answer.headers)
+    assert paged.options("/v1/generate", headers=asked).status_code == 405
+
+
 @pytest.mark.parametrize(
     "host", ["evil.example", "evil.example:80", "127.0.0.1.evil.example", "", "a b", "127.0.0.1:x"]
 )

@@ -5,7 +5,7 @@ import re
 from collections.abc import Mapping, Sequence
 from urllib.parse import urlsplit
 
-from fastapi.responses import JSONResponse
+from fastapi.responses import JSONResponse, Response
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
@@ -25,6 +25,11 @@ _HEADERS = {
     "Cross-Origin-Resource-Policy": "same-origin",
     "Permissions-Policy": "camera=(), microphone=(), geolocation=()",
 }
+_PREFLIGHT = {
+    "Access-Control-Allow-Methods": "GET, POST, DELETE",
+    "Access-Control-Allow-Headers": "Content-Type",
+    "Access-Control-Max-Age": "600",
+}
 
 
 class Guard:
@@ -32,7 +37,8 @@ class Guard:
 
     - Host: where the server listens on this machine alone, only its own names are answered, so that a page that makes
       its name point here (DNS rebinding) gets nothing.
-    - Origin: other sites' pages may neither change anything nor open a WebSocket.
+    - Origin: other sites' pages may neither change anything nor open a WebSocket, nor read an answer; those that may
+      are told so in CORS's words.
     - Size and type of what is sent.
 
     Args:
@@ -56,9 +62,12 @@ class Guard:
             return
         headers = Headers(scope=scope)
         host = headers.get("host", "")
-        answer = self._answering(scope, host, send)
+        answer = self._answering(scope, headers, send)
         try:
             self._check(scope, headers, host)
+            if self._asks(scope, headers):
+                await Response(status_code=204, headers=_PREFLIGHT)(scope, receive, answer)
+                return
             if scope["type"] == "http" and scope["method"] not in _SAFE:
                 receive = _again(await self._read(scope, headers, receive), receive)
             await self._app(scope, receive, answer)
@@ -81,6 +90,11 @@ class Guard:
             wanted = _TYPES[scope["path"]]
             if headers.get("content-type", "").partition(";")[0].strip().lower() != wanted:
                 raise RequestError(415, "wrong_type", f"send this with the content type {wanted}")
+
+    def _asks(self, scope: Scope, headers: Headers) -> bool:
+        """Whether a browser asks what a page of another site, which may, may send."""
+        preflight = scope["type"] == "http" and scope["method"] == "OPTIONS"
+        return preflight and "access-control-request-method" in headers and headers.get("origin") in self._origins
 
     def _own(self, origin: str, host: str) -> bool:
         try:
@@ -118,8 +132,9 @@ class Guard:
         finally:
             self._uploads -= large
 
-    def _answering(self, scope: Scope, host: str, send: Send) -> Send:
+    def _answering(self, scope: Scope, headers: Headers, send: Send) -> Send:
         """Sends with the headers that every answer has."""
+        host, origin = headers.get("host", ""), headers.get("origin")
         known = host if _HOST.fullmatch(host) else ""
 
         async def answer(message: Message) -> None:
@@ -127,6 +142,11 @@ class Guard:
                 own = MutableHeaders(scope=message)
                 for name, value in _with_policy(known).items():
                     own.setdefault(name, value)
+                if self._origins:
+                    own.add_vary_header("Origin")
+                if origin is not None and origin in self._origins:
+                    own["Access-Control-Allow-Origin"] = origin
+                    own["Access-Control-Expose-Headers"] = "Content-Disposition, Retry-After"
                 if scope["path"].startswith("/v1") or scope["path"] in ("/healthz", "/metrics"):
                     own.setdefault("Cache-Control", "no-store")
                 if scope["type"] == "http":
