@@ -3,6 +3,7 @@
 import base64
 import io
 import json
+import threading
 import time
 
 import pytest
@@ -159,6 +160,22 @@ def test_the_line_is_bounded_and_jobs_can_be_given_up(serving):
             said(client.get(f"/v1/jobs/{number}/result"), 409, "cancelled")
         assert client.post("/v1/generate", json={"prompts": [BOW]}).status_code == 200
         said(client.get(f"/v1/jobs/{two}"), 404, "unknown_job")
+
+
+def test_answers_that_wait_to_be_written_count(serving):
+    with serving(jobs=2) as client:
+        the, gate = client.app.state.service, threading.Event()
+        the._writer.submit(gate.wait)
+        try:
+            begun = [client.post("/v1/jobs", json={"prompts": [BOW]}).json()["id"] for _ in range(2)]
+            while the.worker.load["jobs"]:
+                time.sleep(0.01)
+            assert "2 clips" in said(client.post("/v1/jobs", json={"prompts": [BOW]}), 503, "busy")
+        finally:
+            gate.set()
+        while any(client.get(f"/v1/jobs/{number}").json()["state"] != "done" for number in begun):
+            time.sleep(0.01)
+        assert client.post("/v1/generate", json={"prompts": [BOW]}).status_code == 200
 
 
 @pytest.mark.parametrize(

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import pytest
 
+from moveset.errors import InputError
 from moveset.pipelines.finish import Finish
 from moveset.pipelines.request import check_request
 from moveset.server.catalog import Catalog
@@ -189,6 +190,40 @@ def test_what_breaks_one_stream_breaks_no_other(bench, catalog, monkeypatch):
     assert said[1]["reason"] == "failed"
     one.wait(lambda events: len(one.segments("good", events)) >= 12)
     assert [m["first_frame"] for m in one.segments("good")] == [28 * k for k in range(len(one.segments("good")))]
+
+
+def test_a_wish_that_is_refused_does_not_lose_the_prompt_that_came_with_it(bench):
+    one = bench()
+    session = one.stream("a", most=28)
+    one.wait(lambda events: one.segments("a", events))
+
+    def wish():
+        session.wishes, session.asked = {"steps": 99}, "a person bows"
+
+    one.worker.tell(wish)
+    one.wait(lambda events: sum(e[:2] == ("a", "prompt") for e in events) == 2)
+    said = [e[2] for e in one.events if e[0] == "a" and e[1] in ("error", "prompt")][1:]
+    assert [(m["type"], m.get("code"), m.get("text")) for m in said] == [
+        ("error", "invalid", None),
+        ("prompt", None, "a person bows"),
+    ]
+    assert not session.over
+
+
+def test_a_model_that_cannot_be_warmed_up_stops_no_other(bench, catalog, monkeypatch):
+    def broken(self, bundle, settings):
+        raise InputError("this model's segments cannot be made together; take another")
+
+    monkeypatch.setattr(Catalog, "group", broken)
+    one = bench()
+    one.stream("a")
+    one.job()
+    one.wait(
+        lambda events: {("a", "stopped"), ("job", None)} <= {(e[0], None if e[0] == "job" else e[1]) for e in events}
+    )
+    assert one.worker.ready
+    assert next(e[2]["message"] for e in one.events if e[:2] == ("a", "error")).startswith("this model's segments")
+    assert next(e[2] for e in one.events if e[0] == "job") is None
 
 
 def test_a_broken_job_is_said_and_the_next_is_made(bench, catalog, monkeypatch):

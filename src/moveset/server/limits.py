@@ -19,7 +19,7 @@ class Limits:
         bad_messages: malformed messages after which a WebSocket is closed.
         idle: seconds without any message after which a WebSocket is closed.
         buffer: least and most seconds that a stream may be made ahead of what was acknowledged.
-        jobs: clips waiting or in work.
+        jobs: clips waiting, in work, or being written.
         kept_jobs: finished jobs that are remembered.
         kept_seconds: for how long.
         kept_bytes: bytes of their results together.

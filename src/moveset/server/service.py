@@ -150,6 +150,9 @@ class Service:
         Raises:
             RequestError: too much is waiting, or the server is stopping.
         """
+        # Not only the worker's line: answers that wait to be written hold their motions, too.
+        if len(self.book.unfinished()) >= self.limits.jobs:
+            raise busy("clips", self.limits.jobs)
         job = Job(order)
         self.worker.submit(job)
         self.book.add(job)

@@ -165,17 +165,26 @@ class Worker:
 
     def _warm_up(self) -> None:
         """Read the default models and make something, so that the first client need not wait for it."""
-        names = self._catalog.default
-        if names["clip"] is not None:
+        for make in (self._first_clip, self._first_segments):
+            try:
+                make()
+            except Exception:
+                # Whoever asks for this model is told why; the others must not wait for a thread that is gone.
+                _log.exception("a model could not be warmed up")
+        self.ready = True
+
+    def _first_clip(self) -> None:
+        if self._catalog.default["clip"] is not None:
             t2m = self._catalog.ready(self._catalog.clip(None))
             t2m("a person walks", seconds=t2m.bundle.config.min_frames / t2m.bundle.config.fps)
-        if names["stream"] is not None:
+
+    def _first_segments(self) -> None:
+        if self._catalog.default["stream"] is not None:
             bundle = self._catalog.stream(None)
             group = self._catalog.group(bundle, self._catalog.request(bundle, None, 0, None, None).settings)
             lane = group.open(bundle.config.idle, 0)
             for _ in range(2):
                 group.advance([lane])
-        self.ready = True
 
     def _serve(self) -> None:
         """Streams: wishes first, then segments, until nobody is about to run out."""
@@ -238,25 +247,23 @@ class Worker:
             self._metrics.segment(made, queue_ms)
 
     def _obey(self, session: Session) -> None:
-        """Do what a client asked of its stream, one thing of each kind."""
+        """Do what a client asked of its stream, one of each kind; a refused one does not stop the others."""
         with self.lock:
             begin, session.begin = session.begin, None
             asked, session.asked = session.asked, None
             wishes, session.wishes = session.wishes, {}
-        try:
-            if begin is not None:
-                self._begin(session, begin)
-            if wishes:
-                self._change(session, wishes)
-            if asked is not None:
-                self._prompt(session, asked)
-        except RequestError as error:
-            self._refuse(session, error.body()["error"], begin is not None)
-        except MovesetError as error:
-            self._refuse(session, {"code": "invalid", "message": sayable(str(error))}, begin is not None)
-        except Exception as error:
-            _log.exception("a wish could not be fulfilled")
-            self._refuse(session, _broken(error), True)
+        for do, what in ((self._begin, begin), (self._change, wishes or None), (self._prompt, asked)):
+            if what is None:
+                continue
+            try:
+                do(session, what)
+            except RequestError as error:
+                self._refuse(session, error.body()["error"], what is begin)
+            except MovesetError as error:
+                self._refuse(session, {"code": "invalid", "message": sayable(str(error))}, what is begin)
+            except Exception as error:
+                _log.exception("a wish could not be fulfilled")
+                self._refuse(session, _broken(error), True)
 
     def _refuse(self, session: Session, error: dict[str, str], fatal: bool) -> None:
         session.deliver([{"type": "error", **error}])
