@@ -79,7 +79,11 @@ class _Connection:
             for task in (sender, reader):
                 task.cancel()
             self._end()
-            await asyncio.gather(sender, reader, return_exceptions=True)
+            # Not gather: cancelled meanwhile, it tells of its children's cancellation instead of this task's.
+            ended, _ = await asyncio.wait((sender, reader))
+            for task in ended:
+                if not task.cancelled():
+                    task.exception()  # seen; what matters was raised above
 
     async def farewell(self) -> None:
         """Tell the client that the server stops."""
