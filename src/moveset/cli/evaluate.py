@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from moveset.evaluation.job import Job
 
 _DASH = "–"
-SEGMENT = 1.4  # seconds of a segment of rdm-small
 
 
 def evaluate(
@@ -163,7 +162,7 @@ def _suite(
     from dataclasses import replace
 
     from moveset.evaluation.report import write_report
-    from moveset.evaluation.suites import REAL, Row, SuiteSettings, run_suite
+    from moveset.evaluation.suites import REAL, Row, SuiteSettings, get_suite, run_suite
     from moveset.evaluation.table import save_rows
 
     if common.motions is not None or common.network or common.steps or common.settings:
@@ -171,9 +170,9 @@ def _suite(
 
     def evaluate_row(row: Row, folder: Path | None, repeats: int) -> str:
         protocol = replace(common.protocol, repeats=repeats)
-        if row.model == REAL and name == "rdm":
-            # As far apart as the seams of what ships, to compare them with.
-            protocol = replace(protocol, seams=protocol.seams or SEGMENT)
+        if row.model == REAL:
+            # As far apart as the seams of the suite's streams, to compare them with.
+            protocol = replace(protocol, seams=protocol.seams or get_suite(name).seams)
         job = replace(
             common, model=REAL if folder is None else str(folder), network=row.network, steps=row.steps,
             settings=tuple(row.settings.items()), protocol=protocol,
