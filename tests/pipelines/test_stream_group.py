@@ -6,6 +6,8 @@ import pytest
 import torch
 
 from moveset.errors import InputError
+from moveset.motion.foot_lock import FootLock
+from moveset.motion.incremental import IncrementalDecoder
 from moveset.pipelines.motion_stream import MotionStream
 from moveset.pipelines.stream_bundle import StreamBundle
 from moveset.pipelines.stream_group import StreamGroup
@@ -104,10 +106,31 @@ def test_a_lane_goes_back_and_over_to_another_network(bundle, encoder, group):
     assert differ(other, one.advance([lane])[0].segment) > 1e-3
 
 
-def test_planted_feet_are_those_that_the_lock_holds(group):
-    piece = group(network="pcm-1").advance([group(network="pcm-1").open(WALK, 1)])[0]
-    assert piece.planted.shape == (28, 4)
-    assert piece.planted.dtype == torch.bool
+def test_planted_feet_are_those_that_the_lock_holds(group, monkeypatch):
+    together = group(network="pcm-1")
+    seen, held, decode, lock = [], [], IncrementalDecoder.__call__, FootLock.__call__
+
+    def decoded(self, features):
+        seen.append(features[:, together.codec.groups["contacts"]])
+        return decode(self, features)
+
+    def locked(self, motion, planted):
+        held.append(planted)
+        return lock(self, motion, planted)
+
+    monkeypatch.setattr(IncrementalDecoder, "__call__", decoded)
+    monkeypatch.setattr(FootLock, "__call__", locked)
+    together.advance([together.open(WALK, seed) for seed in (1, 2)])
+    # An untrained network's feet all stand or none does: let half of them.
+    limit = float(torch.cat(seen).median())
+    monkeypatch.setattr("moveset.pipelines.stream_group.CONTACT", limit)
+    held.clear()
+    pieces = together.advance([together.open(WALK, seed) for seed in (1, 2)])
+    for piece, contacts, one in zip(pieces, seen[2:], held, strict=True):
+        assert piece.planted.shape == (28, 4)
+        assert torch.equal(piece.planted, contacts > limit)
+        assert torch.equal(piece.planted, one)
+    assert not torch.equal(pieces[0].planted, pieces[1].planted)
 
 
 def test_what_cannot_be_grouped_is_refused(group):
