@@ -7,6 +7,11 @@ import tempfile
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
+
+# A test must not fail because the machine was busy.
+settings.register_profile("moveset", deadline=None)
+settings.load_profile("moveset")
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 # What the tests read from the archives; a folder given by MOVESET_RAW or data/raw may hold the whole sets.
