@@ -141,12 +141,17 @@ def test_fewer_motions_than_a_group(evaluate, tmp_path):
     assert (code, "mine has 20 items, and R-precision needs 32" in err) == (2, True)
 
 
-def test_a_suite_writes_its_tables(evaluate, tmp_path):
-    code, out, err = evaluate("--suite", "motionpcm", "--row", "real", "--repeats", "1")
+@pytest.mark.parametrize(("suite", "seams"), [("motionpcm", 0.0), ("rdm", 1.4)])
+def test_a_suite_writes_its_tables(evaluate, tmp_path, suite, seams):
+    code, out, err = evaluate("--suite", suite, "--row", "real", "--repeats", "1")
     assert code == 0, err
     assert "Real" in out
-    rows = json.loads((tmp_path / "results" / "motionpcm" / "rows.json").read_text())["rows"]
+    folder = tmp_path / "results" / suite
+    rows = json.loads((folder / "rows.json").read_text())["rows"]
     assert [(row["key"], row["result"]) for row in rows] == [("real", "real-test.json")]
+    # Jerk at the seams of streams needs real motion's, as far apart, beside it.
+    result = json.loads((folder / "real-test.json").read_text())
+    assert (result["protocol"]["seams"], "boundary_jerk" in result["metrics"]) == (seams, seams > 0)
 
 
 def test_notes_say_what_was_not_as_asked_for():
