@@ -117,13 +117,13 @@ def test_bytes_that_are_no_http(program):
             b"Content-Type: application/octet-stream\r\n\r\n" % program.address.encode(),
         ):  # fmt: skip
             reader, writer = await asyncio.open_connection("127.0.0.1", program.port)
-            writer.write(data)
-            await writer.drain()
-            writer.write_eof()
-            try:
+            answer = b""
+            with suppress(OSError):  # it may have hung up before all was said
+                writer.write(data)
+                await writer.drain()
+                writer.write_eof()
+            with suppress(ConnectionError):
                 answer = await asyncio.wait_for(reader.read(2000), 20)
-            except ConnectionError:
-                answer = b""
             assert b"Traceback" not in answer
             assert not answer.startswith(b"HTTP/1.1 5"), answer
             writer.close()
