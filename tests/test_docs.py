@@ -144,6 +144,11 @@ def test_a_wrong_option_is_noticed():
         parse(["generat", "a person walks"])
 
 
+def test_every_picture_is_shown_somewhere():
+    said = "".join(text(document) for document in DOCUMENTS)
+    assert [path.name for path in (ROOT / "docs" / "images").iterdir() if f"images/{path.name}" not in said] == []
+
+
 @every_document
 def test_no_path_of_anybodys_machine(document):
     assert re.findall(r"(?<![\w.])/(?:work|home|root|tmp|Users|mnt)/\S*", text(document)) == []
