@@ -48,7 +48,9 @@ def read_vocabulary(folder: str | Path) -> tuple[tuple[str, ...], Tensor]:
         raise FormatError(f"{names['words.pkl']} is no list of words; restore the original")
     vectors = read_npy(names["data.npy"])
     if vectors.ndim != 2 or not 1 <= vectors.shape[1] <= MAX_WIDTH or not torch.isfinite(vectors).all():
-        raise FormatError(f"{names['data.npy']} of shape {tuple(vectors.shape)} is no table of finite vectors")
+        raise FormatError(
+            f"{names['data.npy']} of shape {tuple(vectors.shape)} is no table of finite vectors; restore it"
+        )
     words = list(dict.fromkeys(words))
     if not isinstance(rows, dict):
         raise FormatError(f"{names['idx.pkl']} is no dictionary of rows by word; restore the original")

@@ -115,9 +115,13 @@ def _listed(path: Path) -> dict[str, str]:
             entry = json.loads(line)
             prompt, name = entry["prompt"], str(entry.get("name", f"{number:06d}"))
         except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
-            raise FormatError(f'{path} line {number} is no JSON object with "prompt" and "name"') from None
+            raise FormatError(
+                f'{path} line {number} is no JSON object with "prompt" and "name"; write one a line'
+            ) from None
         if not isinstance(prompt, str) or not prompt.strip() or name in prompts:
-            raise FormatError(f"{path} line {number}: one prompt, a text, is needed for each name")
+            raise FormatError(
+                f"{path} line {number}: one prompt, a text, is needed for each name; name every motion once"
+            )
         prompts[name] = prompt.strip()
     return prompts
 

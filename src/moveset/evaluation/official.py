@@ -123,7 +123,8 @@ def read_official(
     module = read_checkpoint(checkpoint)
     if module.config.features != layout.features:
         raise FormatError(
-            f"{checkpoint} judges {module.config.features} features, where {layout.name} has {layout.features}"
+            f"{checkpoint} judges {module.config.features} features, where {layout.name} has {layout.features}; "
+            "give that data set's, or say another with --dataset"
         )
     found = _statistics_folder(home) if statistics is None else Path(statistics)
     paths = {name: _either(found, name) for name in ("mean", "std")}
@@ -255,7 +256,7 @@ def _load(path: Path) -> dict[str, Any]:
             f"{path} is truncated or no checkpoint of plain tensors ({reason}); download it again"
         ) from error
     if not isinstance(found, dict):
-        raise FormatError(f"{path} holds one {type(found).__name__}, not the parts of an evaluator")
+        raise FormatError(f"{path} holds one {type(found).__name__}, not the parts of an evaluator; download it again")
     return found
 
 

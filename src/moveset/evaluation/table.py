@@ -129,7 +129,9 @@ class Table:
             InputError: they have not, or there are none.
         """
         if not self.measured:
-            raise InputError(f"no row of {self.suite.name!r} has been evaluated yet")
+            raise InputError(
+                f"no row of {self.suite.name!r} has been evaluated yet; run `moveset evaluate --suite …` first"
+            )
         key, first = next(iter(self.measured.items()))
         for name in ("items", "texts", "labels", "evaluator", "data", "wording", "split", "group"):
             if others := self._unlike(name):
