@@ -1,7 +1,8 @@
 """Does a generated clip show what its prompt says? Content accuracy, jerk, skating and diversity beside real takes.
 
-A stand-in until the standard evaluator exists: a classifier trained on real training takes judges clips generated from
-held-out wordings, one for every labelled test take, of that take's length, all models with the same seeds.
+Beside the standard evaluation (``moveset evaluate``), which reads sentences: a classifier trained on real training
+takes judges clips generated from held-out wordings, one for every labelled test take, of that take's length, all models
+with the same seeds.
 
     python benchmarks/content.py --models src/moveset/weights/motionpcm-small --out results/content.json
 """

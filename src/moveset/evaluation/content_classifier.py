@@ -1,4 +1,4 @@
-"""What is this person doing? A small classifier of joint positions: a stand-in judge until standard evaluators exist.
+"""What is this person doing? A small classifier of joint positions: a second judge beside the standard evaluator.
 
 It is trained on real takes only and sees nothing but joints, so that any representation can be judged. Its penultimate
 features also serve for a distance between distributions (``frechet``). Numbers made with it compare models of this
