@@ -54,6 +54,19 @@ def test_a_table_to_paste(evaluate, tmp_path):
     ]
 
 
+def test_the_judge_itself_is_checked(evaluate, tmp_path):
+    code, out, err = evaluate("--sanity", "--json")
+    assert code == 0, err
+    report = json.loads(out)
+    # A judge that was never trained tells nothing apart, and the report must say so.
+    assert not report["passed"]
+    assert (report["evaluator"], report["items"]) == ("judge", 80)
+    assert json.loads((tmp_path / "results/sanity-judge-test.json").read_text())["checks"] == report["checks"]
+    code, _, err = evaluate("real", "--sanity")
+    assert code == 2
+    assert "leave models" in err
+
+
 def test_json_for_programs(evaluate):
     code, out, _ = evaluate("flow", "--repeats", "1", "--multimodality", "0", "--items", "70", "--json")
     assert code == 0

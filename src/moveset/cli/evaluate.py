@@ -44,6 +44,7 @@ def evaluate(
     foot_lock: bool = True,
     suite: Literal["motionpcm", "rdm"] | None = None,
     row: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="KEY")] = (),
+    sanity: tyro.conf.FlagCreatePairsOff[bool] = False,
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("results"),
     resume: bool = True,
     processes: Annotated[int | None, tyro.conf.arg(metavar="N")] = None,
@@ -80,6 +81,7 @@ def evaluate(
         foot_lock: Judge motion with planted feet held, as users get it.
         suite: Evaluate all rows of a paper's tables, and write the tables; models are folders of more rows.
         row: Only this row of the suite; may be given several times.
+        sanity: Check the evaluator itself: real, jittered, reversed and frozen motion, shuffled and wrong sentences.
         out: Where results go.
         resume: Keep repeats that are there already; --no-resume makes all of them anew.
         processes: Share the repeats among so many processes; by default as many as there are cores.
@@ -100,6 +102,8 @@ def evaluate(
         data=data, evaluator=evaluator, protocol=protocol, composed=composed, mirrored=mirrored, items=items,
         foot_lock=foot_lock, batch=batch, device=device,
     )  # fmt: skip
+    if sanity:
+        return _sanity(models, common, out, json)
     if suite is not None:
         return _suite(suite, models, common, row, out, resume, processes, json)
     jobs = _jobs(models, common)
@@ -111,6 +115,28 @@ def evaluate(
         else:
             done.append((result, path))
     tell(done, json)
+    return 0
+
+
+def _sanity(models: Sequence[str], job: "Job", out: Path, json: bool) -> int:
+    """What an evaluator says of motion that is known to be right or wrong."""
+    import torch
+
+    from moveset.evaluation.evaluator import Evaluator
+    from moveset.evaluation.items import open_items
+    from moveset.evaluation.sanity import sanity
+    from moveset.io.limits import atomic_write
+
+    if models or job.motions is not None:
+        raise InputError("--sanity checks the evaluator itself; leave models and --motions out")
+    judge = Evaluator.open(job.evaluator)
+    items = open_items(job.data, job.protocol.split, composed=job.composed, mirrored=job.mirrored).items
+    report = sanity(judge, items, torch.Generator().manual_seed(job.protocol.seed))
+    out.mkdir(parents=True, exist_ok=True)
+    path = out / f"sanity-{judge.card.name}-{job.protocol.split}.json"
+    with atomic_write(path) as file:
+        file.write((jsonlib.dumps(report.to_json(), indent=1) + "\n").encode())
+    print(jsonlib.dumps({**report.to_json(), "file": str(path)}) if json else report.to_markdown())
     return 0
 
 
