@@ -1,6 +1,7 @@
 """A training may die at any moment: resuming works, loses at most the steps since the last checkpoint, and ends as if
 nothing had happened, byte for byte."""
 
+import contextlib
 import json
 import os
 import random
@@ -75,7 +76,9 @@ def test_sigkill_at_random_moments(victims, tmp_path):
         while logged_step(folder) < goal and time.monotonic() < deadline:
             time.sleep(0.001)
         time.sleep(chance.uniform(0, 0.03))
-        os.kill(process, signal.SIGKILL)
+        # On a busy machine it may have come to its end meanwhile; that is then no kill.
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(process, signal.SIGKILL)
         kills += victims.end() == -signal.SIGKILL
         saved, logged = saved_step(folder), logged_step(folder)
         assert saved >= before
