@@ -1,6 +1,7 @@
 """What buttons do: generate, import, retarget, and the list of prompts."""
 
 import threading
+from collections.abc import Callable
 from typing import ClassVar
 
 import bpy
@@ -148,22 +149,32 @@ class MOVESET_OT_generate(bpy.types.Operator):
             self._answer = error
 
     def _finish(self, context: bpy.types.Context) -> set[str]:
+        done = told(self, lambda: self._placed(context))
+        if done == {"FINISHED"}:
+            self.report({"INFO"}, f"seed {', '.join(map(str, self._answer.seeds))}")
+        return done
+
+    def _placed(self, context: bpy.types.Context) -> list[str]:
         if isinstance(self._answer, MotionError):
-            self.report({"ERROR"}, str(self._answer))
-            return {"CANCELLED"}
+            raise self._answer
         warnings = list(self._answer.warnings)
-        try:
-            for k, (take, seed) in enumerate(zip(self._answer.takes, self._answer.seeds, strict=True)):
-                armature, more = place_take(context, take, k * context.scene.moveset.spacing)
-                armature["moveset_prompt"], armature["moveset_seed"] = take.title, str(seed)
-                warnings += more
-        except MotionError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
-        for warning in warnings:
-            self.report({"WARNING"}, warning)
-        self.report({"INFO"}, f"seed {', '.join(map(str, self._answer.seeds))}")
-        return {"FINISHED"}
+        for k, (take, seed) in enumerate(zip(self._answer.takes, self._answer.seeds, strict=True)):
+            armature, more = place_take(context, take, k * context.scene.moveset.spacing)
+            armature["moveset_prompt"], armature["moveset_seed"] = take.title, str(seed)
+            warnings += more
+        return warnings
+
+
+def told(operator: bpy.types.Operator, work: Callable[[], list[str]]) -> set[str]:
+    """Do what an operator is for, and report its error or its warnings."""
+    try:
+        warnings = work()
+    except MotionError as error:
+        operator.report({"ERROR"}, str(error))
+        return {"CANCELLED"}
+    for warning in warnings:
+        operator.report({"WARNING"}, warning)
+    return {"FINISHED"}
 
 
 class MOVESET_OT_import_take(bpy.types.Operator, ImportHelper):
@@ -177,14 +188,7 @@ class MOVESET_OT_import_take(bpy.types.Operator, ImportHelper):
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Read the chosen file."""
-        try:
-            _, warnings = place_take(context, read_take(self.filepath))
-        except MotionError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
-        for warning in warnings:
-            self.report({"WARNING"}, warning)
-        return {"FINISHED"}
+        return told(self, lambda: place_take(context, read_take(self.filepath))[1])
 
 
 class MOVESET_OT_retarget(bpy.types.Operator):
@@ -196,28 +200,24 @@ class MOVESET_OT_retarget(bpy.types.Operator):
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Sample the one, key the other."""
+        return told(self, lambda: self._retargeted(context))
+
+    def _retargeted(self, context: bpy.types.Context) -> list[str]:
         target = context.active_object
         others = [o for o in context.selected_objects if o.type == "ARMATURE" and o != target]
+        if target is None or target.type != "ARMATURE" or len(others) != 1:
+            raise MotionError("select the armature that moves, then Shift-click the one that shall move likewise")
+        leave_modes(context)
+        preset = context.scene.moveset.preset
+        take = sample_take(context, others[0])
+        rig = read_rig(context, target)
+        pose = retarget(take, rig, None if preset == "AUTO" else preset)
+        before = context.scene.frame_current
+        context.scene.frame_set(round(others[0].animation_data.action.frame_range[0]))
         try:
-            if target is None or target.type != "ARMATURE" or len(others) != 1:
-                raise MotionError("select the armature that moves, then Shift-click the one that shall move likewise")
-            leave_modes(context)
-            preset = context.scene.moveset.preset
-            take = sample_take(context, others[0])
-            rig = read_rig(context, target)
-            pose = retarget(take, rig, None if preset == "AUTO" else preset)
-            before = context.scene.frame_current
-            context.scene.frame_set(round(others[0].animation_data.action.frame_range[0]))
-            try:
-                warnings = key(context, target, rig, pose, take.title)
-            finally:
-                context.scene.frame_set(before)
-        except MotionError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
-        for warning in warnings:
-            self.report({"WARNING"}, warning)
-        return {"FINISHED"}
+            return key(context, target, rig, pose, take.title)
+        finally:
+            context.scene.frame_set(before)
 
 
 class MOVESET_OT_prompt_add(bpy.types.Operator):

@@ -72,9 +72,9 @@ class GrowingFile:
         while view:
             view = view[os.write(self.handle, view) :]
 
-    def cut(self) -> None:
-        """Drop what is not a whole frame, and have the disk confirm the rest."""
-        os.ftruncate(self.handle, self.size)
+    def cut(self, tail: int = 0) -> None:
+        """Drop what is neither a whole frame nor one of ``tail`` bytes behind them; have the disk confirm the rest."""
+        os.ftruncate(self.handle, self.size + tail)
         os.fsync(self.handle)
 
     def close(self) -> None:
@@ -86,6 +86,43 @@ class GrowingFile:
     def remove(self) -> None:
         self.close()
         self.part.unlink(missing_ok=True)
+
+
+class GrowingText:
+    """A take in a text format: ``path.part`` is a valid file itself between two calls, and becomes ``path`` at the end.
+
+    Raises:
+        InputError: a path that cannot be written to.
+        OSError: there is no space for the head.
+    """
+
+    def __init__(self, path: Path, head: bytes) -> None:
+        self.path = path
+        self._file = GrowingFile(path, head)
+
+    @property
+    def part(self) -> Path:
+        return self._file.part
+
+    @property
+    def frames(self) -> int:
+        return self._file.frames
+
+    def finish(self) -> None:
+        """Become ``path``, or nothing if there are no frames."""
+        if not self.frames:
+            self._file.remove()
+            return
+        self._seal()
+        self._file.close()
+        os.replace(self.part, self.path)
+
+    def close(self) -> None:
+        self._file.close()
+
+    def _seal(self) -> None:
+        """Bring the part to the last byte of the file that it becomes."""
+        self._file.cut()
 
 
 def part_of(path: Path) -> Path:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from moveset.errors import FormatError
 from moveset.io.bvh import BvhText
-from moveset.io.growing import GrowingFile, claim, part_of
+from moveset.io.growing import GrowingText, claim, part_of
 from moveset.io.limits import MAX_BYTES, MAX_LINE
 from moveset.motion.clip import Motion
 from moveset.motion.skeleton import Skeleton
@@ -16,7 +16,7 @@ _HEAD_LINES = 10_000
 _BLOCK = 2**20
 
 
-class BvhTake:
+class BvhTake(GrowingText):
     """Grows ``path.part``, which is a valid BVH file itself between two calls.
 
     Raises:
@@ -25,20 +25,11 @@ class BvhTake:
     """
 
     def __init__(self, path: Path, skeleton: Skeleton, fps: float) -> None:
-        self.path = path
         self._text = BvhText(skeleton, fps)
         head = self._text.head(_COUNT.format(0))
         self._count_at = head.rindex(b"\nFrames: ") + len("\nFrames: ")
         self._widest = _WIDEST * (3 + 3 * len(skeleton))
-        self._file = GrowingFile(path, head)
-
-    @property
-    def part(self) -> Path:
-        return self._file.part
-
-    @property
-    def frames(self) -> int:
-        return self._file.frames
+        super().__init__(path, head)
 
     @property
     def room(self) -> int:
@@ -50,18 +41,9 @@ class BvhTake:
         self._file.grow(self._text.rows(motion).splitlines(keepends=True))
         self._file.write(self._count_at, _COUNT.format(self.frames).encode())
 
-    def finish(self) -> None:
-        """Become ``path``, or nothing if there are no frames."""
-        if not self.frames:
-            self._file.remove()
-            return
+    def _seal(self) -> None:
         self._file.write(self._count_at, _COUNT.format(self.frames).encode())
         self._file.cut()
-        self._file.close()
-        os.replace(self.part, self.path)
-
-    def close(self) -> None:
-        self._file.close()
 
 
 def recover_bvh(path: Path) -> int:

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from moveset.errors import FormatError
-from moveset.io.growing import GrowingFile, claim, part_of
+from moveset.io.growing import GrowingText, claim, part_of
 from moveset.io.html import FRAMES_BEGIN, close_page, frame_lines, open_page
 from moveset.io.limits import MAX_BYTES, read_limited
 from moveset.io.packets import HEADER
@@ -16,7 +16,7 @@ from moveset.motion.clip import Motion
 from moveset.motion.skeleton import Skeleton
 
 
-class HtmlTake:
+class HtmlTake(GrowingText):
     """Grows ``path.part``, a page that plays what has been made so far.
 
     Raises:
@@ -27,19 +27,10 @@ class HtmlTake:
     def __init__(
         self, path: Path, skeleton: Skeleton, fps: float, notes: Mapping[str, str | int | float | None]
     ) -> None:
-        self.path = path
+        super().__init__(path, open_page(skeleton, fps, notes))
         self._tail = close_page()
         # Four characters of base64 for three bytes, and what stands around them.
         self._row = 4 * -(-(HEADER.size + 4 * (3 + 4 * len(skeleton))) // 3) + 4
-        self._file = GrowingFile(path, open_page(skeleton, fps, notes))
-
-    @property
-    def part(self) -> Path:
-        return self._file.part
-
-    @property
-    def frames(self) -> int:
-        return self._file.frames
 
     @property
     def room(self) -> int:
@@ -64,18 +55,8 @@ class HtmlTake:
             self._file.write(self._file.size, self._tail)
             raise
 
-    def finish(self) -> None:
-        """Become ``path``, or nothing if there are no frames."""
-        if not self.frames:
-            self._file.remove()
-            return
-        os.ftruncate(self._file.handle, self._file.size + len(self._tail))
-        os.fsync(self._file.handle)
-        self._file.close()
-        os.replace(self.part, self.path)
-
-    def close(self) -> None:
-        self._file.close()
+    def _seal(self) -> None:
+        self._file.cut(len(self._tail))
 
 
 def recover_html(path: Path) -> int:
