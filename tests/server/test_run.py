@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+import signal
 import socket
 import subprocess
 import sys
@@ -76,9 +77,13 @@ def test_being_stopped_tells_streams_and_is_no_failure(start):
     assert program.stop()[0] == 0
 
 
-def test_ctrl_c_is_no_failure_either(start):
+@pytest.mark.parametrize("times", [1, 2, 3])
+def test_ctrl_c_is_no_failure_either(times, start):
     program = start()
-    program.process.send_signal(2)
+    for pause in (0.02,) * times:
+        program.process.send_signal(signal.SIGINT)
+        time.sleep(pause)
+    program.process.wait(60)
     code, _, err = program.stop()
     assert (code, err) == (0, "")
 

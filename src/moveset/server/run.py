@@ -41,6 +41,9 @@ class Server(uvicorn.Server):
             server.close()
         await self._the.stop()
         await super().shutdown(sockets)
+        if self.force_exit:
+            # uvicorn then leaves the application waiting, which ends in a traceback; everything has stopped already.
+            await self.lifespan.shutdown()
 
     @contextlib.contextmanager
     def capture_signals(self) -> Iterator[None]:
