@@ -16,6 +16,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, cast
 
+from moveset.cli.threads import wait_asleep
 from moveset.errors import InputError, MovesetError
 
 Command = Callable[..., Any]
@@ -30,12 +31,14 @@ class Verb:
         attribute: a function whose signature is the command line, or a dict of them by sub-verb.
         summary: one line.
         prepare: rewrites the arguments before they are parsed.
+        spins: leave it to OpenMP what its threads do while they wait; others let them sleep.
     """
 
     module: str
     attribute: str
     summary: str
     prepare: str | None = None
+    spins: bool = False
 
 
 VERBS = {
@@ -47,7 +50,7 @@ VERBS = {
     "doctor": Verb("moveset.cli.doctor", "doctor", "Check this installation and time a short self-test."),
     "data": Verb("moveset.cli.data", "COMMANDS", "Build and inspect training data."),
     "evaluate": Verb("moveset.cli.evaluate", "evaluate", "Measure models as the papers do, with intervals."),
-    "bench": Verb("moveset.cli.bench", "bench", "Measure what motion costs on this machine."),
+    "bench": Verb("moveset.cli.bench", "bench", "Measure what motion costs on this machine.", spins=True),
     "train": Verb("moveset.cli.train", "train", "Train or distil a model."),
 }
 
@@ -63,9 +66,6 @@ def usage() -> str:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; the result is the exit code."""
     arguments = list(sys.argv[1:] if argv is None else argv)
-    # Must precede the import of torch. OpenMP threads that spin while they wait make small networks up to 100 times
-    # slower as soon as another process is busy on one of the cores.
-    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     if isinstance(sys.stdout, io.TextIOWrapper):
         # A terminal that is not UTF-8 gets escapes, not a UnicodeEncodeError.
         sys.stdout.reconfigure(errors="backslashreplace")
@@ -98,6 +98,8 @@ def _run(arguments: list[str]) -> int:
         hint = f"did you mean {near[0]!r}?" if near else f"choose one of {', '.join(VERBS)}"
         raise InputError(f"unknown verb {name!r}; {hint}")
     verb = VERBS[name]
+    if not verb.spins:
+        wait_asleep()
     module = importlib.import_module(verb.module)
     rest = arguments[1:]
     if verb.prepare:

@@ -93,8 +93,10 @@ def _video() -> dict[str, Any]:
 
 
 def _self_test(model: str, device: str) -> dict[str, Any]:
+    from moveset.cli.threads import one_thread
     from moveset.pipelines.text_to_motion import TextToMotion
 
+    one_thread()
     t2m = TextToMotion.from_pretrained(model, device=device)
     cold, warm = (t2m("a person walks forward", seconds=1.0, seed=k) for k in range(2))
     if not float(warm.motion.joints[..., 1].max()) > 1.0:

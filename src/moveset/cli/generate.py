@@ -64,6 +64,7 @@ def generate(
         json: Print one JSON object on stdout and nothing else.
     """
     from moveset.cli.output import Finish, plan_outputs, write
+    from moveset.cli.threads import one_thread
     from moveset.pipelines.request import check_method, check_request
     from moveset.pipelines.text_to_motion import TextToMotion
 
@@ -84,6 +85,7 @@ def generate(
     names = [""] if num == 1 else [str(k) for k in range(num)]
     planned = plan_outputs(outputs, names)
 
+    one_thread()
     timings: Counter[str] = Counter()
     files: list[Path] = []
     for request, paths in zip(progress(requests), planned, strict=True):

@@ -75,9 +75,6 @@ def train(
         tensorboard: Write TensorBoard events besides metrics.jsonl.
         set: Change one number of the recipe, such as lr=1e-3 or model.layers=4; may be given several times.
     """
-    # Must precede the import of torch: OpenMP threads that spin while they wait make training up to 100 times slower as
-    # soon as another process is busy on one of the cores.
-    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     from moveset.training.engine import run
 
     runs = Path("runs") / recipe
