@@ -42,6 +42,7 @@ def evaluate(
     mirrored: bool = True,
     seams: Annotated[float, tyro.conf.arg(metavar="S")] = 0.0,
     foot_lock: bool = True,
+    stages: bool = True,
     suite: Literal["motionpcm", "rdm"] | None = None,
     row: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="KEY")] = (),
     sanity: tyro.conf.FlagCreatePairsOff[bool] = False,
@@ -79,6 +80,7 @@ def evaluate(
         mirrored: Judge mirror images too.
         seams: Measure jerk every so many seconds as at the seams of a stream, to compare streams with.
         foot_lock: Judge motion with planted feet held, as users get it.
+        stages: Streams: take sentences apart that say what comes after what, as users get it.
         suite: Evaluate all rows of a paper's tables, and write the tables; models are folders of more rows.
         row: Only this row of the suite; may be given several times.
         sanity: Check the evaluator itself: real, jittered, reversed and frozen motion, shuffled and wrong sentences.
@@ -96,6 +98,7 @@ def evaluate(
         split=split, repeats=repeats, seed=seed, wording=wording, multimodality=multimodality, seams=seams
     )
     given = {"guidance": guidance, "start": start, "lag": lag, "eta": eta, "shape": shape}
+    given["stages"] = None if stages else False
     settings = tuple((name, value) for name, value in given.items() if value is not None)
     common = Job(
         network=network, steps=steps, settings=settings, motions=motions, prompts=prompts, motions_fps=motions_fps,

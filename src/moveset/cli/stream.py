@@ -43,6 +43,7 @@ def stream(
     seed_motion: Annotated[Path | None, tyro.conf.arg(name="from", metavar="CLIP")] = None,
     in_place: tyro.conf.FlagCreatePairsOff[bool] = False,
     foot_lock: bool = True,
+    stages: bool = True,
     device: Annotated[str, tyro.conf.arg(metavar="NAME")] = "auto",
     json: tyro.conf.FlagCreatePairsOff[bool] = False,
 ) -> int:
@@ -70,6 +71,8 @@ def stream(
         seed_motion: Go on from the end of this motion file (.bvh .glb .npz .npy) of at least 1.4 s.
         in_place: Without travel over the ground.
         foot_lock: Hold planted feet in place.
+        stages: Take a sentence apart that says what comes after what ("walks, then waves"); its parts share its time
+            evenly. --no-stages says all of it all the time.
         device: auto, cpu, cuda or mps.
         json: Print one JSON object for every segment on stdout, and nothing else.
     """
@@ -82,6 +85,7 @@ def stream(
     from moveset.cli.growing_files import GrowingFiles, plan_takes
     from moveset.cli.interrupts import Interrupts
     from moveset.cli.prompt_lines import PromptLines
+    from moveset.cli.threads import one_thread
     from moveset.pipelines.motion_stream import MotionStream
     from moveset.pipelines.stream_bundle import StreamBundle
     from moveset.pipelines.stream_settings import MAX_SECONDS, check_stream
@@ -92,8 +96,9 @@ def stream(
     bundle = StreamBundle.find(model)
     request = check_stream(
         bundle.config, prompt or None, seconds or None, loop=loop, seed=seed, network=network, steps=steps,
-        guidance=guidance, foot_lock=foot_lock,
+        guidance=guidance, foot_lock=foot_lock, stages=stages,
     )  # fmt: skip
+    one_thread()
     with ExitStack() as stack:
         lines = None if prompts is None else stack.enter_context(PromptLines(prompts))
         made = MotionStream(bundle, request, seed_motion=_clip(seed_motion), device=device)
@@ -203,7 +208,7 @@ def _notes(made: "MotionStream", request: "StreamRequest") -> dict[str, str | in
 def _tell_durations(request: "StreamRequest", each: float) -> None:
     """Say so where durations had to be rounded; the last prompt may be cut anywhere."""
     timeline = request.timeline
-    inner = [count * each for count in timeline.segments()][: None if timeline.loop else -1]
+    inner = [count * each for count in request.counts][: None if timeline.loop else -1]
     asked = request.durations[: len(inner)]
     if any(abs(a - b) > 0.5 / 20 for a, b in zip(asked, inner, strict=True)):
         lasting = ", ".join(f"{s:g}" for s in inner)

@@ -52,7 +52,7 @@ class Job:
         model: a short name, a shipped model, a model folder, or "real".
         network: of the folder; "pcm" and "lcm" mean the student of ``steps``.
         steps: of the sampler; None for the network's own.
-        settings: guidance, and start, lag, eta and shape of a stream, where they are not the folder's own.
+        settings: guidance, and start, lag, eta, shape and stages of a stream, where they are not the folder's own.
         motions: a folder of joints to judge instead of a model.
         prompts: its prompts, a JSONL file; None looks in the folder.
         motions_fps: frame rate of these.
@@ -160,8 +160,10 @@ def _stream(job: Job, folder: Path, network: str | None, settings: dict[str, Any
 
     bundle = StreamBundle(folder)
     shape = settings.pop("shape", "parallelogram")
-    if unknown := set(settings) - {"guidance", "start", "lag", "eta"}:
-        raise InputError(f"unknown setting {sorted(unknown)[0]!r}; there are guidance, start, lag, eta and shape")
+    if unknown := set(settings) - {"guidance", "start", "lag", "eta", "stages"}:
+        raise InputError(
+            f"unknown setting {sorted(unknown)[0]!r}; there are guidance, start, lag, eta, shape and stages"
+        )
     request = check_stream(bundle.config, network=network, steps=job.steps, foot_lock=job.foot_lock, **settings)
     extras = [f"{job.steps}-steps"] if job.steps and not request.settings.network.startswith("pcm-") else []
     extras += settings_slug({**settings, **({} if shape == "parallelogram" else {"shape": shape})})

@@ -25,12 +25,13 @@ from moveset.motion.incremental import IncrementalDecoder
 from moveset.motion.native import NativeCodec
 from moveset.pipelines.device import pick_device
 from moveset.pipelines.stream_bundle import FLOW, StreamBundle
-from moveset.pipelines.stream_settings import StreamSettings, get_schedule
+from moveset.pipelines.stream_settings import StreamSettings, get_schedule, share_evenly
 from moveset.pipelines.text_to_motion import CONTACT
 from moveset.rdm.sampler import stream
 from moveset.rdm.staircase import Shape, Staircase
 from moveset.rdm.transport import Transport
 from moveset.text.encoder import TextEmbedding, get_text_encoder
+from moveset.text.stages import split_stages
 
 
 class Streams:
@@ -105,7 +106,7 @@ class Streams:
         config, settings = self._bundle.config, self._settings
         network = self._bundle.module(settings.network, self._device)
         flow = self._bundle.module(FLOW, self._device) if self._uses_flow else None
-        said = [timeline(one, fps, config.segment / config.fps) for one in wanted]
+        said = [timeline(one, fps, config.segment / config.fps, settings.stages) for one in wanted]
         denoiser = Bound(
             network,
             self._text,
@@ -154,13 +155,20 @@ class _Line:
         return self._prompts[bisect_right(self._starts, segment) - 1]
 
 
-def timeline(wanted: Wanted, fps: float, seconds: float) -> _Line:
-    """The prompts by segment of ``seconds``; each begins with the segment nearest to its place and has one at least."""
-    starts, frames = [0], 0
-    for _, count in wanted.parts[:-1]:
+def timeline(wanted: Wanted, fps: float, seconds: float, stages: bool = True) -> _Line:
+    """The prompts by segment of ``seconds``; each begins with the segment nearest to its place and has one at least.
+
+    Args:
+        stages: take the stages of a prompt apart (``text.stages``), which share its frames evenly.
+    """
+    prompts, starts, frames = [], [0], 0
+    for prompt, count in wanted.parts:
+        said = split_stages(prompt) if stages else (prompt,)
+        prompts += said
+        for end in share_evenly(frames, frames + count, len(said))[1:]:
+            starts.append(max(starts[-1] + 1, round(end / fps / seconds)))
         frames += count
-        starts.append(max(starts[-1] + 1, round(frames / fps / seconds)))
-    return _Line([prompt for prompt, _ in wanted.parts], starts)
+    return _Line(prompts, starts[:-1])
 
 
 class Bound:

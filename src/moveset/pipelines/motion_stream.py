@@ -133,6 +133,7 @@ class MotionStream(Iterator[Segment]):
         buffer: int = 0,
         foot_lock: bool = True,
         blend_seconds: float = BLEND_SECONDS,
+        stages: bool = True,
         device: torch.device | str = "auto",
     ) -> "MotionStream":
         """A stream of a shipped model by name, or of a model folder.
@@ -151,6 +152,7 @@ class MotionStream(Iterator[Segment]):
         request = check_stream(
             bundle.config, prompt, seconds, loop=loop, seed=seed, network=network, steps=steps, start=start, lag=lag,
             eta=eta, guidance=guidance, buffer=buffer, foot_lock=foot_lock, blend_seconds=blend_seconds,
+            stages=stages,
         )  # fmt: skip
         return cls(bundle, request, seed_motion=seed_motion, device=device)
 
@@ -165,19 +167,23 @@ class MotionStream(Iterator[Segment]):
     def prompt(self, text: str) -> int:
         """Go on with another prompt, until the next call; what was left of a timeline is dropped.
 
+        Of a sentence with several stages ("walks, then waves") the last is held; ``timeline`` says when each begins.
+
         Returns:
             The first frame that it has an effect on: that of the next segment to enter the sampler.
 
         Raises:
             InputError: an empty or absurd prompt.
         """
-        timeline = held(text)
+        timeline = held(text, self._settings.stages)
         start = time.perf_counter()
-        self._texts(text)
+        for stage in timeline.prompts:
+            self._texts(stage)
         with self._lock:
-            self._timeline = timeline
+            begins = self._sampler.progress.entered - self._given
+            self._timeline = timeline.beginning(begins)
             self._reading += time.perf_counter() - start
-            return (self._sampler.progress.entered - self._given) * self.bundle.config.segment
+            return begins * self.bundle.config.segment
 
     @property
     def settings(self) -> StreamSettings:

@@ -30,7 +30,7 @@ from moveset.pipelines.motion_stream import Segment
 from moveset.pipelines.prompt_memory import PromptMemory
 from moveset.pipelines.segment_denoise import Reader
 from moveset.pipelines.stream_bundle import FLOW, StreamBundle
-from moveset.pipelines.stream_settings import StreamSettings, get_schedule, held
+from moveset.pipelines.stream_settings import StreamSettings, Timeline, get_schedule, held
 from moveset.pipelines.text_to_motion import CONTACT
 from moveset.pipelines.warnings import too_long, unfamiliar
 from moveset.rdm.noise import START, segment_noise
@@ -58,7 +58,8 @@ class Lane:
     Attributes:
         seed: what its noise is drawn from.
         guidance: scale w.
-        prompt: what the next segments are told.
+        line: what it is told when, counted from segment ``since`` on.
+        prompt: what the next segment is told.
         text: the same, encoded.
         number: of the next segment.
         left: (1, n, D) the last finished segment, normalised.
@@ -67,10 +68,12 @@ class Lane:
 
     seed: int
     guidance: float
+    line: Timeline
     prompt: str
     text: TextEmbedding
     decoder: IncrementalDecoder
     feet: FootLock
+    since: int = 0
     number: int = 0
     left: Tensor | None = None
     reading_ms: float = 0.0
@@ -132,13 +135,14 @@ class StreamGroup:
         Raises:
             InputError: an empty or absurd prompt.
         """
-        held(prompt)
+        line = held(prompt, self.settings.stages)
         start = time.perf_counter()
-        text = self._texts(prompt).to(self.device)
+        text = self._texts(line.prompts[0]).to(self.device)
         return Lane(
             seed,
             self.settings.guidance if guidance is None else guidance,
-            prompt,
+            line,
+            line.prompts[0],
             text,
             IncrementalDecoder(self.codec, self.settings.blend_seconds),
             FootLock(self.codec.skeleton, self.codec.fps),
@@ -154,20 +158,20 @@ class StreamGroup:
         Raises:
             InputError: an empty or absurd prompt; the lane is as it was.
         """
-        held(text)
-        start = time.perf_counter()
-        lane.text = self._texts(text).to(self.device)
-        lane.prompt = text
-        lane.reading_ms += (time.perf_counter() - start) * 1e3
+        lane.line, lane.since = held(text, self.settings.stages), lane.number
+        self._read(lane)
         return lane.number * self.bundle.config.segment
 
     def warnings(self, lane: Lane) -> tuple[str, ...]:
         """What the user should know about a lane's prompt."""
-        prompts = (lane.prompt,)
-        return (*too_long(self.encoder, prompts), *unfamiliar(self.bundle, prompts, lane.text.pooled))
+        prompts = tuple(dict.fromkeys(lane.line.prompts))
+        pooled = torch.cat([self._texts(prompt).pooled for prompt in prompts])
+        return (*too_long(self.encoder, prompts), *unfamiliar(self.bundle, prompts, pooled))
 
     def advance(self, lanes: Sequence[Lane]) -> list[Piece]:
         """The next segment of every lane."""
+        for lane in lanes:
+            self._read(lane)
         start = time.perf_counter()
         with torch.inference_mode():
             clean = self._sample(lanes)
@@ -177,6 +181,14 @@ class StreamGroup:
         decoded = [self._decoded(*row) for row in zip(lanes, features, strict=True)]
         spent = (time.perf_counter() - start) * 1e3
         return [self._piece(*row, spent) for row in zip(lanes, clean, decoded, strict=True)]
+
+    def _read(self, lane: Lane) -> None:
+        """What the lane's next segment is told."""
+        prompt = lane.line.at(lane.number - lane.since)
+        if prompt != lane.prompt:
+            start = time.perf_counter()
+            lane.text, lane.prompt = self._texts(prompt).to(self.device), prompt
+            lane.reading_ms += (time.perf_counter() - start) * 1e3
 
     def _decoded(self, lane: Lane, features: Tensor) -> tuple[Motion, Tensor]:
         planted = features[:, self.codec.groups["contacts"]] > CONTACT

@@ -3,7 +3,8 @@
 import math
 from bisect import bisect_right
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import chain, pairwise
 
 from moveset.diffusion.phases import PhaseGrid
 from moveset.diffusion.schedule import Schedule, cosine, linear
@@ -11,8 +12,10 @@ from moveset.errors import InputError
 from moveset.pipelines.request import MAX_GUIDANCE, MAX_PROMPTS, SEEDS, check_prompt
 from moveset.pipelines.stream_bundle import FLOW, StreamConfig
 from moveset.rdm.staircase import Staircase, levels
+from moveset.text.stages import split_stages
 
 SEGMENTS = 4  # of a prompt that is followed by another and was given no duration
+STAGE_SEGMENTS = 3  # of each stage of a prompt that has several and was given no duration
 MAX_SECONDS = 86_400.0
 MAX_BUFFER = 64
 BLEND_SECONDS = 0.3
@@ -32,6 +35,7 @@ class StreamSettings:
         buffer: segments made ahead of the reader.
         foot_lock: hold planted feet in place.
         blend_seconds: within which a jump from one segment to the next dies away; 0 leaves it.
+        stages: take a sentence that says what comes after what apart (``text.stages``).
     """
 
     network: str
@@ -43,6 +47,7 @@ class StreamSettings:
     buffer: int = 0
     foot_lock: bool = True
     blend_seconds: float = BLEND_SECONDS
+    stages: bool = True
 
     @property
     def clean_left(self) -> bool:
@@ -65,7 +70,7 @@ class Timeline:
     """Which prompt a segment has.
 
     Args:
-        prompts: in order of time.
+        prompts: in order of time, every stage of a sentence for itself.
         starts: number of the segment with which each begins; the first is 0.
         end: segments in all; after them the last prompt is held.
         loop: begin again instead.
@@ -89,18 +94,27 @@ class Timeline:
         """How many segments each prompt has."""
         return tuple(stop - start for start, stop in zip(self.starts, (*self.starts[1:], self.end), strict=True))
 
+    def beginning(self, segment: int) -> "Timeline":
+        """The same, later: as if this segment were the first.
+
+        >>> Timeline(("walk", "bow"), (0, 3), 6).beginning(10).starts
+        (0, 13)
+        """
+        return replace(self, starts=(0, *(start + segment for start in self.starts[1:])), end=self.end + segment)
+
 
 @dataclass(frozen=True)
 class StreamRequest:
     """A checked request: what happens when, from which noise, and how it is made.
 
-    ``durations`` are the seconds of each prompt as they were asked for; the timeline has them rounded to segments.
+    ``durations`` are the seconds of each prompt as they were asked for, ``counts`` the segments they were rounded to.
     """
 
     timeline: Timeline
     seed: int
     settings: StreamSettings
     durations: tuple[float, ...]
+    counts: tuple[int, ...]
 
     @property
     def seconds(self) -> float:
@@ -124,6 +138,7 @@ def check_stream(
     buffer: int = 0,
     foot_lock: bool = True,
     blend_seconds: float = BLEND_SECONDS,
+    stages: bool = True,
 ) -> StreamRequest:
     """A request of a stream.
 
@@ -131,7 +146,8 @@ def check_stream(
         config: the model's limits and defaults.
         prompt: a sentence, or several that follow one another; None is the model's idle prompt.
         seconds: of each prompt: one number for all or one a prompt. Prompts change between two segments, so durations
-            are rounded to whole segments, together rather than each, and every prompt gets at least one.
+            are rounded to whole segments, together rather than each, and every prompt gets at least one. The stages of
+            a prompt share its segments evenly, and get at least one each.
         loop: begin again after the last prompt, which is held otherwise.
         seed: the same seed gives the same motion.
         network: a denoiser of the folder; by default the model's choice.
@@ -143,11 +159,12 @@ def check_stream(
         buffer: segments made ahead of the reader, in a thread of their own; 0 makes them when they are asked for.
         foot_lock: hold planted feet in place.
         blend_seconds: seam smoothing.
+        stages: "walks, then waves" is two things to do, one after the other; False says all of it to every segment.
 
     Raises:
         InputError: anything out of range.
     """
-    timeline, durations = _timeline(config, prompt, seconds, loop)
+    timeline, durations, counts = _timeline(config, prompt, seconds, loop, stages)
     if not 0 <= seed < SEEDS:
         raise InputError(f"seed {seed} is not in 0 to {SEEDS - 1}; give a smaller whole number")
     if not 0 <= buffer <= MAX_BUFFER:
@@ -160,8 +177,8 @@ def check_stream(
     if not 0.0 <= w <= MAX_GUIDANCE:
         raise InputError(f"guidance {w:g} is not in 0 to {MAX_GUIDANCE:g}; this model's own choice is "
                          f"{config.guidance.get(network, 0.0):g}")  # fmt: skip
-    settings = StreamSettings(network, *plan, float(w), buffer, foot_lock, float(blend_seconds))
-    return StreamRequest(timeline, seed, settings, durations)
+    settings = StreamSettings(network, *plan, float(w), buffer, foot_lock, float(blend_seconds), stages)
+    return StreamRequest(timeline, seed, settings, durations, counts)
 
 
 def get_schedule(config: StreamConfig) -> Schedule:
@@ -169,19 +186,23 @@ def get_schedule(config: StreamConfig) -> Schedule:
     return {"linear": linear, "cosine": cosine}[config.schedule](config.timesteps)
 
 
-def held(prompt: str) -> Timeline:
-    """One prompt for ever.
+def held(prompt: str, stages: bool = True) -> Timeline:
+    """One prompt whose last stage is held for ever.
 
     Raises:
         InputError: an empty or absurd prompt.
     """
     check_prompt(prompt)
-    return Timeline((prompt,), (0,), 1)
+    said = split_stages(prompt) if stages else (prompt,)
+    each = STAGE_SEGMENTS if len(said) > 1 else 1
+    return Timeline(said, tuple(range(0, each * len(said), each)), each * len(said))
 
 
 def _timeline(
-    config: StreamConfig, prompt: str | Sequence[str] | None, seconds: float | Sequence[float] | None, loop: bool
-) -> tuple[Timeline, tuple[float, ...]]:
+    config: StreamConfig, prompt: str | Sequence[str] | None, seconds: float | Sequence[float] | None, loop: bool,
+    stages: bool,
+) -> tuple[Timeline, tuple[float, ...], tuple[int, ...]]:  # fmt: skip
+    """The timeline, and of each prompt the duration asked for and its segments."""
     prompt = config.idle if prompt is None else prompt
     prompts = (prompt,) if isinstance(prompt, str) else tuple(prompt)
     if not 1 <= len(prompts) <= MAX_PROMPTS:
@@ -190,9 +211,10 @@ def _timeline(
         )
     for text in prompts:
         check_prompt(text)
+    said = [split_stages(text) if stages else (text,) for text in prompts]
     each = config.segment / config.fps
     if seconds is None:
-        given: tuple[float, ...] = (SEGMENTS * each,) * len(prompts)
+        given = tuple(each * (STAGE_SEGMENTS * len(parts) if len(parts) > 1 else SEGMENTS) for parts in said)
     else:
         given = (float(seconds),) if isinstance(seconds, int | float) else tuple(map(float, seconds))
     if len(given) == 1:
@@ -202,11 +224,23 @@ def _timeline(
     for s in given:
         if not 0.0 < s <= MAX_SECONDS:
             raise InputError(f"{s:g} seconds are not in 0 to {MAX_SECONDS:g} for a prompt; give a duration such as 3")
-    bounds, spent = [0], 0.0
-    for s in given:
+    bounds, starts, spent = [0], [], 0.0
+    for s, parts in zip(given, said, strict=True):
         spent += s
-        bounds.append(max(bounds[-1] + 1, round(spent / each)))
-    return Timeline(prompts, tuple(bounds[:-1]), bounds[-1], loop), given
+        begin, end = bounds[-1], max(bounds[-1] + len(parts), round(spent / each))
+        starts += share_evenly(begin, end, len(parts))[:-1]
+        bounds.append(end)
+    counts = tuple(end - begin for begin, end in pairwise(bounds))
+    return Timeline(tuple(chain.from_iterable(said)), tuple(starts), bounds[-1], loop), given, counts
+
+
+def share_evenly(begin: int, end: int, count: int) -> list[int]:
+    """The ``count`` + 1 bounds of parts of [begin, end) that differ by one at most.
+
+    >>> share_evenly(10, 17, 2)
+    [10, 14, 17]
+    """
+    return [begin + -(-(end - begin) * k // count) for k in range(count + 1)]
 
 
 def _is_student(network: str) -> bool:

@@ -130,14 +130,14 @@ class Session:
             self.kept[self.lane.number] = self.lane
 
     def go_back(self) -> None:
-        """To the first segment that is not committed, if that was made already; what was wished for since stays."""
+        """To the first segment that is not committed, if that was made already; the newest prompt begins there."""
         now = self.lane
         assert now is not None
         if self.commit is None:
             return
         number = math.ceil((self.played + self.commit) / self.segment)
         if number < now.number:
-            wished = {"prompt": now.prompt, "text": now.text, "guidance": now.guidance, "reading_ms": now.reading_ms}
-            self.lane = replace(self.kept[number].copy(), **wished)
+            wished = {name: getattr(now, name) for name in ("line", "prompt", "text", "guidance", "reading_ms")}
+            self.lane = replace(self.kept[number].copy(), since=number, **wished)
             self.sent = number * self.segment
             self.look()

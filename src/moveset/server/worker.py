@@ -276,7 +276,7 @@ class Worker:
         bundle = self._catalog.stream(begin.model)
         request = self._catalog.request(bundle, begin.prompt, begin.seed, begin.steps, begin.guidance)
         group = self._catalog.group(bundle, request.settings)
-        lane = group.open(request.timeline.prompts[0], request.seed, request.settings.guidance)
+        lane = group.open(begin.prompt or bundle.config.idle, request.seed, request.settings.guidance)
         with self.lock:
             session.started(group, lane)
         said = {
@@ -291,7 +291,7 @@ class Worker:
             "skeleton": skeleton_json(group.codec.skeleton),
             **_settings(session),
         }
-        session.deliver([said, _effect(session, 0)])
+        session.deliver([said, _effect(session, begin.prompt or bundle.config.idle)])
 
     def _change(self, session: Session, wishes: dict[str, Any]) -> None:
         group, lane = session.group, session.lane
@@ -311,7 +311,7 @@ class Worker:
         session.group.prompt(session.lane, text)
         with self.lock:
             session.go_back()
-        session.deliver([_effect(session, session.lane.number * session.segment)])
+        session.deliver([_effect(session, text)])
 
     def _clip(self) -> None:
         """One variant of the job that is next."""
@@ -369,13 +369,16 @@ def _settings(session: Session) -> dict[str, Any]:
     return {"steps": session.group.settings.steps, "guidance": session.lane.guidance}
 
 
-def _effect(session: Session, frame: int) -> Message:
-    """What a client is told of its new prompt."""
+def _effect(session: Session, text: str) -> Message:
+    """What a client is told of its new prompt, which begins now."""
     assert session.group is not None
-    assert session.lane is not None
+    lane, n = session.lane, session.segment
+    assert lane is not None
+    begins = [(lane.number + start) * n for start in lane.line.starts]
     return {
         "type": "prompt",
-        "text": session.lane.prompt,
-        "takes_effect_at": frame,
-        "warnings": list(session.group.warnings(session.lane)),
+        "text": text,
+        "takes_effect_at": begins[0],
+        "stages": [{"text": said, "takes_effect_at": at} for said, at in zip(lane.line.prompts, begins, strict=True)],
+        "warnings": list(session.group.warnings(lane)),
     }

@@ -1,0 +1,81 @@
+"""What a sentence says happens one after the other: "walks, then waves" has two *stages*.
+
+A stream says one thing to each of its segments, so a sentence of several stages must be taken apart first. Only words
+that always mean an order do that ("then", "after that", "before waving"); a plain "and" may mean at the same time.
+"""
+
+import re
+
+MOST = 8  # stages of a sentence; what is beyond them stays with the last
+
+_NOUNS = (
+    "person|man|woman|human|figure|character|guy|girl|boy|child|kid|lady|gentleman|dancer|performer|individual|"
+    "subject|actor|actress|individual|robot|zombie|soldier|hero|player|walker|runner|toddler|teenager|people"
+)
+_PRONOUNS = "he|she|they|it|you|we|i"
+_SUBJECT = re.compile(
+    rf"(?:(?:a|an|the|this|that|one|some|our)\s+(?:[\w'-]+\s+){{0,3}}?(?:{_NOUNS})|someone|somebody|{_PRONOUNS})\b",
+    re.I,
+)
+_PRONOUN = re.compile(rf"(?P<who>{_PRONOUNS})\s+(?:(?:is|are|am|'s|'re)\s+)?", re.I)
+_BESIDES = re.compile(
+    r"^(?:(?:is|are|was|were)\s+)?(?:first(?:ly)?,?\s+|(?:starts|begins)\s+(?:off\s+)?(?:by|with)\s+)", re.I
+)
+# Between two stages in their order. "then" does it alone; others need a comma, a full stop or an "and" before them.
+_NEXT = re.compile(
+    r"""(?<!\bnow)(?<!\bnow\ and)(?: \s*[,;.]\s*(?:and\s+|but\s+)? | \s+and\s+ | \s+but\s+ | \s+ ) then\b,?\s+(?=\w)
+      | (?: \s*[,;.]\s*(?:and\s+)? | \s+and\s+ )
+        (?: after\s+that | afterwards? | next(?!\s+to\b) | later(?:\s+on)? | finally | lastly | subsequently
+          | finish(?:es)?\s+(?:off\s+)?(?:by|with) | ends?\s+by )\b,?\s+(?=\w)
+      | \s*,?\s+(?:and\s+)?(?:is\s+)?followed\s+by\s+(?=\w)
+      | \s*,?\s+before\s+(?=\w+ing\b)""",
+    re.I | re.X,
+)
+_AFTER = re.compile(r"\s*,?\s+after\s+(?=\w+ing\b)", re.I)
+_AFTER_FIRST = re.compile(r"after\s+(?P<first>\w+ing\b[^,;]*)[,;]\s*(?P<second>.+)", re.I | re.S)
+
+
+def split_stages(sentence: str) -> tuple[str, ...]:
+    """The stages of a sentence in order of time, each a sentence of its own; a sentence of one stage as it is.
+
+    Args:
+        sentence: what a person does.
+
+    >>> split_stages("a person walks forward, then waves with the left hand")
+    ('a person walks forward', 'a person waves with the left hand')
+    >>> split_stages("a man bows after running")
+    ('a man running', 'a man bows')
+    >>> split_stages("a woman walks and waves")
+    ('a woman walks and waves',)
+    """
+    text = sentence.strip().rstrip(".!")
+    subject = _SUBJECT.match(text)
+    who = subject.group() if subject else ""
+    pieces = [text]
+    if opening := _AFTER_FIRST.match(text):
+        found = _SUBJECT.match(opening["second"])
+        who = found.group() if found else ""
+        pieces = [opening["first"], opening["second"]]
+    ordered: list[str] = []
+    for piece in pieces:
+        for part in _NEXT.split(piece):
+            # What is named last in "bows after running" comes first.
+            ordered += reversed(_AFTER.split(part))
+    stages = [stage for part in ordered if (stage := _alone(part, who))]
+    if len(stages) < 2:
+        return (sentence,)
+    return (*stages[: MOST - 1], ", then ".join(stages[MOST - 1 :])) if len(stages) > MOST else tuple(stages)
+
+
+def _alone(part: str, who: str) -> str:
+    """A part as a sentence of its own: about ``who``, unless it is a command or says itself whom it is about."""
+    part = part.strip(" \t\n,;.")
+    if pronoun := _PRONOUN.match(part):
+        part = part[pronoun.end() :]
+        # "they wave" has the form of a command, and "a person wave" would be no English.
+        if pronoun["who"].lower() not in ("he", "she", "it") and not part.split(" ", 1)[0].endswith("ing"):
+            return part
+    elif subject := _SUBJECT.match(part):
+        who, part = subject.group(), part[subject.end() :].strip()
+    part = _BESIDES.sub("", part)
+    return f"{who} {part}".strip() if part else ""

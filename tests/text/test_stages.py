@@ -1,0 +1,108 @@
+"""Sentences that say what comes after what, taken apart."""
+
+import itertools
+import re
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from moveset.data.captions import composed_captions, heldout_composed_captions, train_captions
+from moveset.data.paraphrase import paraphrase
+from moveset.text.stages import MOST, split_stages
+
+WALK, WAVE = "walk", "wave-both-hands"
+ORDERED = re.compile(r"\b(then|before|after|first|afterwards|next|finally|followed)\b|finishes by", re.I)
+
+
+@pytest.mark.parametrize(
+    ("sentence", "stages"),
+    [
+        ("a person walks forward, then waves", ("a person walks forward", "a person waves")),
+        ("A person walks. Then they wave.", ("A person walks", "wave")),
+        ("a man is running and then waving his left hand", ("a man is running", "a man waving his left hand")),
+        ("someone runs before bowing", ("someone runs", "someone bowing")),
+        ("someone bows after running", ("someone running", "someone bows")),
+        ("after walking forward, a person waves", ("a person walking forward", "a person waves")),
+        ("the subject walks; finally the subject waves", ("the subject walks", "the subject waves")),
+        ("an old man slowly walks, afterwards kicks", ("an old man slowly walks", "an old man kicks")),
+        ("she walks, and after that she is waving", ("she walks", "she waving")),
+        ("walk, then turn left, then jump", ("walk", "turn left", "jump")),
+        ("a person walks then turns around and walks back", ("a person walks", "a person turns around and walks back")),
+    ],
+)
+def test_stages_in_order_of_time(sentence, stages):
+    assert split_stages(sentence) == stages
+
+
+@pytest.mark.parametrize(
+    "sentence",
+    [
+        "a person walks and waves",
+        "a person walks while waving",
+        "a person now and then waves",
+        "a person walks next to a wall, next to a dog",
+        "a person stands before the camera",
+        "a person looks after a child",
+        "a person walks then",
+        "a person walks, then ",
+        "then a person",
+        "walk. wave. bow.",
+        "later, a person walks",
+        "",
+        " ",
+        "，然后",
+    ],
+)
+def test_sentences_of_one_stage_stay_as_they_are(sentence):
+    assert split_stages(sentence) == (sentence,)
+
+
+def _trained(key):
+    return composed_captions("in_time", (WALK, WAVE), key)
+
+
+def _held_out(key):
+    return heldout_composed_captions("in_time", (WALK, WAVE))
+
+
+@pytest.mark.parametrize("say", [_trained, _held_out])
+def test_every_sentence_of_training_and_test_that_names_an_order_has_two_stages(say):
+    # Oracle: the words of which the two halves were made.
+    first = {word for text in train_captions(WALK) for word in text.lower().split()}
+    captions = {text for key in range(40) for text in say(str(key))}
+    ordered = [text for text in captions if ORDERED.search(text)]
+    assert len(ordered) >= 0.8 * len(captions) > 2
+    for text in ordered:
+        a, b = split_stages(text)
+        assert not re.search(r"wav|hand|greet|goodbye|hello", a, re.I), text
+        assert re.search(r"wav|hand|greet|goodbye|hello|arm", b, re.I), text
+        assert first & set(a.lower().split())
+
+
+def test_paraphrases_too():
+    captions = {text for key in range(60) for text in composed_captions("in_time", (WALK, WAVE), str(key))}
+    said = [(text, paraphrase(text)) for text in sorted(captions) if re.search(r"\bthen\b", text)]
+    assert len(said) > 20
+    missed = [other for text, other in said if len(split_stages(text)) != len(split_stages(other))]
+    assert not missed
+
+
+def test_a_great_many_stages_end_in_one():
+    stages = split_stages("walk" + ", then jump" * 30)
+    assert len(stages) == MOST
+    assert stages[-1] == ", then ".join(["jump"] * (31 - MOST + 1))
+
+
+@given(st.text(max_size=300))
+def test_nothing_is_invented(text):
+    stages = split_stages(text)
+    assert stages
+    for word in itertools.chain.from_iterable(stage.split() for stage in stages):
+        assert word.strip(".,;!") in text
+
+
+def test_long_texts_take_no_time():
+    # Each pattern must look at a word a bounded number of times: a server splits what strangers send.
+    for part in ("a ", "and ", "then ", ", ", "after walking ", "a person ", "before "):
+        split_stages(part * (10_000 // len(part)))
