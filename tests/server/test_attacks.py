@@ -15,6 +15,7 @@ import pytest
 import websockets
 
 from moveset.server.wire import unpack_packets
+from tests import loops
 
 pytestmark = pytest.mark.skipif(not os.path.exists("/proc/self/status"), reason="reads memory from /proc")
 
@@ -39,7 +40,7 @@ def run(attack, program):
         assert program.memory - before < MEGABYTES
         assert program.health()["status"] == "ok"
 
-    asyncio.run(both())
+    loops.run(both())
     assert program.process.poll() is None
 
 

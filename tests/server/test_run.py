@@ -20,6 +20,7 @@ from moveset.server.app import create_app
 from moveset.server.limits import Limits
 from moveset.server.run import listen, make_server
 from moveset.server.service import Options
+from tests import loops
 
 
 @contextmanager
@@ -71,7 +72,7 @@ def test_being_stopped_tells_streams_and_is_no_failure(start):
             except websockets.ConnectionClosed as end:
                 return texts[-1], end.rcvd.code
 
-    last, code = asyncio.run(asyncio.wait_for(play(), 60))
+    last, code = loops.run(asyncio.wait_for(play(), 60))
     assert last == {"type": "stopped", "frames": 56, "reason": "server stopping"}
     assert code in (1001, 1012)
     assert program.stop()[0] == 0
@@ -154,7 +155,7 @@ def test_a_websocket_may_wait_longer_than_that(models):
                 await ws.send('{"type":"start"}')
                 assert json.loads(await ws.recv())["type"] == "started"
 
-        asyncio.run(wait())
+        loops.run(wait())
 
 
 def test_who_hangs_up_gives_the_clip_up(models):

@@ -24,7 +24,7 @@ def clock(monkeypatch):
 def begin(buffer=2.0, commit=None):
     session = Session(1, lambda messages: None, buffer, commit, None)
     config = SimpleNamespace(fps=20.0, segment=28)
-    lane = Lane(number=0, prompt="walk", text=None, guidance=1.0, reading_ms=0.0)
+    lane = Lane(number=0, line=None, since=0, prompt="walk", text=None, guidance=1.0, reading_ms=0.0)
     session.started(SimpleNamespace(bundle=SimpleNamespace(config=config)), lane)
     return session
 
@@ -112,10 +112,11 @@ def test_a_prompt_goes_back_to_the_first_segment_that_is_not_committed(clock):
     for _ in range(5):
         make(session)
     session.acknowledge(30)
-    session.lane.prompt, session.lane.guidance = "bow", 3.0
+    session.lane.line, session.lane.since, session.lane.prompt, session.lane.guidance = "bow, bow", 5, "bow", 3.0
     session.go_back()
     assert (session.lane.number, session.sent) == (2, 56)  # frame 40 is in segment 1
-    assert (session.lane.prompt, session.lane.guidance) == ("bow", 3.0)
+    assert (session.lane.line, session.lane.prompt, session.lane.guidance) == ("bow, bow", "bow", 3.0)
+    assert session.lane.since == 2
     make(session)
     assert min(session.kept) >= 1
     session.acknowledge(84)
