@@ -116,6 +116,15 @@ def test_the_end_loops_or_is_held(stream):
     assert said("--loop") == ["a", "b", "a", "b"]
 
 
+def test_what_comes_after_what_is_done_in_that_order(stream):
+    def said(*arguments):
+        return [row["prompt"] for row in rows(stream(*arguments, "--json")[1])]
+
+    assert said("walk, then bow") == ["walk"] * 3 + ["bow"] * 3
+    assert said("walk, then bow", "--seconds", "5.6", "--total", "7") == ["walk"] * 2 + ["bow"] * 3
+    assert said("walk, then bow", "--no-stages") == ["walk, then bow"] * 4
+
+
 def test_networks_and_guidance(stream):
     def evaluations(*more):
         return [row["network_evaluations"] for row in rows(stream("a", "--total", "2.8", *more, "--json")[1])]

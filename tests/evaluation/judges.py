@@ -50,6 +50,7 @@ class Painter:
 
     slug = model = "painter"
     network, steps, random, segment = "paint", 1, True, 0.0
+    code = ("tests.evaluation.judges",)
 
     def __init__(self, spoil=None):
         self.asked, self._spoil = [], spoil

@@ -201,6 +201,14 @@ def test_prompts_change_at_the_nearest_segment():
     assert [crowded(k) for k in range(3)] == [WALK, BOW, WALK]
 
 
+def test_stages_share_the_frames_of_their_prompt():
+    both = "a person walks, then bows"
+    said = timeline(Wanted(((both, 112), (WALK, 28)), 0), 20.0, 1.4)
+    assert [said(k) for k in range(5)] == ["a person walks"] * 2 + ["a person bows"] * 2 + [WALK]
+    whole = timeline(Wanted(((both, 112), (WALK, 28)), 0), 20.0, 1.4, stages=False)
+    assert [whole(k) for k in range(5)] == [both] * 4 + [WALK]
+
+
 # --------------------------------------------------------------------------------------------------- folders of others
 
 

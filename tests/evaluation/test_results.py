@@ -119,6 +119,9 @@ def test_other_weights_data_judges_and_settings_are_other_evaluations(items, ora
         other = Painter()
         monkeypatch.setattr(other, what, lambda: {"paint.safetensors": "2"})
         assert opened(items, oracle, tmp_path, generator=other)[1].done == []
+    other = Painter()
+    other.code = ("moveset.evaluation.generators",)
+    assert opened(items, oracle, tmp_path, generator=other)[1].done == []
     assert opened(replace(items, sha256="2" * 64), oracle, tmp_path)[1].done == []
     monkeypatch.setattr(oracle, "sha256", "3" * 64, raising=False)
     assert opened(items, oracle, tmp_path)[1].done == []

@@ -119,6 +119,35 @@ def test_a_prompt_takes_effect_at_the_frame_that_is_told(talk, models):
     assert max(differ(one.packets[28 * k], want[k]) for k in range(5)) < 1e-3
 
 
+def test_what_comes_after_what_is_told_with_its_frames(talk):
+    with talk() as one:
+        one.begin(prompt="a person walks, then bows", seed=5, buffer=8.0)
+        begun = one.until("prompt")[-1]
+        assert begun["text"] == "a person walks, then bows"
+        assert begun["stages"] == [
+            {"text": "a person walks", "takes_effect_at": 0},
+            {"text": "a person bows", "takes_effect_at": 84},
+        ]
+        heard = one.until("packet", first_frame=112)
+        told = [m["prompt"] for m in heard if m["type"] == "segment"]
+        assert told == ["a person walks"] * 3 + ["a person bows"] * 2
+
+
+def test_stages_begin_anew_where_a_prompt_goes_back_to(talk):
+    with talk() as one:
+        one.begin(prompt=WALK, seed=5, buffer=8.0, commit=0)
+        one.until("packet", first_frame=112)
+        one.say(type="played", frame=28)
+        one.say(type="prompt", text="a person bows, then runs")
+        changed = one.until("prompt", text="a person bows, then runs")[-1]
+        begins = changed["takes_effect_at"]
+        assert begins < 112
+        assert [stage["takes_effect_at"] for stage in changed["stages"]] == [begins, begins + 84]
+        heard = one.until("packet", first_frame=begins + 84)
+        told = {m["first_frame"]: m["prompt"] for m in heard if m["type"] == "segment"}
+        assert [told[begins + 28 * k] for k in range(4)] == ["a person bows"] * 3 + ["a person runs"]
+
+
 def test_an_unfamiliar_prompt_is_warned_of(talk):
     with talk() as one:
         one.begin(prompt="quarterly earnings of a bank", seed=5)

@@ -81,6 +81,17 @@ def test_a_new_sentence_takes_effect_at_the_reported_frame(studio):
     assert played[-1] <= studio.run("__moveset.player.frame")
 
 
+def test_what_comes_after_what_is_marked_and_counted_down_to(studio):
+    start(studio, "a person walks forward, then waves with both hands")
+    marks = [
+        {"text": "a person walks forward", "firstFrame": 0},
+        {"text": "a person waves with both hands", "firstFrame": 84},
+    ]
+    studio.wait("__moveset.live.shown.takes[0].prompts.length === 2")
+    assert studio.run("__moveset.live.shown.takes[0].prompts") == marks
+    studio.wait("document.querySelector('#figure-prompt').textContent.startsWith('0:04')")
+
+
 def test_a_stream_pauses_goes_on_stops_and_is_kept(studio, tmp_path):
     kept = studio.run("__moveset.recent.added")
     start(studio, "a person walks forward")

@@ -10,6 +10,7 @@ import json
 import platform
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,10 @@ from moveset.evaluation.protocol import Session
 from moveset.io.limits import atomic_write, read_limited
 
 #: What turns motions into numbers: a change here makes repeats anew.
-_MEASURES = ("items", "generators", "streams", "protocol", "rollout", "metrics", "frechet", "physical", "evaluator")
+_MEASURES = (
+    *(f"moveset.evaluation.{name}" for name in ("items", "protocol", "rollout", "metrics", "frechet", "physical")),
+    "moveset.evaluation.evaluator", "moveset.motion.hml",
+)  # fmt: skip
 
 Repeat = Callable[[int], Mapping[str, Any]]
 
@@ -123,7 +127,8 @@ def head(session: Session) -> dict[str, Any]:
         "data": {"name": items.name, "sha256": items.sha256, "items": len(items)},
         "weights_sha256": _digest(weights) if weights else None,
         "weights": weights,
-        "measures_sha256": measures(),
+        "measures_sha256": code_sha256(_MEASURES),
+        "generator_sha256": code_sha256(generator.code),
         "versions": {"moveset": moveset.__version__, "torch": torch.__version__, "python": platform.python_version()},
     }
 
@@ -142,11 +147,11 @@ def summary(repeats: Sequence[Mapping[str, Any]], items: int) -> dict[str, Any]:
     }
 
 
-def measures() -> str:
-    """sha256 of the code that measures."""
-    here = Path(__file__).parent
-    sources = [here / f"{name}.py" for name in _MEASURES] + [here.parent / "motion" / "hml.py"]
-    return hashlib.sha256(b"".join(path.read_bytes() for path in sources if path.is_file())).hexdigest()
+def code_sha256(modules: Sequence[str]) -> str:
+    """sha256 of the source of modules."""
+    places = [spec.origin for name in modules if (spec := find_spec(name)) is not None and spec.origin is not None]
+    assert len(places) == len(modules), modules
+    return hashlib.sha256(b"".join(Path(place).read_bytes() for place in places)).hexdigest()
 
 
 def same(a: Mapping[str, Any], b: Mapping[str, Any]) -> bool:

@@ -47,6 +47,12 @@ class Streams:
     """
 
     random = True
+    code = (
+        "moveset.evaluation.generators", "moveset.evaluation.streams", "moveset.pipelines.stream_settings",
+        "moveset.text.stages", "moveset.rdm.sampler", "moveset.rdm.staircase", "moveset.rdm.transport",
+        "moveset.rdm.noise", "moveset.diffusion.steps", "moveset.diffusion.coloured", "moveset.motion.incremental",
+        "moveset.motion.foot_lock",
+    )  # fmt: skip
 
     def __init__(
         self,

@@ -36,7 +36,7 @@ class Row:
         model: name of a model folder, or REAL.
         network: of that folder; RECONSTRUCTION is its autoencoder alone. None for REAL.
         steps: K; None where nothing is sampled.
-        settings: of the sampler, where they are not the folder's: start, lag, shape, guidance, eta.
+        settings: of the sampler, where they are not the folder's: start, lag, shape, guidance, eta, stages.
         repeats: at most so many, for rows that cost much more than others.
         ranked: whether it takes part in best and second best.
         shipped: whether the targets for what ships apply.
@@ -171,6 +171,8 @@ def rdm() -> Suite:
                     repeats=None, shipped=True, against=("md-7", "rdm-7"))
             for n in (1, 2)
         ),
+        replace(stream, key="whole-sentences", label="RDM-7's student, 1 step, whole sentences", network="pcm-1",
+                steps=1, settings={"stages": False}, against=("rdm-pcm-1",)),
         overlapping("disentangled", "R = 0 (the flow alone)", 0, "parallelogram"),
         overlapping("triangle-1", "R = 1, triangle", 1, "triangle"),
         overlapping("triangle-2", "R = 2, triangle", 2, "triangle"),

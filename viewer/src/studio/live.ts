@@ -8,7 +8,7 @@ import { announce, byId, clock, relabel, segments } from "./dom";
 import { LiveStrip } from "./live_strip";
 import { back, gone, made, notice, phase } from "./page";
 import { type Mark, packets, type Shown } from "./shown";
-import { type ServerMessage, type Started, Stream } from "./stream";
+import { type ServerMessage, type Stage, type Started, Stream } from "./stream";
 import { toast } from "./toasts";
 
 export type LiveState = "idle" | "connecting" | "running" | "paused" | "stopping" | "lost";
@@ -123,7 +123,7 @@ export class Live {
         this.enter("running");
         break;
       case "prompt":
-        this.mark({ text: message.text, firstFrame: message.takes_effect_at });
+        this.steer(message.stages);
         notice(message.warnings);
         break;
       case "segment":
@@ -138,16 +138,22 @@ export class Live {
     }
   }
 
-  /** A prompt and the frame from which it counts; one that is not reached yet is replaced by a later one. */
+  /** A new sentence in its stages ("walks, then waves" has two), each with the frame from which it counts. */
+  private steer(stages: Stage[]): void {
+    const marks = stages.map((stage) => ({ text: stage.text, firstFrame: stage.takes_effect_at }));
+    marks.forEach((mark) => this.mark(mark));
+    const next = marks.find((mark) => mark.firstFrame > 0);
+    if (!next) return;
+    this.expected = next;
+    announce(`“${next.text}” takes effect at ${clock(next.firstFrame / (this.take?.fps ?? 20))}`);
+  }
+
+  /** What is said from a frame on; one that is not reached yet is replaced by a later one. */
   private mark(mark: Mark): void {
     while (this.marks.length && this.marks[this.marks.length - 1].firstFrame >= mark.firstFrame) this.marks.pop();
     this.marks.push(mark);
     this.strip.follow(this.marks);
     if (this.shown) this.events.grown();
-    if (mark.firstFrame === 0) return;
-    this.expected = mark;
-    const fps = this.take?.fps ?? 20;
-    announce(`“${mark.text}” takes effect at ${clock(mark.firstFrame / fps)}`);
   }
 
   private receive(bytes: ArrayBuffer): void {
@@ -181,7 +187,7 @@ export class Live {
     const wait = this.expected ? (this.expected.firstFrame - frame) / fps : 0;
     if (this.expected && wait <= 0) {
       announce(`Now: ${this.expected.text}`);
-      this.expected = null;
+      this.expected = this.marks.find((mark) => mark.firstFrame > frame) ?? null;
     }
     const next = this.expected ? `${clock(this.expected.firstFrame / fps)}, in ${clock(wait)}` : "–";
     byId("figure-prompt").textContent = next;

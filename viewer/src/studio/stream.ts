@@ -23,10 +23,15 @@ export interface Started {
   skeleton: SkeletonData;
 }
 
+export interface Stage {
+  text: string;
+  takes_effect_at: number;
+}
+
 export type ServerMessage =
   | { type: "hello"; version: number }
   | Started
-  | { type: "prompt"; text: string; takes_effect_at: number; warnings: string[] }
+  | { type: "prompt"; text: string; takes_effect_at: number; stages: Stage[]; warnings: string[] }
   | { type: "segment"; segment: number; first_frame: number; frames: number; prompt: string; latency_ms: number }
   | { type: "paused" }
   | { type: "resumed" }

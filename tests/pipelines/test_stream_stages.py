@@ -1,0 +1,119 @@
+"""Sentences of several stages in streams: which segment is told what, alone, in groups and after a restart."""
+
+import itertools
+
+import pytest
+import torch
+
+from moveset.pipelines.motion_stream import MotionStream
+from moveset.pipelines.stream_bundle import StreamBundle
+from moveset.pipelines.stream_group import StreamGroup
+from moveset.pipelines.stream_settings import check_stream, share_evenly
+from moveset.text.encoder import get_text_encoder
+from tests.streams import tiny_stream
+
+WALK, BOW = "a person walks", "a person bows"
+BOTH = "a person walks, then bows"
+SEGMENT = 1.4  # seconds
+
+
+@pytest.fixture(scope="module")
+def bundle(tmp_path_factory):
+    return StreamBundle.find(tiny_stream(tmp_path_factory.mktemp("streams") / "tiny-stream"))
+
+
+@pytest.fixture(scope="module")
+def encoder():
+    return get_text_encoder("minilm")
+
+
+@pytest.fixture
+def opened(bundle, encoder):
+    def open_stream(prompt, seconds=None, **options):
+        return MotionStream(bundle, check_stream(bundle.config, prompt, seconds, **options), encoder=encoder)
+
+    return open_stream
+
+
+def said(stream, count):
+    return [segment.prompt for segment in itertools.islice(stream, count)]
+
+
+@pytest.mark.parametrize(
+    ("prompts", "seconds", "starts", "counts"),
+    [
+        (BOTH, None, (0, 3), (6,)),
+        (BOTH, 7 * SEGMENT, (0, 4), (7,)),
+        (BOTH, SEGMENT, (0, 1), (2,)),
+        ((WALK, BOTH, BOW), None, (0, 4, 7, 10), (4, 6, 4)),
+        ((BOTH, BOW), (4 * SEGMENT, SEGMENT), (0, 2, 4), (4, 1)),
+        ((BOTH, BOTH), 0.1, (0, 1, 2, 3), (2, 2)),
+    ],
+)
+def test_stages_share_their_prompts_time(bundle, prompts, seconds, starts, counts):
+    request = check_stream(bundle.config, prompts, seconds)
+    assert (request.timeline.starts, request.counts) == (starts, counts)
+    assert request.timeline.end == sum(counts)
+    whole = check_stream(bundle.config, prompts, seconds, stages=False)
+    assert whole.timeline.prompts == ((prompts,) if isinstance(prompts, str) else prompts)
+
+
+@pytest.mark.parametrize("count", range(1, 9))
+@pytest.mark.parametrize("length", range(8, 20))
+def test_even_shares_differ_by_one_at_most(count, length):
+    bounds = share_evenly(5, 5 + length, count)
+    parts = [b - a for a, b in itertools.pairwise(bounds)]
+    assert (bounds[0], bounds[-1], len(parts)) == (5, 5 + length, count)
+    assert max(parts) - min(parts) <= 1 <= min(parts)
+
+
+def test_a_stream_does_one_after_the_other_and_holds_the_last(opened):
+    assert said(opened(BOTH), 8) == [WALK] * 3 + [BOW] * 5
+    assert said(opened(BOTH, loop=True), 8) == [WALK] * 3 + [BOW] * 3 + [WALK] * 2
+    assert said(opened(BOTH, stages=False), 2) == [BOTH] * 2
+
+
+def test_a_staged_sentence_equals_its_stages_as_prompts(opened):
+    one, two = opened(BOTH, seed=4), opened((WALK, BOW), 3 * SEGMENT, seed=4)
+    for a, b in itertools.islice(zip(one, two, strict=True), 5):
+        assert torch.equal(a.motion.rotations, b.motion.rotations)
+
+
+def test_a_live_sentence_begins_with_its_first_stage(opened):
+    stream = opened(WALK)
+    said(stream, 5)
+    assert stream.prompt(f"{BOW} and then waves") == 5 * 28
+    assert said(stream, 5) == [BOW] * 3 + ["a person waves"] * 2
+    assert stream.timeline.starts == (0, 8)
+
+
+def test_a_state_goes_on_within_the_stages(opened):
+    stream = opened(WALK, seed=2)
+    said(stream, 2)
+    stream.prompt(BOTH)
+    said(stream, 2)
+    again = opened(BOW).restore(stream.state())
+    assert said(again, 3) == said(stream, 3) == [WALK, BOW, BOW]
+
+
+def test_a_group_does_what_a_stream_does(bundle, encoder, opened):
+    settings = check_stream(bundle.config).settings
+    group = StreamGroup(bundle, settings, device="cpu", encoder=encoder)
+    lane, lone = group.open(BOTH, 7), opened(BOTH, seed=7)
+    for _ in range(5):
+        made, want = group.advance([lane])[0].segment, next(lone)
+        assert made.prompt == want.prompt
+        assert torch.allclose(made.motion.joints, want.motion.joints, atol=1e-4)
+    assert group.prompt(lane, f"{BOW} before waving") == 5 * 28
+    told = [group.advance([lane])[0].segment.prompt for _ in range(4)]
+    assert told == [BOW] * 3 + ["a person waving"]
+
+
+def test_every_stage_is_warned_of(bundle, encoder, opened):
+    group = StreamGroup(bundle, check_stream(bundle.config).settings, device="cpu", encoder=encoder)
+    text = f"{WALK}, then quarterly earnings of a bank"
+    for warnings in (group.warnings(group.open(text, 0)), opened(text).warnings):
+        assert [
+            w for w in warnings if "unlike anything" in w and "quarterly" in w and "walks" not in w.split("unlike")[0]
+        ]
+    assert not group.warnings(group.open(BOTH, 0))
