@@ -89,7 +89,7 @@ def test_what_comes_after_what_is_marked_and_counted_down_to(studio):
     ]
     studio.wait("__moveset.live.shown.takes[0].prompts.length === 2")
     assert studio.run("__moveset.live.shown.takes[0].prompts") == marks
-    studio.wait("document.querySelector('#figure-prompt').textContent.startsWith('0:04')")
+    studio.wait("document.querySelector('#figure-prompt').textContent.startsWith('4.2 s, in')")
 
 
 def test_a_stream_pauses_goes_on_stops_and_is_kept(studio, tmp_path):
