@@ -132,10 +132,11 @@ def motionpcm() -> Suite:
             for n in (1, 2, 4)
         ),
         *(
-            Row(key=key, label=f"PCM, 1 step, {what}", group="Ablations", model=f"{CLIPS}-{key}", network="pcm-1",
-                steps=1, against=("pcm-1",))
+            Row(key=key, label=f"PCM, 1 step, {what}", group="Ablations, trained alike", model=f"{CLIPS}-{key}",
+                network="pcm-1", steps=1, against=() if key == "reference" else ("reference",))
             for key, what in (
-                ("k20", "k = 20"), ("no-ema", "without EMA"), ("no-discriminator", "without discriminator"),
+                ("reference", "nothing changed"), ("k20", "k = 20"), ("no-ema", "without EMA"),
+                ("no-discriminator", "without discriminator"),
             )
         ),
     ]  # fmt: skip
