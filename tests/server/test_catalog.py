@@ -9,6 +9,8 @@ from fastapi.testclient import TestClient
 
 from moveset.errors import InputError
 from moveset.pipelines.motion_stream import MotionStream
+from moveset.pipelines.stream_settings import check_stream
+from moveset.server import catalog as catalog_module
 from moveset.server.app import create_app
 from moveset.server.catalog import Catalog, varied
 from moveset.server.failures import RequestError
@@ -71,3 +73,19 @@ def test_the_shipped_models():
     alone = MotionStream.from_pretrained("rdm-small", "a person walks forward", seed=7, device="cpu")
     for take in takes:
         assert torch.allclose(take.motion.joints, next(alone).motion.joints.float(), atol=1e-3)
+
+
+def test_groups_of_any_settings_do_not_pile_up(models):
+    catalog = Catalog([models[1]], "cpu")
+    bundle = catalog.stream(None)
+
+    def group(steps):
+        settings = check_stream(bundle.config, network="md", steps=steps).settings
+        return catalog.group(bundle, settings)
+
+    first = group(1)
+    assert group(1) is first
+    for steps in range(2, 60):
+        group(steps)
+        assert group(1) is first  # in use, so it stays
+    assert len(catalog._groups) == catalog_module._GROUPS

@@ -259,6 +259,21 @@ def test_other_paths_and_methods(client):
     said(client.post("/healthz"), 405, "wrong_method")
 
 
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
+def test_a_worker_that_is_gone_is_told(serving, monkeypatch):
+    with serving() as client:
+        worker = client.app.state.service.worker
+
+        def die():
+            raise SystemExit
+
+        monkeypatch.setattr(worker, "_serve", die)
+        client.post("/v1/jobs", json={"prompts": [BOW]})
+        worker._thread.join(60)
+        answer = client.get("/healthz")
+        assert (answer.status_code, answer.json()["status"]) == (503, "failed")
+
+
 def test_health_and_numbers(client):
     assert client.get("/healthz").json()["status"] == "ok"
     client.post("/v1/generate", json={"prompts": [BOW]})

@@ -1,5 +1,6 @@
 """The models that a server offers, by name; what is read of them is read when it is first needed, and once."""
 
+from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -21,6 +22,7 @@ from moveset.text.encoder import TextEncoder, get_text_encoder
 
 SUGGESTIONS = 24
 _LONGEST = 60  # characters of a suggestion
+_GROUPS = 32  # of settings that streams are made by: clients choose them
 _SHIPPED_LICENSE = "CC-BY-NC-4.0"  # weights/LICENSE.md
 
 
@@ -51,7 +53,7 @@ class Catalog:
             else:
                 self.clips[name] = TextToMotion(bundle, self.device)
         self._encoders: dict[str, TextEncoder] = {}
-        self._groups: dict[tuple[str, StreamSettings], StreamGroup] = {}
+        self._groups: OrderedDict[tuple[str, StreamSettings], StreamGroup] = OrderedDict()
         self._suggestions: dict[str, list[str]] = {}
 
     @property
@@ -99,11 +101,14 @@ class Catalog:
         return check_stream(bundle.config, prompt, seed=seed, steps=steps, guidance=guidance)
 
     def group(self, bundle: StreamBundle, settings: StreamSettings) -> StreamGroup:
-        """What makes streams of these settings, whatever their guidance."""
+        """What makes streams of these settings, whatever their guidance; the last few that were asked for are kept."""
         key = (bundle.config.name, replace(settings, guidance=0.0))
         if key not in self._groups:
             encoder = self.encoder(bundle.config.text_encoder)
             self._groups[key] = StreamGroup(bundle, settings, device=self.device, encoder=encoder)
+            if len(self._groups) > _GROUPS:
+                self._groups.popitem(last=False)
+        self._groups.move_to_end(key)
         return self._groups[key]
 
     def encoder(self, name: str) -> TextEncoder:

@@ -94,7 +94,7 @@ class Service:
     def health(self) -> dict[str, Any]:
         """Whether it runs, and how much it has to do."""
         return {
-            "status": "stopping" if self.stopping else "ok",
+            "status": "stopping" if self.stopping else "ok" if self.worker.alive else "failed",
             "ready": self.worker.ready,
             "version": __version__,
             **self.worker.load,

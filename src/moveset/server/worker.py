@@ -62,6 +62,11 @@ class Worker:
         self.ready = False
         self._thread = threading.Thread(target=self.run, name="moveset-worker", daemon=True)
 
+    @property
+    def alive(self) -> bool:
+        """Whether its thread runs."""
+        return self._thread.is_alive()
+
     def start(self) -> None:
         """Begin."""
         self._thread.start()
