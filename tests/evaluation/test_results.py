@@ -31,10 +31,10 @@ def oracle(items):
     return Oracle(items)
 
 
-def opened(items, oracle, out, protocol=PROTOCOL, generator=None, again=False):
+def opened(items, oracle, out, protocol=PROTOCOL, generator=None):
     generator = generator or Painter()
     session = Session(protocol.fitted(items, True), items, generator, oracle)
-    return session, Results(session, out, again)
+    return session, Results(session, out)
 
 
 def make(session, results, numbers):
@@ -129,7 +129,13 @@ def test_other_weights_data_judges_and_settings_are_other_evaluations(items, ora
 
 def test_making_everything_anew(items, oracle, tmp_path):
     whole(items, oracle, tmp_path)
-    assert opened(items, oracle, tmp_path, again=True)[1].done == []
+    results = opened(items, oracle, tmp_path)[1]
+    everything = results.done
+    # Each of two processes forgets what it is to make anew, and leaves alone what the other may have made already.
+    results.forget(1, 2)
+    assert results.done == everything[::2]
+    results.forget()
+    assert results.done == []
 
 
 def test_a_damaged_repeat_is_named(items, oracle, tmp_path):

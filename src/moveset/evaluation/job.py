@@ -198,8 +198,9 @@ def run(
     if processes is not None and not 1 <= processes <= MAX_CORES:
         raise InputError(f"{processes} processes are not in 1 to {MAX_CORES}; as many as there are cores is best")
     session, on_cpu = open_session(job), pick_device(job.device).type == "cpu"
-    results = Results(session, out, again)
-    rank, world = share
+    results, (rank, world) = Results(session, out), share
+    if again:
+        results.forget(rank, world)
     if world == 1 and (processes or on_cpu):
         world = max(1, min(processes or cores(), len(results.missing())))
     threads = torch.get_num_threads()

@@ -37,13 +37,12 @@ class Results:
     Args:
         session: what is judged, on what, by whom.
         out: the folder.
-        again: leave files of an earlier run alone and make every repeat anew.
 
     Raises:
         InputError: a folder that cannot be written to.
     """
 
-    def __init__(self, session: Session, out: Path, again: bool = False) -> None:
+    def __init__(self, session: Session, out: Path) -> None:
         self._session = session
         name = f"{session.generator.slug}-{session.protocol.split}"
         self.name = name + ("-held-out" if session.protocol.wording == "held-out" else "")
@@ -54,9 +53,6 @@ class Results:
             self._folder.mkdir(parents=True, exist_ok=True)
             with atomic_write(self._folder / "about.json") as file:
                 file.write(_bytes(_depends(self.head)))
-            if again:
-                for path in self._folder.glob("[0-9]*.json"):
-                    path.unlink(missing_ok=True)
         except OSError as error:
             raise InputError(
                 f"cannot write to {str(out)!r}: {error.strerror or error}; choose another --out"
@@ -75,6 +71,11 @@ class Results:
     def missing(self, rank: int = 0, world: int = 1) -> list[int]:
         """Repeats that are not there, of those that a process of several makes."""
         return [number for number in range(rank, self.repeats, world) if not self._file(number).is_file()]
+
+    def forget(self, rank: int = 0, world: int = 1) -> None:
+        """Delete the repeats of a process of several; the others may be at work on theirs."""
+        for number in range(rank, self.repeats, world):
+            self._file(number).unlink(missing_ok=True)
 
     def add(self, repeat: Mapping[str, Any]) -> None:
         """Keep a repeat; its file appears whole or not at all."""
