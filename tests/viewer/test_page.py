@@ -127,9 +127,11 @@ def test_keys_steer_it(page):
 def test_every_control_has_a_name_and_a_state(page):
     page.tab.keyboard.press("Space")
     bar = page.tab.get_by_role("group", name="Playback")
-    for name in ("Play", "Repeat", "Follow the figure", "Show the skeleton", "Show planted feet", "Show the way"):
-        bar.get_by_role("button", name=name, exact=True).click()
+    bar.get_by_role("button", name="Play", exact=True).click()
+    # Without repeating, it will have stopped by itself before all of them are pressed.
     assert page.ask("player.playing")
+    for name in ("Repeat", "Follow the figure", "Show the skeleton", "Show planted feet", "Show the way"):
+        bar.get_by_role("button", name=name, exact=True).click()
     assert page.ask("player.overlays") == {"skeleton": True, "contacts": True, "trail": True}
     slider = bar.get_by_role("slider", name="Time")
     assert "seconds" in slider.get_attribute("aria-valuetext")
@@ -147,6 +149,17 @@ def test_what_is_laid_over_shows(page):
         page.ask("new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
         assert page.shown() != plain, overlay
         page.ask("(player.overlays = {[value]: false}) && 0", overlay)
+
+
+def test_a_still_picture_is_sharper_than_a_moving_one_in_software(page):
+    assert page.ask("player.stage.software")
+    page.wait("player.stage.ratio <= 1")
+    page.tab.keyboard.press("Space")
+    page.wait("player.stage.ratio === player.stage.full")
+    assert page.ask("player.canvas.width") == math.floor(480 * 1.6)
+    page.tab.keyboard.press("Space")
+    page.wait("player.stage.ratio <= 1 && player.canvas.width <= 480")
+    assert page.complaints == []
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])

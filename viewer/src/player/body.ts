@@ -93,11 +93,11 @@ const FINGERS = [
 ] as const;
 
 /** Parts of the mannequin for a skeleton with human roles; for any other tree a slim part for every bone. */
-export function mannequin(skeleton: Skeleton): Part[] {
+export function mannequin(skeleton: Skeleton, coarse = false): Part[] {
   const { roles } = skeleton;
   const needed = SIDES.flatMap((side) => ["hip", "knee", "ankle"].map((end) => `${side}_${end}`));
   if (!["pelvis", ...needed].every((role) => roles.has(role))) return bones(skeleton);
-  return new Builder(skeleton).build();
+  return new Builder(skeleton, coarse).build();
 }
 
 class Builder {
@@ -105,7 +105,10 @@ class Builder {
   private readonly rest: Float32Array;
   private readonly size: number;
 
-  constructor(private readonly skeleton: Skeleton) {
+  constructor(
+    private readonly skeleton: Skeleton,
+    private readonly coarse: boolean,
+  ) {
     this.rest = skeleton.restPositions();
     const legs = SIDES.map((side) => length(this.reach(side, "hip", "knee")) + length(this.reach(side, "knee", "ankle")));
     this.size = (legs[0] + legs[1]) / 2 / LEG;
@@ -217,7 +220,11 @@ class Builder {
   private shape(role: string, tone: Tone, frame: Frame, rings: readonly Ring[], options: LoftOptions): void {
     if (!this.has(role)) return;
     const caps = options.caps.map((cap) => cap * this.size) as [number, number];
-    this.add(role, tone, loft(this.sized(frame), rings.map((ring) => this.scaled(ring)), { ...options, caps }));
+    this.add(role, tone, loft(this.sized(frame), rings.map((ring) => this.scaled(ring)), { ...options, ...this.fineness(options), caps }));
+  }
+
+  private fineness({ around = 18, between = 2 }: LoftOptions): Pick<LoftOptions, "around" | "between"> {
+    return this.coarse ? { around: Math.max(6, Math.round(0.6 * around)), between: 1 } : { around, between };
   }
 
   private add(role: string, tone: Tone, surface: Surface): void {

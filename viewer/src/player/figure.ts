@@ -27,7 +27,11 @@ export class Figure {
   private readonly feet: readonly number[];
   private overlays: Overlays = { skeleton: false, contacts: false, trail: false };
 
-  constructor(readonly take: Take) {
+  /** `coarse`: a body of fewer triangles. */
+  constructor(
+    readonly take: Take,
+    coarse = false,
+  ) {
     const { skeleton } = take;
     this.pose = { positions: new Float32Array(3 * skeleton.length), rotations: new Float32Array(4 * skeleton.length) };
     this.feet = skeleton.feet;
@@ -35,7 +39,7 @@ export class Figure {
       matte: new THREE.MeshLambertMaterial({ vertexColors: true }),
       glossy: new THREE.MeshPhongMaterial({ vertexColors: true, specular: 0x8899aa, shininess: 60 }),
     };
-    this.limbs = limbsOf(skeleton, this.materials);
+    this.limbs = limbsOf(skeleton, this.materials, coarse);
     this.blobs = new Blobs(this.feet.length > 0 ? 5 : 1);
     this.rods = new Rods(skeleton);
     this.soles = new THREE.InstancedMesh(
@@ -125,9 +129,9 @@ interface Limb {
   tones: Uint8Array;
 }
 
-function limbsOf(skeleton: Skeleton, materials: Record<"matte" | "glossy", THREE.Material>): Limb[] {
+function limbsOf(skeleton: Skeleton, materials: Record<"matte" | "glossy", THREE.Material>, coarse: boolean): Limb[] {
   const together = new Map<string, Part[]>();
-  for (const part of mannequin(skeleton)) {
+  for (const part of mannequin(skeleton, coarse)) {
     const key = `${part.joint} ${part.tone === "face"}`;
     together.set(key, [...(together.get(key) ?? []), part]);
   }

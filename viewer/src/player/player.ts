@@ -7,6 +7,7 @@ import { Controls, type Prompt, SPEEDS, type Toggle } from "./controls";
 import { adopt, element } from "./dom";
 import { Figure, type Overlays } from "./figure";
 import { download, Recording } from "./recording";
+import { Sharpness } from "./sharpness";
 import { Stage } from "./stage";
 import { PLAYER_CSS } from "./styles";
 import { systemTheme, type ThemeName } from "./theme";
@@ -46,9 +47,6 @@ export interface SetTakesOptions {
 /** Height of what is looked at, and half of what must be seen above and below it. */
 const EYE = 0.96;
 const HALF_HEIGHT = 1.08;
-/** Milliseconds a picture may take, and the least part of the screen's resolution. */
-const SLOW = 45;
-const COARSEST = 0.45;
 /** How many frame times are remembered. */
 const MEASURED = 240;
 
@@ -61,6 +59,7 @@ export class Player {
   /** Called when playing, speed, overlays, camera or theme changed. */
   onstate: (() => void) | null = null;
   private readonly stage: Stage;
+  private readonly sharpness: Sharpness;
   private readonly view: View;
   private readonly controls: Controls | null;
   private readonly labels = element("div", { class: "mv-labels", "aria-hidden": "true" });
@@ -84,7 +83,6 @@ export class Player {
   private dirty = true;
   private ask = 0;
   private last = 0;
-  private slow = 0;
   private recording: Recording | null = null;
   private covered: { above: number; below: number } | null = null;
   private readonly intervals: number[] = [];
@@ -106,6 +104,7 @@ export class Player {
       this.root.append(element("div", { class: "mv-fault" }, "This browser cannot show 3D pictures (no WebGL 2)."));
       throw error;
     }
+    this.sharpness = new Sharpness(this.stage.software ? 1 : Infinity);
     this.view = new View(this.stage.camera, this.canvas, () => this.touch());
     if (options.caption ?? true) this.root.append(this.caption);
     const asked = {
@@ -119,7 +118,7 @@ export class Player {
     this.watcher.observe(this.root);
     const keys: EventTarget = options.keys === "page" ? document : this.root;
     keys.addEventListener("keydown", (event) => this.key(event as KeyboardEvent), { signal: this.stop.signal });
-    document.addEventListener("visibilitychange", () => this.touch(), { signal: this.stop.signal });
+    document.addEventListener("visibilitychange", () => this.returned(), { signal: this.stop.signal });
     const theme = options.theme ?? "auto";
     this.forgetTheme = theme === "auto" ? systemTheme((name) => (this.theme = name)) : null;
     if (theme !== "auto") this.theme = theme;
@@ -134,7 +133,7 @@ export class Player {
     }
     this.entries = [...entries];
     this.isLive = options.live ?? false;
-    this.figures = entries.map(({ take }) => new Figure(take));
+    this.figures = entries.map(({ take }) => new Figure(take, this.stage.software));
     this.arrange();
     const theme = this.stage.setTheme(this.colours);
     for (const figure of this.figures) {
@@ -331,20 +330,21 @@ export class Player {
 
   /** Where drawing cannot keep up, fewer pixels while the picture moves, and all of them when it stands. */
   private spare(since: number): void {
+    const { stage, sharpness } = this;
     const moving = this.isPlaying && !this.recording;
-    if (!moving) {
-      this.slow = 0;
-      if (this.stage.quality < 1) {
-        this.stage.quality = 1;
-        this.dirty = true;
-      }
-      return;
-    }
-    this.slow = since > SLOW ? this.slow + 1 : 0;
-    if (this.slow >= 6 && this.stage.quality > COARSEST) {
-      this.stage.quality = Math.max(COARSEST, this.stage.quality * 0.7);
-      this.slow = 0;
-    }
+    if (!moving) sharpness.forget();
+    else if (since > 0) sharpness.moved(since, stage.full);
+    const ratio = moving ? sharpness.ratio(stage.full) : this.recording ? stage.screen : stage.full;
+    if (ratio === stage.ratio) return;
+    stage.ratio = ratio;
+    this.dirty = true;
+  }
+
+  /** Seen again, or not seen any more: the time between says nothing about drawing. */
+  private returned(): void {
+    this.last = 0;
+    this.sharpness.forget();
+    this.touch();
   }
 
   private advance(seconds: number): void {

@@ -1,6 +1,7 @@
 /** The scene around the figures: light, ground, fog, and the picture it gives. */
 
 import * as THREE from "three";
+import { openSurface } from "./surface";
 import { type Theme, type ThemeName, THEMES } from "./theme";
 
 const GROUND = 60;
@@ -9,7 +10,9 @@ export class Stage {
   readonly scene = new THREE.Scene();
   readonly camera = new THREE.PerspectiveCamera(32, 1, 0.05, 200);
   readonly renderer: THREE.WebGLRenderer;
-  private scale = 1;
+  /** Drawn by a processor in a graphics card's place. */
+  readonly software: boolean;
+  private pixels = 1;
   private readonly hemisphere = new THREE.HemisphereLight();
   private readonly key = new THREE.DirectionalLight();
   private readonly rim = new THREE.DirectionalLight();
@@ -18,11 +21,12 @@ export class Stage {
   private readonly fog = new THREE.Fog(0, 9, 30);
 
   constructor(canvas: HTMLCanvasElement) {
-    this.renderer = new THREE.WebGLRenderer({ canvas, antialias: true, powerPreference: "high-performance" });
+    ({ renderer: this.renderer, software: this.software } = openSurface(canvas));
+    this.pixels = this.full;
     this.renderer.shadowMap.enabled = true;
     this.renderer.shadowMap.type = THREE.PCFShadowMap;
     this.key.castShadow = true;
-    this.key.shadow.mapSize.set(1024, 1024);
+    this.key.shadow.mapSize.setScalar(this.software ? 512 : 1024);
     this.key.shadow.radius = 5;
     this.key.shadow.bias = -0.0004;
     this.key.shadow.normalBias = 0.012;
@@ -76,20 +80,30 @@ export class Stage {
     this.fog.far = 30 + 4 * radius;
   }
 
-  /** Part of the screen's resolution that is drawn. */
-  get quality(): number {
-    return this.scale;
+  /** Pixels of the screen to a CSS pixel, as far as anybody sees them. */
+  get screen(): number {
+    return Math.min(devicePixelRatio, 2);
   }
 
-  set quality(value: number) {
-    if (value === this.scale) return;
-    this.scale = value;
-    this.renderer.setPixelRatio(Math.min(devicePixelRatio, 2) * value);
+  /** Pixels to a CSS pixel of a still picture; in software they smooth its edges too. */
+  get full(): number {
+    return this.software ? Math.max(this.screen, 1.6) : this.screen;
+  }
+
+  /** Pixels to a CSS pixel that are drawn. */
+  get ratio(): number {
+    return this.pixels;
+  }
+
+  set ratio(value: number) {
+    if (value === this.pixels) return;
+    this.pixels = value;
+    this.renderer.setPixelRatio(value);
   }
 
   /** Size of the picture in CSS pixels. */
   resize(width: number, height: number): void {
-    this.renderer.setPixelRatio(Math.min(devicePixelRatio, 2) * this.scale);
+    this.renderer.setPixelRatio(this.pixels);
     this.renderer.setSize(width, height, false);
     this.camera.aspect = width / height;
     this.camera.updateProjectionMatrix();
