@@ -59,7 +59,8 @@ _PLAY = """async seconds => {
 }"""
 _DRAW = """async pictures => {
     const { player } = __moveset;
-    const { stage, figures } = player;
+    const { stage } = player;
+    const { figures } = player.cast;
     const gl = stage.renderer.getContext();
     const pixel = new Uint8Array(4);
     const times = [];

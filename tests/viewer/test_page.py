@@ -209,7 +209,7 @@ def test_other_skeletons_get_a_body_too(browser, walk, tmp_path):
     with Opened(browser, tmp_path / "a.html") as page:
         assert place_at(page, 11)[5] == pytest.approx(mixamo.joints[11, 5].tolist(), abs=1e-5)
         # Fewer limbs than joints have a shape of their own (fingers and ends have none), but a whole body's are there.
-        assert page.ask("player.figures[0].limbs.length") >= 17
+        assert page.ask("player.cast.figures[0].limbs.length") >= 17
         assert page.complaints == []
 
 

@@ -1,11 +1,14 @@
 /** The motion player: takes on a stage, a clock, a camera and a bar of controls. */
 
-import * as THREE from "three";
-import type { Take } from "../take";
 import type { Packet } from "../wire";
-import { Controls, type Prompt, SPEEDS, type Toggle } from "./controls";
+import { Cast } from "./cast";
+import { Controls, type Prompt, type Toggle } from "./controls";
 import { adopt, element } from "./dom";
-import { Figure, type Overlays } from "./figure";
+import type { Overlays } from "./figure";
+import { fit, lookAt } from "./gaze";
+import { hearKeys } from "./keys";
+import { Meter } from "./meter";
+import type { PlayerOptions, PlayerTake, SetTakesOptions } from "./options";
 import { download, Recording } from "./recording";
 import { Sharpness } from "./sharpness";
 import { Stage } from "./stage";
@@ -13,42 +16,7 @@ import { PLAYER_CSS } from "./styles";
 import { systemTheme, type ThemeName } from "./theme";
 import { type CameraMode, View } from "./view";
 
-export type { CameraMode, Overlays, Prompt, ThemeName };
-
-export interface PlayerTake {
-  take: Take;
-  title: string;
-  /** What was said, and from which frame on; in order. May grow while the player shows it. */
-  prompts?: Prompt[];
-}
-
-export interface PlayerOptions {
-  theme?: ThemeName | "auto";
-  autoplay?: boolean;
-  loop?: boolean;
-  camera?: CameraMode;
-  overlays?: Partial<Overlays>;
-  /** The bar under the picture (default), and the prompt of the moment above it (default). */
-  controls?: boolean;
-  caption?: boolean;
-  /** Where keys are heard: the player itself (default), or the whole page. */
-  keys?: "player" | "page";
-  /** Name of recorded videos. */
-  filename?: string;
-}
-
-export interface SetTakesOptions {
-  /** The first take is still growing: play waits at its end instead of stopping. */
-  live?: boolean;
-  /** Leave camera and clock as they are. */
-  keep?: boolean;
-}
-
-/** Height of what is looked at, and half of what must be seen above and below it. */
-const EYE = 0.96;
-const HALF_HEIGHT = 1.08;
-/** How many frame times are remembered. */
-const MEASURED = 240;
+export type { CameraMode, Overlays, PlayerOptions, PlayerTake, Prompt, SetTakesOptions, ThemeName };
 
 export class Player {
   readonly root: HTMLElement;
@@ -68,9 +36,7 @@ export class Player {
   private readonly stop = new AbortController();
   private readonly forgetTheme: (() => void) | null;
   private readonly filename: string;
-  private figures: Figure[] = [];
-  private tags: HTMLElement[] = [];
-  private entries: PlayerTake[] = [];
+  private cast = new Cast([], false);
   private time = 0;
   private known = { frames: -1, prompts: -1, duration: -1 };
   private isPlaying = false;
@@ -79,14 +45,12 @@ export class Player {
   private mode: CameraMode;
   private shown: Overlays;
   private colours: ThemeName = "light";
-  private spread = 0;
   private dirty = true;
   private ask = 0;
   private last = 0;
   private recording: Recording | null = null;
   private covered: { above: number; below: number } | null = null;
-  private readonly intervals: number[] = [];
-  private readonly work: number[] = [];
+  private readonly meter = new Meter();
 
   constructor(container: HTMLElement, options: PlayerOptions = {}) {
     adopt(PLAYER_CSS);
@@ -116,8 +80,7 @@ export class Player {
     if (this.controls) this.root.append(this.controls.root);
     this.watcher = new ResizeObserver(() => this.resize());
     this.watcher.observe(this.root);
-    const keys: EventTarget = options.keys === "page" ? document : this.root;
-    keys.addEventListener("keydown", (event) => this.key(event as KeyboardEvent), { signal: this.stop.signal });
+    hearKeys(options.keys === "page" ? document : this.root, this, this.view, this.stop.signal);
     document.addEventListener("visibilitychange", () => this.returned(), { signal: this.stop.signal });
     const theme = options.theme ?? "auto";
     this.forgetTheme = theme === "auto" ? systemTheme((name) => (this.theme = name)) : null;
@@ -127,23 +90,15 @@ export class Player {
 
   /** Show takes, side by side where there are several, from their beginning. */
   setTakes(entries: PlayerTake[], options: SetTakesOptions = {}): void {
-    for (const figure of this.figures) {
-      this.stage.scene.remove(figure.group);
-      figure.dispose();
-    }
-    this.entries = [...entries];
+    for (const { group } of this.cast.figures) this.stage.scene.remove(group);
+    this.cast.dispose();
     this.isLive = options.live ?? false;
-    this.figures = entries.map(({ take }) => new Figure(take, this.stage.software));
-    this.arrange();
-    const theme = this.stage.setTheme(this.colours);
-    for (const figure of this.figures) {
-      figure.paint(theme);
-      figure.show(this.shown);
-      this.stage.scene.add(figure.group);
-    }
-    this.tags = entries.length > 1 ? entries.map(({ title }) => element("div", { class: "mv-label" }, title)) : [];
-    this.labels.replaceChildren(...this.tags);
-    const described = entries.map(({ title }) => title).filter(Boolean).join("; ");
+    this.cast = new Cast([...entries], this.stage.software);
+    this.cast.paint(this.stage.setTheme(this.colours));
+    this.cast.show(this.shown);
+    for (const { group } of this.cast.figures) this.stage.scene.add(group);
+    this.labels.replaceChildren(...this.cast.tags);
+    const { described } = this.cast;
     this.canvas.setAttribute("aria-label", described ? `A moving figure: ${described}` : "A moving figure");
     if (options.keep) this.time = Math.min(this.time, this.duration);
     else {
@@ -157,7 +112,7 @@ export class Player {
 
   /** Add a packet to a take that is shown; without one: look again, since a take or its prompts grew. */
   append(packet?: Packet, takeIndex = 0): void {
-    if (packet) this.entries[takeIndex].take.append(packet);
+    if (packet) this.cast.entries[takeIndex].take.append(packet);
     this.touch();
   }
 
@@ -199,12 +154,12 @@ export class Player {
   }
 
   get fps(): number {
-    return this.entries[0]?.take.fps ?? 20;
+    return this.cast.fps;
   }
 
   /** Seconds of the longest take. */
   get duration(): number {
-    return Math.max(0, ...this.entries.map(({ take }) => take.seconds));
+    return this.cast.duration;
   }
 
   get speed(): number {
@@ -232,7 +187,7 @@ export class Player {
 
   set overlays(overlays: Partial<Overlays>) {
     this.shown = { ...this.shown, ...overlays };
-    for (const figure of this.figures) figure.show(this.shown);
+    this.cast.show(this.shown);
     this.touch(true);
   }
 
@@ -243,8 +198,7 @@ export class Player {
   set theme(name: ThemeName) {
     this.colours = name;
     this.root.dataset.theme = name;
-    const theme = this.stage.setTheme(name);
-    for (const figure of this.figures) figure.paint(theme);
+    this.cast.paint(this.stage.setTheme(name));
     this.touch(true);
   }
 
@@ -256,12 +210,12 @@ export class Player {
 
   /** (J, 3) world positions of the joints as drawn at a frame, in the take's own place. */
   jointPositions(frame: number, takeIndex = 0): Float32Array {
-    return this.entries[takeIndex].take.positions(frame);
+    return this.cast.entries[takeIndex].take.positions(frame);
   }
 
   /** The last pictures' distances in time and the time spent on each by this page, milliseconds. */
   frameTimes(): { interval: number[]; work: number[] } {
-    return { interval: [...this.intervals], work: [...this.work] };
+    return this.meter.times();
   }
 
   /** A WebM video of the takes from beginning to end at the speed they are shown; stops early when asked again. */
@@ -297,7 +251,7 @@ export class Player {
     this.forgetTheme?.();
     this.recording?.stop();
     this.view.dispose();
-    for (const figure of this.figures) figure.dispose();
+    this.cast.dispose();
     this.stage.dispose();
     this.root.remove();
   }
@@ -321,8 +275,7 @@ export class Player {
       const begun = performance.now();
       this.dirty = false;
       this.draw();
-      remember(this.work, performance.now() - begun);
-      if (since > 0) remember(this.intervals, since);
+      this.meter.drawn(performance.now() - begun, since);
     }
     if (this.isPlaying || turning || this.dirty) this.ask ||= requestAnimationFrame((next) => this.tick(next));
     else this.last = 0;
@@ -364,8 +317,8 @@ export class Player {
 
   /** Whether takes or prompts grew; marks and caption follow. */
   private notice(): boolean {
-    const frames = this.entries.reduce((sum, { take }) => sum + take.frames, 0);
-    const prompts = this.entries[0]?.prompts ?? [];
+    const { frames } = this.cast;
+    const prompts = this.cast.entries[0]?.prompts ?? [];
     const { duration } = this;
     const { known } = this;
     if (known.frames === frames && known.prompts === prompts.length && known.duration === duration) return false;
@@ -376,14 +329,12 @@ export class Player {
   }
 
   private draw(): void {
-    for (const figure of this.figures) {
-      if (figure.take.frames > 0) figure.update(this.time * figure.take.fps);
-    }
+    this.cast.update(this.time);
     const { target } = this.view;
-    this.stage.follow(target.x, target.z, this.spread / 2 + (this.mode === "orbit" ? 2 : 0));
+    this.stage.follow(target.x, target.z, this.cast.spread / 2 + (this.mode === "orbit" ? 2 : 0));
     this.view.apply();
     this.stage.render();
-    this.placeLabels();
+    this.cast.placeTags(this.stage.camera, this.root.clientWidth, this.root.clientHeight);
     this.say();
     this.onframe?.(this.frame);
     this.controls?.update({
@@ -401,83 +352,21 @@ export class Player {
   }
 
   private say(): void {
-    const said = this.entries[0]?.prompts?.findLast(({ firstFrame }) => firstFrame <= this.frame + 1e-6);
+    const said = this.cast.entries[0]?.prompts?.findLast(({ firstFrame }) => firstFrame <= this.frame + 1e-6);
     const text = said?.text ?? "";
     if (this.caption.textContent !== text) this.caption.textContent = text;
   }
 
-  private placeLabels(): void {
-    const { clientWidth: width, clientHeight: height } = this.root;
-    this.tags.forEach((tag, k) => {
-      const { group, pose } = this.figures[k];
-      const head = Math.max(...pose.positions.filter((_, at) => at % 3 === 1)) + 0.3;
-      spot.set(pose.positions[0] + group.position.x, head, pose.positions[2] + group.position.z);
-      spot.project(this.stage.camera);
-      const [x, y] = [(0.5 + 0.5 * spot.x) * width, (0.5 - 0.5 * spot.y) * height];
-      tag.hidden = spot.z > 1;
-      tag.style.transform = `translate(${x.toFixed(1)}px, ${Math.max(y, 4).toFixed(1)}px) translate(-50%, -100%)`;
-    });
-  }
-
-  /** Side by side, as far apart as the takes move sideways, within reason. */
-  private arrange(): void {
-    const count = this.figures.length;
-    const reach = Math.max(0, ...this.entries.map(({ take }) => sideways(take)));
-    const gap = Math.min(Math.max(1.25, 0.9 + reach), 2.4);
-    // On screen the first take is on the left; the camera stands on the side that faces see.
-    this.figures.forEach((figure, k) => {
-      const along = (k - (count - 1) / 2) * gap;
-      figure.group.position.set(along * SIDE[0], 0, along * SIDE[1]);
-    });
-    this.spread = (count - 1) * gap;
-  }
-
   /** Camera towards what it looks at; whether it is still on its way. */
   private aim(atOnce: boolean, seconds = 0): boolean {
-    const wanted = this.lookAt();
-    const { target } = this.view;
-    const away = target.distanceTo(wanted);
-    if (atOnce || away > 2.5) target.copy(wanted);
-    else if (away > 1e-3) target.lerp(wanted, 1 - Math.exp(-7 * Math.min(seconds, 0.25)));
-    else return false;
+    const wanted = lookAt(this.cast, this.mode, this.isLive, this.time) ?? this.view.target;
+    if (!this.view.aim(wanted, atOnce, seconds)) return false;
     this.dirty = true;
     return true;
   }
 
-  private lookAt(): THREE.Vector3 {
-    const takes = this.entries.map(({ take }) => take).filter((take) => take.frames > 0);
-    if (takes.length === 0) return new THREE.Vector3(0, EYE, 0);
-    if (this.mode === "orbit" && !this.isLive) {
-      const { low, high } = this.extent();
-      return new THREE.Vector3((low[0] + high[0]) / 2, EYE, (low[1] + high[1]) / 2);
-    }
-    if (this.mode === "orbit") return this.view.target.clone();
-    const mean = new THREE.Vector3();
-    for (const take of takes) mean.add(spot.fromArray(take.root(this.time * take.fps)));
-    mean.divideScalar(takes.length);
-    return mean.setY(EYE + 0.6 * Math.max(0, mean.y - 1.15));
-  }
-
-  /** Where the roots of all takes go: least and greatest x and z. */
-  private extent(): { low: [number, number]; high: [number, number] } {
-    const [low, high]: [[number, number], [number, number]] = [[Infinity, Infinity], [-Infinity, -Infinity]]; // prettier-ignore
-    for (const { take } of this.entries) {
-      for (let frame = 0; frame < take.frames; frame += Math.max(1, Math.floor(take.frames / 200))) {
-        const [x, , z] = take.root(frame);
-        [low[0], low[1]] = [Math.min(low[0], x), Math.min(low[1], z)];
-        [high[0], high[1]] = [Math.max(high[0], x), Math.max(high[1], z)];
-      }
-    }
-    return { low, high };
-  }
-
   private fit(): void {
-    let half = this.spread / 2;
-    if (this.mode === "orbit" && !this.isLive && this.entries.some(({ take }) => take.frames > 0)) {
-      const { low, high } = this.extent();
-      half += Math.hypot(high[0] - low[0], high[1] - low[1]) / 2;
-    }
-    this.view.fitBox(half + 0.62, HALF_HEIGHT + 0.12 * half);
+    fit(this.view, this.cast, this.mode, this.isLive);
     this.dirty = true;
   }
 
@@ -487,7 +376,7 @@ export class Player {
     this.stage.resize(width, height);
     // The picture's middle is that of what caption and bar leave free.
     const below = this.covered?.below ?? (this.controls ? this.controls.root.offsetHeight + 14 : 0);
-    const above = this.covered?.above ?? ((this.caption.isConnected ? 46 : 0) + (this.tags.length > 0 ? 26 : 0));
+    const above = this.covered?.above ?? ((this.caption.isConnected ? 46 : 0) + (this.cast.tags.length > 0 ? 26 : 0));
     const free = Math.max(0.4, 1 - (below + above) / height);
     const { camera } = this.stage;
     camera.setViewOffset(width, height, 0, (below - above) / 2, width, height);
@@ -507,71 +396,4 @@ export class Player {
     else this.overlays = { [what]: !this.shown[what] };
     this.touch(true);
   }
-
-  private key(event: KeyboardEvent): void {
-    const target = event.target as HTMLElement;
-    const typing = target.closest("input:not([type=range]), textarea, select, [contenteditable]");
-    if (typing || event.ctrlKey || event.metaKey || event.altKey) return;
-    // A focused button answers space and enter itself.
-    if (target.closest("button") && (event.key === " " || event.key === "Enter")) return;
-    const act = this.act(event);
-    if (!act) return;
-    event.preventDefault();
-    act();
-  }
-
-  private act(event: KeyboardEvent): (() => void) | null {
-    const step = event.shiftKey ? this.fps : 1;
-    const still = (frame: number) => () => {
-      this.pause();
-      this.seek(frame);
-    };
-    const speed = (by: number) => () => {
-      const at = SPEEDS.findIndex((value) => value >= this.rate);
-      this.speed = SPEEDS[Math.min(Math.max((at < 0 ? SPEEDS.length - 1 : at) + by, 0), SPEEDS.length - 1)];
-    };
-    switch (event.key) {
-      case " ": case "k": return () => this.toggle("playing"); // prettier-ignore
-      case "ArrowLeft": return still(Math.ceil(this.frame - 1e-6) - step); // prettier-ignore
-      case "ArrowRight": return still(Math.floor(this.frame + 1e-6) + step); // prettier-ignore
-      case "ArrowUp": return speed(1); // prettier-ignore
-      case "ArrowDown": return speed(-1); // prettier-ignore
-      case "Home": return () => this.seek(0); // prettier-ignore
-      case "End": return still(this.duration * this.fps); // prettier-ignore
-      case "l": return () => this.toggle("loop"); // prettier-ignore
-      case "f": return () => this.toggle("follow"); // prettier-ignore
-      case "s": return () => this.toggle("skeleton"); // prettier-ignore
-      case "c": return () => this.toggle("contacts"); // prettier-ignore
-      case "t": return () => this.toggle("trail"); // prettier-ignore
-      case "d": return () => this.toggle("dark"); // prettier-ignore
-      case "v": return () => this.toggle("recording"); // prettier-ignore
-      case "F": return () => this.toggle("full"); // prettier-ignore
-      case "r": return () => this.resetView(); // prettier-ignore
-      case "a": return () => this.view.turn(-0.15, 0); // prettier-ignore
-      case "e": return () => this.view.turn(0.15, 0); // prettier-ignore
-      case "+": return () => this.view.zoomBy(0.87); // prettier-ignore
-      case "-": return () => this.view.zoomBy(1.15); // prettier-ignore
-      default: return null; // prettier-ignore
-    }
-  }
-}
-
-/** Direction in which takes stand beside one another: to the right of a camera in its first place. */
-const SIDE = [Math.cos(0.62), -Math.sin(0.62)] as const;
-const spot = new THREE.Vector3();
-
-/** How far a take's root moves in the direction of its neighbours. */
-function sideways(take: Take): number {
-  let [low, high] = [0, 0];
-  for (let frame = 0; frame < take.frames; frame += 4) {
-    const [x, , z] = take.root(frame);
-    const along = x * SIDE[0] + z * SIDE[1];
-    [low, high] = [Math.min(low, along), Math.max(high, along)];
-  }
-  return high - low;
-}
-
-function remember(values: number[], value: number): void {
-  values.push(value);
-  if (values.length > MEASURED) values.shift();
 }

@@ -63,6 +63,15 @@ export class View {
     this.fit = Math.max(halfHeight / (up * this.free), halfWidth / across) + Math.min(halfWidth, 0.5);
   }
 
+  /** Look at another place, at once or smoothly within `seconds`; whether anything moved. */
+  aim(wanted: THREE.Vector3, atOnce: boolean, seconds: number): boolean {
+    const away = this.target.distanceTo(wanted);
+    if (atOnce || away > 2.5) this.target.copy(wanted);
+    else if (away > 1e-3) this.target.lerp(wanted, 1 - Math.exp(-7 * Math.min(seconds, 0.25)));
+    else return false;
+    return true;
+  }
+
   /** Put the camera where it belongs. */
   apply(): void {
     const distance = this.fit * this.zoom;
