@@ -68,7 +68,8 @@ export class Player {
       this.root.append(element("div", { class: "mv-fault" }, "This browser cannot show 3D pictures (no WebGL 2)."));
       throw error;
     }
-    this.sharpness = new Sharpness(this.stage.software ? 1 : Infinity);
+    this.root.toggleAttribute("data-software", this.software);
+    this.sharpness = new Sharpness(this.software ? 1 : Infinity);
     this.view = new View(this.stage.camera, this.canvas, () => this.touch());
     if (options.caption ?? true) this.root.append(this.caption);
     const asked = {
@@ -88,12 +89,17 @@ export class Player {
     this.resize();
   }
 
+  /** Whether a processor draws in a graphics card's place. */
+  get software(): boolean {
+    return this.stage.software;
+  }
+
   /** Show takes, side by side where there are several, from their beginning. */
   setTakes(entries: PlayerTake[], options: SetTakesOptions = {}): void {
     for (const { group } of this.cast.figures) this.stage.scene.remove(group);
     this.cast.dispose();
     this.isLive = options.live ?? false;
-    this.cast = new Cast([...entries], this.stage.software);
+    this.cast = new Cast([...entries], this.software);
     this.cast.paint(this.stage.setTheme(this.colours));
     this.cast.show(this.shown);
     for (const { group } of this.cast.figures) this.stage.scene.add(group);

@@ -16,6 +16,8 @@ export const PLAYER_CSS = `
 .moveset-player:focus-visible::after { content: ""; position: absolute; inset: 0; border: 2px solid var(--mv-accent); border-radius: inherit;
   pointer-events: none; }
 .mv-labels { position: absolute; inset: 0; overflow: hidden; pointer-events: none; }
+/* Drawn by a processor: blurring what moves under glass costs as much as drawing it. */
+.moveset-player[data-software] :is(.mv-caption, .mv-bar) { backdrop-filter: none; }
 .mv-label { position: absolute; left: 0; top: 0; max-width: 16em; padding: 2px 10px; border-radius: 99px; background: var(--mv-glass);
   border: 1px solid var(--mv-edge); font-size: 12.5px; font-weight: 550; white-space: nowrap; overflow: hidden; text-overflow: ellipsis; }
 .mv-caption { position: absolute; left: 50%; top: 14px; translate: -50% 0; width: max-content; max-width: calc(100% - 28px); padding: 7px 16px;

@@ -18,6 +18,7 @@ export class Stage {
   /** What lies over the picture: the figure stands between `above` and what `below` answers at the moment. */
   constructor(container: HTMLElement, theme: Theme, above: HTMLElement, below: () => HTMLElement) {
     this.player = new Player(container, { theme, autoplay: false, filename: "moveset" });
+    document.body.classList.toggle("software", this.player.software);
     this.player.onframe = (frame) => {
       for (const listener of this.listeners) listener(frame);
     };
