@@ -11,8 +11,8 @@ card's place and say nothing about a graphics card. On a busy machine those by t
   page's own draw call takes, pixels to a CSS pixel at the end, and processor time a picture.
 - Drawing: the resolution held at one pixel to a CSS pixel. The renderer's call and reading one pixel back, which waits
   until everything is drawn.
-- Processor time is that of all of Chromium's threads (Linux's schedstat), drawing and composing together. It counts
-  what others on the same core do not take, and is what to compare builds by.
+- Processor time is that of all of Chromium's threads (Linux's schedstat), drawing and composing together. What
+  others on the core take is not in it, but it grows with the business too: compare builds in turns.
 """
 
 import argparse
