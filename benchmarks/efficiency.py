@@ -1,6 +1,6 @@
 """What the recurrent model costs beside its baselines: calls, waves, operations, time and memory; time by length.
 
-    python benchmarks/efficiency.py --size small      # shipped sizes, about four minutes on a quiet two-core machine
+    python benchmarks/efficiency.py --size small      # shipped sizes, five minutes on a quiet two-core machine
     python benchmarks/efficiency.py --size paper      # published sizes, about eight
     python benchmarks/efficiency.py --quick --out /tmp/efficiency      # does it run? a minute
 

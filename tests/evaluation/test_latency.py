@@ -265,6 +265,7 @@ def results(tmp_path):
         result("clips", "teacher", 50, 0.01),  # at steps that were not timed
         result("clips", "pcm-2", 2, 0.05, wording="held-out"),
         result("clips", "lcm-1", 1, 0.40, items=10),  # the only one of its kind
+        result("streams", "rdm", 6, 0.03, settings={"start": 3, "lag": 1, "eta": 0.0, "stages": False}),
         result("streams", "rdm", 6, 0.15, settings={"start": 3, "lag": 1, "eta": 0.0}),
         result("streams", "rdm", 6, 0.02, settings={"start": 6, "lag": 6, "eta": 0.0}),  # another sampler
         result("elsewhere", "pcm-1", 1, 0.01),

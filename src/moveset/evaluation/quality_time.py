@@ -118,8 +118,10 @@ def pareto(rows: Sequence[Judged], metric: str = "fid") -> list[str]:
 
 
 def _same(row: Mapping[str, Any], result: Result) -> bool:
-    """Whether a result is of the network, steps and sampler of a row."""
+    """Whether a result is of the network, steps and sampler of a row, told what users tell it."""
     ours, theirs = row.get("settings", {}), result.settings
+    if not theirs.get("stages", True):
+        return False
     shared = [name for name in _SETTINGS if name in ours and name in theirs]
     return (row["network"], row["steps"]) == (result.network, result.steps) and all(
         ours[name] == theirs[name] for name in shared

@@ -10,7 +10,7 @@ MOST = 8  # stages of a sentence; what is beyond them stays with the last
 
 _NOUNS = (
     "person|man|woman|human|figure|character|guy|girl|boy|child|kid|lady|gentleman|dancer|performer|individual|"
-    "subject|actor|actress|individual|robot|zombie|soldier|hero|player|walker|runner|toddler|teenager|people"
+    "subject|actor|actress|robot|zombie|soldier|hero|player|walker|runner|toddler|teenager|people"
 )
 _PRONOUNS = "he|she|they|it|you|we|i"
 _SUBJECT = re.compile(
