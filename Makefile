@@ -18,8 +18,9 @@ TORCH := -c constraints.txt $(if $(TORCH_INDEX),--index-url $(TORCH_INDEX)) torc
 SOURCES := $(shell find src -type f -not -path '*/__pycache__/*' -not -path '*.egg-info/*')
 
 .PHONY: demo test lint format viewer tables clean
+# One clip or segment at a time is quickest with one thread where threads sleep while they wait.
 demo: .venv/.demo
-	$(BIN)/python examples/demo.py
+	OMP_NUM_THREADS=$${OMP_NUM_THREADS:-1} $(BIN)/python examples/demo.py
 
 # Two processes; each begins with its half in order, so that what tests share is made once, and ends with the other's rest.
 test: .venv/.dev lint
