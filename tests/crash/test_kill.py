@@ -8,6 +8,7 @@ import random
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from pathlib import Path
 
@@ -17,6 +18,8 @@ from moveset.training import checkpoint
 from tests.crash.metrics import logged_step
 
 REPOSITORY = Path(__file__).resolve().parents[2]
+BROKEN = 70  # a victim that ended by an exception of no kind that users may see
+
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="kills by POSIX signals")
 
 
@@ -26,7 +29,8 @@ class Victims:
     def __init__(self) -> None:
         environment = {**os.environ, "PYTHONPATH": str(REPOSITORY), "OMP_NUM_THREADS": "1"}
         command = [sys.executable, "-m", "tests.crash.victim"]
-        pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+        self.said = tempfile.TemporaryFile("w+")  # noqa: SIM115 (a pipe that nobody reads would fill up)
+        pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": self.said}
         self.process = subprocess.Popen(command, cwd=REPOSITORY, env=environment, text=True, **pipes)
 
     def start(self, folder: Path, **order) -> int:
@@ -35,7 +39,11 @@ class Victims:
         return int(self.process.stdout.readline())
 
     def end(self) -> int:
-        return int(self.process.stdout.readline())
+        code = int(self.process.stdout.readline())
+        if code == BROKEN:
+            self.said.seek(0)
+            raise AssertionError(self.said.read())
+        return code
 
     def train(self, folder: Path, **order) -> int:
         self.start(folder, **order)
@@ -49,7 +57,7 @@ def victims():
     made.process.stdin.close()
     made.process.wait(60)
     made.process.stdout.close()
-    made.process.stderr.close()
+    made.said.close()
 
 
 def contents(folder: Path) -> dict[str, bytes]:

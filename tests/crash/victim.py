@@ -10,6 +10,7 @@ import os
 import resource
 import signal
 import sys
+import traceback
 from pathlib import Path
 
 import lightning_fabric  # noqa: F401 (imported here so that the forked trainings start at once)
@@ -58,6 +59,8 @@ if __name__ == "__main__":
             code = 70
             try:
                 code = child(json.loads(line))
+            except BaseException:
+                traceback.print_exc()
             finally:
                 sys.stderr.flush()
                 os._exit(code)
