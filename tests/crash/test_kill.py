@@ -5,6 +5,7 @@ import contextlib
 import json
 import os
 import random
+import shutil
 import signal
 import subprocess
 import sys
@@ -96,6 +97,32 @@ def test_sigkill_at_random_moments(victims, tmp_path):
     assert victims.train(folder, **order) == 0
     assert contents(folder / f"step_{steps}") == contents(tmp_path / "straight" / f"step_{steps}")
     assert not list(folder.glob(".tmp-*"))
+
+
+@pytest.mark.filterwarnings("error")
+def test_sigkill_before_every_durable_operation_of_a_resumed_training(victims, tmp_path):
+    """Which cuts its log back before it goes on."""
+    order = {"steps": 3, "save_every": 2, "keep_last": 1}
+    assert victims.train(tmp_path / "straight", **order) == 0
+    want = contents(tmp_path / "straight" / "step_3")
+    begun = tmp_path / "begun"
+    # Killed at its last save, it leaves a checkpoint and a line of its log that is after it.
+    points = next(
+        point for point in range(100) if victims.train(tmp_path / f"count_{point}", **order, die_at=point) == 0
+    )
+    assert victims.train(begun, **order, die_at=points - 4) == -signal.SIGKILL
+    assert (saved_step(begun), logged_step(begun)) == (2, 3)
+    for point in range(100):
+        folder = tmp_path / f"point_{point}"
+        shutil.copytree(begun, folder)
+        code = victims.train(folder, **order, die_at=point)
+        assert code in (0, -signal.SIGKILL)
+        assert victims.train(folder, **order) == 0
+        assert contents(folder / "step_3") == want
+        assert not list(folder.glob(".tmp-*"))
+        if code == 0:
+            break
+    assert point > 4
 
 
 @pytest.mark.filterwarnings("error")

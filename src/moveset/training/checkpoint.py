@@ -203,7 +203,10 @@ def set_aside(folder: Path, after: int) -> None:
 def clean(folder: Path) -> None:
     """Deletes what killed processes left. Only for the holder of the run's lock."""
     for item in folder.glob(f"{_TEMPORARY}*"):
-        shutil.rmtree(item)
+        if item.is_dir():
+            shutil.rmtree(item)
+        else:  # a log that was being cut back
+            item.unlink()
 
 
 def _write_file(folder: Path, name: str, content: bytes) -> dict[str, Any]:
