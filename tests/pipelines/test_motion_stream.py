@@ -21,7 +21,6 @@ from moveset.pipelines.stream_bundle import StreamBundle
 from moveset.pipelines.stream_settings import Timeline, check_stream
 from moveset.pipelines.stream_state import Snapshot
 from moveset.rdm.noise import START, segment_noise
-from moveset.text.encoder import get_text_encoder
 from tests.streams import FRAMES, tiny_stream
 
 WALK, BOW = "a person walks forward", "a person bows politely"
@@ -30,11 +29,6 @@ WALK, BOW = "a person walks forward", "a person bows politely"
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     return tiny_stream(tmp_path_factory.mktemp("streams") / "tiny-stream")
-
-
-@pytest.fixture(scope="module")
-def encoder():
-    return get_text_encoder("minilm")
 
 
 @pytest.fixture

@@ -9,23 +9,10 @@ from moveset.errors import InputError
 from moveset.motion.foot_lock import FootLock
 from moveset.motion.incremental import IncrementalDecoder
 from moveset.pipelines.motion_stream import MotionStream
-from moveset.pipelines.stream_bundle import StreamBundle
 from moveset.pipelines.stream_group import StreamGroup
 from moveset.pipelines.stream_settings import check_stream
-from moveset.text.encoder import get_text_encoder
-from tests.streams import tiny_stream
 
 WALK, BOW = "a person walks forward", "a person bows politely to everybody who is there"
-
-
-@pytest.fixture(scope="module")
-def bundle(tmp_path_factory):
-    return StreamBundle.find(tiny_stream(tmp_path_factory.mktemp("streams") / "tiny-stream"))
-
-
-@pytest.fixture(scope="module")
-def encoder():
-    return get_text_encoder("minilm")
 
 
 @pytest.fixture

@@ -6,25 +6,12 @@ import pytest
 import torch
 
 from moveset.pipelines.motion_stream import MotionStream
-from moveset.pipelines.stream_bundle import StreamBundle
 from moveset.pipelines.stream_group import StreamGroup
 from moveset.pipelines.stream_settings import check_stream, share_evenly
-from moveset.text.encoder import get_text_encoder
-from tests.streams import tiny_stream
 
 WALK, BOW = "a person walks", "a person bows"
 BOTH = "a person walks, then bows"
 SEGMENT = 1.4  # seconds
-
-
-@pytest.fixture(scope="module")
-def bundle(tmp_path_factory):
-    return StreamBundle.find(tiny_stream(tmp_path_factory.mktemp("streams") / "tiny-stream"))
-
-
-@pytest.fixture(scope="module")
-def encoder():
-    return get_text_encoder("minilm")
 
 
 @pytest.fixture
