@@ -1,29 +1,23 @@
 """Packing a stream: what is in the run folders comes out of the model folder, and what does not fit is refused."""
 
 import sys
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import torch
-from torch import nn
 
-from moveset.data.corpus import Corpus
-from moveset.data.synthetic import synthetic_corpus
 from moveset.errors import FormatError, InputError
 from moveset.models.flow import FlowConfig
 from moveset.models.segment_transformer import SegmentTransformerConfig
-from moveset.motion.features import get_codec
 from moveset.pipelines.stored_weights import restored
 from moveset.pipelines.stream_bundle import StreamBundle
 from moveset.rdm.grid import GridConfig
-from moveset.text.cache import EmbeddingCache
-from moveset.text.encoder import get_text_encoder
 from moveset.training import checkpoint, pack_stream
 from moveset.training.clips import FeatureStore
-from moveset.training.pack import known_captions
 from moveset.training.rdm import RDMConfig
 from moveset.training.rdm_student import RDMStudentConfig
+from tests.training.run_folders import write_corpus, write_run
 
 FRAMES = 8
 MODEL = SegmentTransformerConfig(frames=FRAMES, width=32, heads=2, hidden=32, blocks=1)
@@ -34,18 +28,15 @@ FLOW = FlowConfig(blocks=2, hidden=8, text_context=4, index_context=4)
 def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A corpus with its cache, and run folders as the training leaves them, of networks that were hardly trained."""
     folder = tmp_path_factory.mktemp("pack")
-    corpus = Corpus.open(synthetic_corpus(folder / "corpus.safetensors", clips=12, seed=0))
-    FeatureStore.of(corpus, get_codec("native"), folder / "runs" / "cache" / "features-native")
-    captions = known_captions(corpus)
-    EmbeddingCache.build(get_text_encoder("minilm"), captions, folder / "runs" / "cache" / "text-minilm.safetensors")
+    write_corpus(folder)
     with torch.random.fork_rng(devices=[]), torch.no_grad():
         torch.manual_seed(0)
         rdm, md = MODEL.build(), MODEL.build()
         rdm.spectrum.copy_(torch.rand(FRAMES, 269) + 0.01)
         flow = FLOW.build()
         task = RDMConfig(model=MODEL, flow=FLOW, grid=GridConfig(frames=FRAMES), depth_cap=2)
-        run(folder, "rdm-7", task, denoiser=MODEL.build(), denoiser_ema=rdm, flow=FLOW.build(), flow_ema=flow)
-        run(
+        write_run(folder, "rdm-7", task, denoiser=MODEL.build(), denoiser_ema=rdm, flow=FLOW.build(), flow_ema=flow)
+        write_run(
             folder, "md-7", replace(task, flow=None, grid=GridConfig(frames=FRAMES, condition="clean")), denoiser_ema=md
         )
         for phases in (1, 2):
@@ -53,7 +44,7 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
             for weight in student.parameters():
                 weight += 1e-3 * torch.randn_like(weight)
             learned = RDMStudentConfig(phases=phases, points=20, model=student.config, codec="native", frames=FRAMES)
-            run(folder, f"rdm-pcm-{phases}", learned, student=rdm.student(), student_ema=student)
+            write_run(folder, f"rdm-pcm-{phases}", learned, student=rdm.student(), student_ema=student)
     return folder
 
 
@@ -61,13 +52,6 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     """No calibration of the familiarity limit, which encodes hundreds of sentences."""
     monkeypatch.setattr(pack_stream, "familiarity_limit", lambda known, encoder: 0.42)
-
-
-def run(folder: Path, name: str, task: object, **modules: nn.Module) -> None:
-    config = {"config": asdict(task)}  # type: ignore[call-overload]
-    for step, offset in ((3, 1.0), (7, 0.0)):
-        tensors = {k: {key: value + offset for key, value in m.state_dict().items()} for k, m in modules.items()}
-        checkpoint.write(folder / "runs" / name, step, tensors, {"config": config})
 
 
 def command(monkeypatch: pytest.MonkeyPatch, trained: Path, out: Path, *more: str) -> StreamBundle:

@@ -20,7 +20,7 @@ from moveset.evaluation.results import Results
 from moveset.evaluation.rollout import run_rollout
 from moveset.pipelines.bundle import DEFAULT_MODEL, Bundle
 from moveset.pipelines.device import pick_device
-from moveset.pipelines.model_folder import STREAM, find_folder, task_of
+from moveset.pipelines.model_folder import BASELINE, STREAM, find_folder, task_of
 from moveset.pipelines.request import Method, check_method
 from moveset.pipelines.stream_bundle import DEFAULT_STREAM, StreamBundle
 
@@ -121,8 +121,10 @@ def open_generator(job: Job) -> Generator:
     if model == REAL:
         return Given(REAL)
     folder = find_folder(model)
-    if task_of(folder) == STREAM:
+    if (task := task_of(folder)) == STREAM:
         return _stream(job, folder, network, settings)
+    if task == BASELINE:
+        return _baseline(job, folder, network, settings)
     bundle = Bundle(folder)
     if unknown := set(settings) - {"guidance"}:
         raise InputError(f"--{sorted(unknown)[0]} is a setting of streams, and {bundle.config.name!r} makes clips")
@@ -169,6 +171,21 @@ def _stream(job: Job, folder: Path, network: str | None, settings: dict[str, Any
     extras += settings_slug({**settings, **({} if shape == "parallelogram" else {"shape": shape})})
     extras += [] if job.foot_lock else ["raw"]
     return Streams(bundle, request.settings, shape=shape, extras=extras, device=job.device, batch=max(job.batch, 1))
+
+
+def _baseline(job: Job, folder: Path, network: str | None, settings: dict[str, Any]) -> Generator:
+    from moveset.evaluation.baselines import Baseline
+    from moveset.pipelines.baseline_bundle import DENOISER, BaselineBundle
+
+    bundle = BaselineBundle(folder)
+    if network not in (None, DENOISER):
+        raise InputError(f"{bundle.config.name!r} has no network {network!r}; it has {DENOISER!r}")
+    if unknown := set(settings) - {"guidance"}:
+        raise InputError(f"--{sorted(unknown)[0]} is a setting of streams, and {bundle.config.name!r} is none")
+    w = cast(float | None, settings.get("guidance"))
+    return Baseline(
+        bundle, steps=job.steps, guidance=w, foot_lock=job.foot_lock, device=job.device, batch=max(job.batch, 1)
+    )
 
 
 def run(

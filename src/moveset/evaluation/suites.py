@@ -18,7 +18,7 @@ from moveset.pipelines.verified_folder import json_object
 
 CLIPS, STREAMS = "motionpcm-small", "rdm-small"
 REAL, RECONSTRUCTION = "real", "vae"
-DENOISERS = ("teacher", "lcm-", "pcm-", "rdm", "md", "dip")
+DENOISERS = ("teacher", "lcm-", "pcm-", "rdm", "md", "denoiser")
 FEW, FEWER = 5, 3  # repeats of rows that cost ten times as much as others, and of those that only compare settings
 
 Result_ = TypeVar("Result_")
@@ -145,12 +145,13 @@ def motionpcm() -> Suite:
 
 def rdm() -> Suite:
     """Streams and what they are compared with: RDM's Tables 1 to 3, and its ablations (Tables 4 and 5)."""
-    autoregressive, recurrent = "Autoregressive", "Recurrent"
-    volume = Row(
-        key="", label="", group="Whole clips", model="", network="rdm", steps=10, repeats=FEW, against=("md-7",)
+    stream = Row(
+        key="", label="", group="Recurrent", model=STREAMS, network="rdm", steps=10, repeats=FEW, against=("md-7",)
     )
-    stream = replace(volume, group=recurrent, model=STREAMS)
     staircase = replace(stream, group="RDM-7 with overlapping segments", repeats=FEWER, against=("rdm-7",))
+    alike = replace(stream, group="Every variant, trained alike for a short time", repeats=FEWER,
+                    against=("md-7-alike",))  # fmt: skip
+    volume = replace(alike, network="denoiser")
 
     def overlapping(key: str, what: str, start: int, shape: str) -> Row:
         settings = {"start": start, "lag": 1, "shape": shape}
@@ -158,15 +159,8 @@ def rdm() -> Suite:
 
     rows = [
         Row(key="real", label="Real", group="Reference", model=REAL, ranked=False),
-        replace(volume, key="motiondiffuse", label="MotionDiffuse, 50 steps", model="motiondiffuse-small", steps=50),
-        replace(volume, key="rdm-1", label="RDM-1", model="rdm-1-small"),
-        replace(volume, key="light-rdm-1", label="Light-RDM-1", model="light-rdm-1-small"),
-        replace(volume, key="dip", label="DiP, 10 steps", group=autoregressive, model="dip-small", network="dip"),
-        replace(stream, key="md-4", label="MD-4", group=autoregressive, model="rdm-4-small", network="md"),
-        replace(stream, key="md-7", label="MD-7", group=autoregressive, network="md", shipped=True, against=()),
-        replace(stream, key="rdm-4", label="RDM-4", model="rdm-4-small"),
+        replace(stream, key="md-7", label="MD-7", group="Autoregressive", network="md", shipped=True, against=()),
         replace(stream, key="rdm-7", label="RDM-7", shipped=True),
-        replace(stream, key="rdm-14", label="RDM-14", model="rdm-14-small"),
         *(
             replace(stream, key=f"rdm-pcm-{n}", label=f"RDM-7's student, {_steps(n)}", network=f"pcm-{n}", steps=n,
                     repeats=None, shipped=True, against=("md-7", "rdm-7"))
@@ -180,6 +174,15 @@ def rdm() -> Suite:
         overlapping("triangle-7", "R = 7 = N, triangle", 7, "triangle"),
         overlapping("parallelogram-4", "R = 4, parallelogram", 4, "parallelogram"),
         overlapping("parallelogram-10", "R = 10 = K (all cells)", 10, "parallelogram"),
+        replace(volume, key="motiondiffuse", label="MotionDiffuse, 50 steps", model="motiondiffuse-small", steps=50),
+        replace(volume, key="rdm-1", label="RDM-1", model="rdm-1-small"),
+        replace(volume, key="light-rdm-1", label="Light-RDM-1", model="light-rdm-1-small"),
+        replace(volume, key="dip", label="DiP, 10 steps", model="dip-small"),
+        replace(alike, key="md-4", label="MD-4", model="rdm-4-small", network="md"),
+        replace(alike, key="md-7-alike", label="MD-7, short training", model="rdm-7-alike", network="md", against=()),
+        replace(alike, key="rdm-4", label="RDM-4", model="rdm-4-small"),
+        replace(alike, key="rdm-7-alike", label="RDM-7, short training", model="rdm-7-alike"),
+        replace(alike, key="rdm-14", label="RDM-14", model="rdm-14-small"),
     ]  # fmt: skip
     return Suite("rdm", "RDM: motion without end", tuple(rows), ("md-7", "rdm-7"), seams=28 / 20)
 

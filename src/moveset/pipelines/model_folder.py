@@ -7,7 +7,8 @@
 ``prompts.safetensors``     ``pooled`` (P, C), their pooled text embeddings
 ``manifest.json``           sha256 and size of every other file
 
-Only what is asked for is read, and what is read is verified. ``bundle`` and ``stream_bundle`` are the two kinds.
+Only what is asked for is read, and what is read is verified. The kinds are ``bundle``, ``stream_bundle`` and
+``baseline_bundle``.
 """
 
 import hashlib
@@ -30,7 +31,8 @@ from moveset.text.familiarity import KnownPrompts
 FORMAT = 1
 TEXT_TO_MOTION = "text-to-motion"
 STREAM = "stream"
-_COMMANDS = {TEXT_TO_MOTION: "moveset generate", STREAM: "moveset stream"}
+BASELINE = "baseline"
+_COMMANDS = {TEXT_TO_MOTION: "moveset generate", STREAM: "moveset stream", BASELINE: "moveset evaluate"}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -215,7 +217,7 @@ def shipped() -> dict[str, Path]:
 
 
 def task_of(path: Path) -> str:
-    """What a folder's model is for, "text-to-motion" or "stream", whatever else its ``config.json`` says."""
+    """What a folder's model is for ("text-to-motion", "stream", "baseline"), whatever else ``config.json`` says."""
     config = json_object(VerifiedFolder(path).read("config.json"), path / "config.json")
     return str(config.get("task", TEXT_TO_MOTION))
 

@@ -65,7 +65,7 @@ def rollout_segments(
             def clean(x: Tensor, t_B: Tensor) -> Tensor:
                 return denoiser(x, t_B, before, clean_B, index_B, rows)  # noqa: B023 (called before the next turn)
 
-            made_BnD = _denoise(clean, schedule, levels, seeds, number, shape, eta, device)
+            made_BnD = sample_piece(clean, schedule, levels, seeds, number, shape, eta=eta, device=device)
             if condition == "clean_prev":
                 prev_BnD = made_BnD
             yield made_BnD
@@ -121,30 +121,39 @@ def _chunks(
         def clean(x: Tensor, t_B: Tensor) -> Tensor:
             return denoiser(x, t_B, before, number)  # noqa: B023 (called before the next turn)
 
-        made_BnD = _denoise(clean, schedule, levels, seeds, number, shape, 1.0, prefix_BPD.device)
+        made_BnD = sample_piece(clean, schedule, levels, seeds, number, shape, eta=1.0, device=prefix_BPD.device)
         # A chunk may be shorter than the prefix.
         prefix_BPD = torch.cat((prefix_BPD, made_BnD), dim=1)[:, -kept:]
         yield made_BnD
 
 
 @torch.no_grad()
-def _denoise(
+def sample_piece(
     clean: Callable[[Tensor, Tensor], Tensor],
     schedule: Schedule,
     levels: tuple[int, ...],
     seeds: Sequence[int],
     number: int,
     shape: tuple[int, int],
-    eta: float,
-    device: torch.device | str,
-    colour: Callable[[Tensor], Tensor] | None = None,
+    *,
+    eta: float = 0.0,
+    device: torch.device | str = "cpu",
 ) -> Tensor:
-    """One piece from noise to clean."""
-    dye = colour or (lambda noise: noise)
-    z_BnD = dye(noise_of_items(seeds, number, START, shape).to(device))
+    """One piece (B, n, D) from noise to clean; a clip as a whole is a piece too (RDM-1, MotionDiffuse).
+
+    Args:
+        clean: x_BnD, t_B -> clean x_BnD.
+        schedule: the noise schedule.
+        levels: falling noise levels, the last 0.
+        seeds: one for every item.
+        number: of the piece in its sequence; with the seed it chooses the noise.
+        shape: (n, D).
+        eta: 0 is DDIM, 1 is DDPM.
+    """
+    z_BnD = noise_of_items(seeds, number, START, shape).to(device)
     for k, (t, s) in enumerate(pairwise(levels)):
         t_B, s_B = _rows(t, seeds, device), _rows(s, seeds, device)
-        noise = dye(noise_of_items(seeds, number, k, shape).to(device)) if eta else None
+        noise = noise_of_items(seeds, number, k, shape).to(device) if eta else None
         z_BnD = denoise_step(schedule, z_BnD, clean(z_BnD, t_B).to(z_BnD.dtype), t_B, s_B, eta, noise)
     return z_BnD
 

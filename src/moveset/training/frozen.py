@@ -8,9 +8,11 @@ import torch
 from torch import nn
 
 from moveset.models import (  # noqa: F401  (they register their kinds)
+    dip_decoder,
     evaluator,
     flow,
     latent_denoiser,
+    light_t2m,
     segment_denoiser,
     segment_transformer,
     timed_vae,

@@ -31,6 +31,7 @@ from moveset.training.clips import FeatureStore
 from moveset.training.ema import Ema, ema_warmup
 from moveset.training.engine import Loop, Task
 from moveset.training.feet import foot_error
+from moveset.training.heading import bend, heading_error
 from moveset.training.momo import MomoAdam
 from moveset.training.optim import cosine_lr
 from moveset.training.reading import MAX_TOKENS, Disturbance, read_captions, wordings
@@ -66,6 +67,8 @@ class RDMConfig:
             (``diffusion.coloured``).
         forecast: start the segment transformer's forecast from a fit to the data instead of from zero.
         feet: weight of the error of the feet's velocities in the world (``training.feet``), for clean predictions.
+        heading: weight of the error of the turn that a segment's steps add up to (``training.heading``), likewise.
+        bent: deviation, in radians a second, of a steady turn that is added to the segment before, as it is told.
         velocity: weight of the error of frame-to-frame differences.
         flow_noise: deviation of the noise added to the flow's input.
         isometry: weight that keeps the flow's scales near one.
@@ -101,6 +104,8 @@ class RDMConfig:
     noise: Noise = "white"
     forecast: bool = False
     feet: float = 0.0
+    heading: float = 0.0
+    bent: float = 0.0
     velocity: float = 0.0
     flow_noise: float = 0.02
     isometry: float = 1e-2
@@ -293,8 +298,10 @@ class RDMTask(Task):
         # The flow always hears the sentence itself: dropping it for guidance is the denoiser's affair.
         said, before = self.data.pooled(batch.captions), self.data.pooled(batch.previous_captions)
         first = batch.first if config.grid.anchor == "first" else None
-        clean = batch.clean
-        cell = corrupt(config.grid, SCHEDULE, transport, clean, batch.previous, first, batch.index, said, before, draws)
+        clean, previous = batch.clean, batch.previous
+        if config.bent:
+            previous = bend(previous, batch.index, config.bent, self.data.codec, self.normalizer, generator)
+        cell = corrupt(config.grid, SCHEDULE, transport, clean, previous, first, batch.index, said, before, draws)
         made = denoiser(
             cell.x_BnD, cell.t_B, cell.prev_BnD, cell.prev_t_B, batch.index, text.tokens, text.mask, None, batch.valid
         ).float()
@@ -313,8 +320,13 @@ class RDMTask(Task):
                 feet_B = foot_error(made, clean, batch.valid, self.data.codec, self.normalizer)
             # What is not yet to be seen in the noise has no feet to judge.
             loss = loss + config.feet * (feet_B * SCHEDULE.alpha(cell.t_B).square()).mean()
-        error = masked_mse(made.detach(), target, batch.valid)
-        return loss, {"error": error, "noisy_std": cell.x_BnD.std()}
+        if config.heading:
+            turn_B = heading_error(made, clean, batch.valid, self.data.codec, self.normalizer)
+            loss = loss + config.heading * (turn_B * SCHEDULE.alpha(cell.t_B).square()).mean()
+        seen = {"error": masked_mse(made.detach(), target, batch.valid), "noisy_std": cell.x_BnD.std()}
+        if config.heading:
+            seen["heading"] = turn_B.mean().detach()
+        return loss, seen
 
 
 def feature_weights(codec: FeatureCodec, root: float) -> Tensor:
@@ -347,9 +359,11 @@ def _sized(config: RDMConfig, data: SegmentData) -> RDMConfig:
 
 def _check(config: RDMConfig) -> None:
     """Raises InputError for settings that contradict each other (as a whole: they are made one after the other)."""
-    if config.predict == "eps" and (config.flow is not None or config.velocity or config.feet or config.weight != "x0"):
+    judged = config.velocity or config.feet or config.heading
+    if config.predict == "eps" and (config.flow is not None or judged or config.weight != "x0"):
         raise InputError(
-            'predict="eps" is for models without a flow, with velocity 0, feet 0 and weight "x0"; change these'
+            'predict="eps" is for models without a flow, with velocity, feet and heading 0 and weight "x0"; '
+            "change these"
         )
     if config.md_condition == "none" and (config.flow is not None or config.grid.condition != "clean"):
         raise InputError('md_condition="none" is for models without a flow and with grid.condition="clean"')

@@ -17,6 +17,7 @@ from moveset.diffusion.steps import add_noise, denoise_step, over, renoise
 from moveset.models.discriminator import DiscriminatorConfig
 from moveset.models.registry import describe
 from moveset.models.segment_transformer import SegmentTransformerConfig
+from moveset.motion.features import Normalizer
 from moveset.pcm.consistency import Draws, draw
 from moveset.pcm.losses import hinge_discriminator, hinge_generator, huber
 from moveset.rdm.distillation import clean_target
@@ -27,6 +28,7 @@ from moveset.text.encoder import TextEmbedding, stack
 from moveset.training import frozen
 from moveset.training.ema import Ema
 from moveset.training.engine import Loop, Task
+from moveset.training.heading import bend, heading_error
 from moveset.training.optim import cosine_lr
 from moveset.training.rdm import SCHEDULE, RDMConfig, SegmentData, feature_weights
 from moveset.training.reading import Disturbance
@@ -48,6 +50,7 @@ class RDMStudentConfig:
         adversarial: weight of the discriminator's verdict; 0 leaves the discriminator out.
         ema: decay of the target network.
         root: weight of the four root features, as in the teacher's training.
+        heading, bent: as in the teacher's training (``RDMConfig``); the teacher is told the bent past too.
         codec, frames: filled in from the teacher's.
         model: the student's architecture; filled in from the teacher's.
     """
@@ -63,6 +66,8 @@ class RDMStudentConfig:
     warmup: int = 100
     discriminator_lr: float = 1e-3
     root: float = 5.0
+    heading: float = 0.0
+    bent: float = 0.0
     text_encoder: str = "minilm"
     cutting: CuttingConfig = field(default_factory=CuttingConfig)
     disturbance: Disturbance = field(default_factory=Disturbance)
@@ -108,6 +113,7 @@ class RDMStudentTask(Task):
         self.heads_optimizer = torch.optim.AdamW(
             self.heads.parameters(), config.discriminator_lr, betas=(0.0, 0.999), weight_decay=0.0
         )
+        self.normalizer = Normalizer(*(x.to(loop.device) for x in vars(self.data.normalizer).values()))
         self.scale = feature_weights(self.data.codec, config.root).sqrt().to(loop.device)
         self._reference: Tensor | None = None
 
@@ -127,6 +133,9 @@ class RDMStudentTask(Task):
     def training_step(self, step: int, loop: Loop) -> dict[str, Tensor]:
         config = self.config
         batch = self.data.train.batch(config.batch, self.data.seed, step).to(loop.device)
+        if config.bent:
+            bent = bend(batch.previous, batch.index, config.bent, self.data.codec, self.normalizer, self.draws)
+            batch = replace(batch, previous=bent)
         # The student reads a roughened sentence and should say what is said to the sentence as it is.
         rough, text = self.data.read(batch.captions, self.draws), self.data.read(batch.captions)
         draws = self._coloured(draw(self.grid, batch.clean, config.guidance, self.draws))
@@ -140,6 +149,10 @@ class RDMStudentTask(Task):
         made = bound.by(self.student, rough)(bound.push(z), t_B, draws.w_B)
         loss = _distance(made, target, over(share_B, made) * self.scale, batch.valid, config.huber)
         report = {"consistency": loss.detach()}
+        if config.heading:
+            turn_B = heading_error(made, target, batch.valid, self.data.codec, self.normalizer)
+            loss = loss + config.heading * (turn_B * share_B).mean()
+            report["heading"] = turn_B.mean().detach()
         if config.adversarial:
             fooled, seen = self._judge(bound, batch, draws, z, made, t_B, edge_B, loop)
             loss = loss + config.adversarial * fooled

@@ -1,0 +1,179 @@
+"""Whole-clip models and chunk by chunk rollouts as generators: what recurrent models are compared with.
+
+B clips, n frames of a clip or chunk, P frames of a prefix, D features, L text tokens.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from moveset.diffusion.guidance import cfg
+from moveset.errors import InputError
+from moveset.evaluation.generators import (
+    Remembered,
+    Tick,
+    Wanted,
+    frames_at,
+    joints_at,
+    settings_slug,
+    weights_of,
+)
+from moveset.motion.clip import Motion
+from moveset.motion.features import get_codec
+from moveset.motion.foot_lock import FootLock
+from moveset.pipelines.baseline_bundle import DENOISER, IDLE, BaselineBundle
+from moveset.pipelines.device import pick_device
+from moveset.pipelines.text_to_motion import CONTACT
+from moveset.rdm.autoregressive import idle_prefix, rollout_chunks, sample_piece
+from moveset.rdm.prediction import clean_from_noise
+from moveset.rdm.staircase import levels
+from moveset.text.encoder import TextEmbedding, get_text_encoder, stack
+
+
+class Baseline:
+    """A baseline's model folder, sampled in batches of clips of like length.
+
+    A clip of several parts is told all their prompts at once, a chunk that of the part that it begins in.
+
+    Args:
+        bundle: the folder.
+        steps: K; None for the folder's own. Chunks take every step of their schedule.
+        guidance: w; None for the folder's own, 0 for none.
+        foot_lock: judge motion with planted feet held, as streams and clips are.
+        device: where to compute.
+        batch: clips evaluated at once.
+
+    Raises:
+        InputError: steps or guidance out of range.
+    """
+
+    random, segment = True, 0.0
+    code = (
+        "moveset.evaluation.generators", "moveset.evaluation.baselines", "moveset.rdm.autoregressive",
+        "moveset.rdm.prediction", "moveset.rdm.noise", "moveset.diffusion.steps", "moveset.diffusion.guidance",
+        "moveset.motion.foot_lock",
+    )  # fmt: skip
+
+    def __init__(
+        self,
+        bundle: BaselineBundle,
+        *,
+        steps: int | None = None,
+        guidance: float | None = None,
+        foot_lock: bool = True,
+        device: str = "auto",
+        batch: int = 64,
+    ) -> None:
+        config = bundle.config
+        own, limit = config.sampler_steps, config.timesteps
+        self.steps = own if steps is None else steps
+        if not 1 <= self.steps <= limit or (config.prefix and self.steps != limit):
+            raise InputError(f"{config.name!r} cannot take {self.steps} steps; its own choice is {own}")
+        chosen = config.guidance.get(DENOISER, 0.0)
+        self._w = chosen if guidance is None else guidance
+        if not 0.0 <= self._w < 100.0:
+            raise InputError(f"guidance {self._w:g} is not in 0 to 100; {config.name!r} has {chosen:g}")
+        self._bundle, self._batch, self._foot_lock = bundle, batch, foot_lock
+        self._device, self._codec = pick_device(device), get_codec(config.codec)
+        self._text = Remembered(get_text_encoder(config.text_encoder, device=self._device))
+        self._schedule = config.noise_schedule()
+        self.model, self.network = config.name, DENOISER
+        extras = [] if self.steps == own else [f"{self.steps}-steps"]
+        extras += [] if self._w == chosen else settings_slug({"guidance": self._w})
+        self.slug = "-".join([self.model, *extras, *(() if foot_lock else ("raw",))])
+
+    def describe(self) -> dict[str, Any]:
+        return {
+            "guidance": self._w, "eta": self._bundle.config.eta, "foot_lock": self._foot_lock, "batch": self._batch,
+            "device": self._device.type,
+        }  # fmt: skip
+
+    def weights(self) -> dict[str, str]:
+        return weights_of(self._bundle, (DENOISER,))
+
+    @torch.inference_mode()
+    def generate(self, wanted: Sequence[Wanted], fps: float, tick: Tick = lambda count: None) -> list[Tensor]:
+        config, statistics = self._bundle.config, self._bundle.normalizer
+        made: list[Tensor] = [torch.empty(0)] * len(wanted)
+        order = sorted(range(len(wanted)), key=lambda k: wanted[k].frames)
+        for start in range(0, len(order), self._batch):
+            rows = order[start : start + self._batch]
+            clips = [wanted[k] for k in rows]
+            counts = [frames_at(clip.frames, fps, config.fps) for clip in clips]
+            sample = self._chunks if config.prefix else self._volumes
+            features = sample(clips, counts).cpu() * statistics["feature_std"] + statistics["feature_mean"]
+            for k, one, count in zip(rows, features, counts, strict=True):
+                made[k] = joints_at(self._motion(one[:count]), fps, wanted[k].frames)
+            tick(len(rows))
+        return made
+
+    def _volumes(self, clips: Sequence[Wanted], counts: Sequence[int]) -> Tensor:
+        """(B, n, D) of whole clips; the network sees how long each is, up to its longest."""
+        config, network = self._bundle.config, self._bundle.module(DENOISER, self._device)
+        said = [" then ".join(prompt for prompt, _ in clip.parts) for clip in clips]
+        text = self._read(said)
+        size = (len(text.tokens), config.frames, self._codec.dim)
+        valid_Bn = torch.arange(config.frames) < torch.tensor(counts).clamp(max=config.frames)[:, None]
+        valid_Bn = valid_Bn.to(self._device).repeat(size[0] // len(clips), 1)
+        nothing, zero = torch.zeros(size, device=self._device), torch.zeros(size[:1], dtype=torch.long)
+        zero = zero.to(self._device)
+
+        def predicted(x_BnD: Tensor, t_B: Tensor) -> Tensor:
+            made: Tensor = network(x_BnD, t_B, nothing, zero, zero, text.tokens, text.mask, None, valid_Bn)
+            return made
+
+        clean = clean_from_noise(self._schedule, predicted) if config.predict == "eps" else predicted
+        return sample_piece(
+            self._guided(clean), self._schedule, levels(self.steps, config.timesteps), [clip.seed for clip in clips], 0,
+            (config.frames, self._codec.dim), eta=config.eta, device=self._device,
+        )  # fmt: skip
+
+    def _chunks(self, clips: Sequence[Wanted], counts: Sequence[int]) -> Tensor:
+        """(B, n, D) chunk by chunk, from a person who stands."""
+        config, network = self._bundle.config, self._bundle.module(DENOISER, self._device)
+        pose_D = self._bundle.normalizer[IDLE].to(self._device)
+        prefix = idle_prefix(pose_D, len(clips), config.prefix)
+        rate = max(counts) / max(clip.frames for clip in clips)
+
+        def denoise(x_BnD: Tensor, t_B: Tensor, prefix_BPD: Tensor, number: int) -> Tensor:
+            text = self._read([_prompt_at(clip, number * config.frames / rate) for clip in clips])
+
+            def clean(x: Tensor, t: Tensor) -> Tensor:
+                before = prefix_BPD.repeat(len(x) // len(prefix_BPD), 1, 1)
+                made: Tensor = network(x, t, before, text.tokens, text.mask)
+                return made
+
+            return self._guided(clean)(x_BnD, t_B)
+
+        seeds = [clip.seed for clip in clips]
+        return rollout_chunks(denoise, self._schedule, prefix, max(counts), seeds, chunk=config.frames)
+
+    def _guided(self, clean: Callable[[Tensor, Tensor], Tensor]) -> Callable[[Tensor, Tensor], Tensor]:
+        """The same under classifier-free guidance, by one batch of both."""
+        if not self._w:
+            return clean
+        return lambda x_BnD, t_B: cfg(*clean(x_BnD.repeat(2, 1, 1), t_B.repeat(2)).chunk(2), self._w)
+
+    def _read(self, said: Sequence[str]) -> TextEmbedding:
+        """Of these sentences, with the empty one below each if there is guidance."""
+        found = [self._text.encode([sentence]) for sentence in said]
+        empty = [self._text.encode([""])] * len(said) if self._w else []
+        return stack(found + empty).to(self._device)
+
+    def _motion(self, features: Tensor) -> Motion:
+        motion = self._codec.decode(features)
+        if not self._foot_lock:
+            return motion
+        planted = features[: len(motion), self._codec.groups["contacts"]] > CONTACT
+        return FootLock(self._codec.skeleton, self._codec.fps)(motion, planted)
+
+
+def _prompt_at(clip: Wanted, frame: float) -> str:
+    """The prompt of the part that this frame, at the evaluator's rate, belongs to; the last one beyond the end."""
+    for prompt, count in clip.parts:
+        if frame < count:
+            return prompt
+        frame -= count
+    return clip.parts[-1][0]

@@ -1,0 +1,94 @@
+"""From a run folder to the model folder of a baseline, which the evaluation reads (``pipelines.baseline_bundle``)."""
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from moveset.data.corpus import Corpus
+from moveset.motion.features import FeatureCodec, Normalizer, get_codec
+from moveset.pipelines.baseline_bundle import DENOISER, IDLE, BaselineConfig, save_baseline
+from moveset.text.cache import EmbeddingCache
+from moveset.training import checkpoint, frozen
+from moveset.training.clips import FeatureStore
+from moveset.training.pack import familiarity_limit, known_captions
+
+
+def pack_baseline(
+    corpus_path: Path, cache: Path, run: Path, name: str, out: Path, *, guidance: float = 0.0, steps: int | None = None
+) -> Path:
+    """Write the model folder ``out``.
+
+    Args:
+        corpus_path: the corpus that the network was trained on.
+        cache: its folder of features and embedded captions.
+        run: run folder or checkpoint of ``moveset train`` motiondiffuse, rdm-1, light-rdm-1 or dip.
+        name: what the model is called.
+        out: the folder to write.
+        guidance: default guidance scale.
+        steps: K of models of whole clips, 50 if None; DiP takes all of its schedule.
+
+    Raises:
+        InputError: no checkpoint there, or one of something else.
+    """
+    found = frozen.load(run, "denoiser_ema")
+    task = found.task
+    corpus, codec = Corpus.open(corpus_path), get_codec(task["codec"])
+    store = FeatureStore(cache / f"features-{codec.name}")
+    text = EmbeddingCache.open(cache / f"text-{task['text_encoder'].replace('/', '-').replace(':', '-')}.safetensors")
+    known = known_captions(corpus)
+    pooled = text.lookup(known).pooled
+    statistics = {"feature_mean": store.normalizer.mean, "feature_std": store.normalizer.std}
+    if chunks := "levels" in task:
+        first = [codec.encode(corpus.motion(k)[:2])[0] for k in corpus.indices("train", composed=False)]
+        statistics[IDLE] = idle_pose(torch.stack(first), codec, store.normalizer)
+    sampling: dict[str, Any] = (
+        {"frames": task["model"]["frames"], "prefix": task["model"]["prefix"], "schedule": "cosine", "eta": 1.0,
+         "timesteps": task["levels"], "sampler_steps": task["levels"]}
+        if chunks
+        else {"frames": task["grid"]["frames"], "predict": task["predict"], "sampler_steps": steps or 50}
+    )  # fmt: skip
+    config = BaselineConfig(
+        name=name, codec=codec.name, text_encoder=task["text_encoder"],
+        guidance={DENOISER: guidance} if guidance else {},
+        far_prompt=familiarity_limit(pooled, task["text_encoder"]),
+        provenance={
+            "corpus": f"{len(corpus.indices(composed=False))} clips, {corpus.seconds / 3600:.2f} h",
+            DENOISER: checkpoint.resolve(run).name.replace("_", " "),
+        },
+        **sampling,
+    )  # fmt: skip
+    return save_baseline(out, config, found.module, statistics, known, pooled)
+
+
+def idle_pose(first_ND: Tensor, codec: FeatureCodec, normalizer: Normalizer) -> Tensor:
+    """Normalised features (D,) of standing still: of the first frames given, the one nearest to their mean, at rest."""
+    normal = normalizer.normalize(first_ND)
+    pose = first_ND[(normal - normal.mean(dim=0)).square().sum(dim=1).argmin()].clone()
+    for steps in ("root_yaw", "root_velocity", "velocities"):
+        pose[codec.groups[steps]] = 0.0
+    pose[codec.groups["contacts"]] = 1.0
+    return normalizer.normalize(pose)
+
+
+def main() -> None:
+    """Command line: ``python -m moveset.training.pack_baseline RUN --out FOLDER``."""
+    parser = argparse.ArgumentParser(description=main.__doc__)
+    parser.add_argument("run", type=Path, help="such as runs/small/motiondiffuse")
+    parser.add_argument("--corpus", type=Path, default=Path("data/corpus.safetensors"))
+    parser.add_argument("--cache", type=Path, default=Path("runs/small/cache"))
+    parser.add_argument("--guidance", type=float, default=0.0, help="default guidance scale; 0 is none")
+    parser.add_argument("--steps", type=int, help="K of models of whole clips; 50 by default")
+    parser.add_argument("--name", help="by default that of the run with -small behind it")
+    parser.add_argument("--out", type=Path, required=True)
+    given = parser.parse_args()
+    name = given.name or f"{given.run.name}-small"
+    print(
+        pack_baseline(given.corpus, given.cache, given.run, name, given.out, guidance=given.guidance, steps=given.steps)
+    )
+
+
+if __name__ == "__main__":
+    main()
