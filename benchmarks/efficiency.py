@@ -1,6 +1,6 @@
 """What the recurrent model costs beside its baselines: calls, waves, operations, time and memory; time by length.
 
-    python benchmarks/efficiency.py --size small      # shipped sizes, five minutes on a quiet two-core machine
+    python benchmarks/efficiency.py --size small      # shipped sizes, 17 minutes on a quiet two-core machine
     python benchmarks/efficiency.py --size paper      # published sizes, about eight
     python benchmarks/efficiency.py --quick --out /tmp/efficiency      # does it run? a minute
 
@@ -43,8 +43,6 @@ LENGTH_ROWS = (
     Row("RDM-7", PARALLELOGRAM),
     Row("DiP"),
 )
-# At 1000 steps the others are this much more of the same: all their waves are alike.
-LONG_ROWS = tuple(Row(f"RDM-{n}", TRIANGLE) for n in (4, 7, 14))
 DIP_STEPS = 10
 
 
@@ -65,7 +63,7 @@ class Plan:
         repeated: (K, batch) of the cells of every round.
         once: (K, batch) of those of the first round only.
         columns: K of the tables; those not measured are estimated.
-        long: K of the longest column, measured once for ``LONG_ROWS``; None leaves it out.
+        long: K of the longest column, measured once; None leaves it out.
         lengths: frames of the sequences that are timed by length, at ``length_steps``.
         rounds: at most.
         minutes: after which no further round begins.
@@ -91,7 +89,7 @@ class Plan:
         """(cells of every round, further cells of the first)."""
         every = [Cell(row, *how) for how in self.repeated for row in ROWS]
         first = [Cell(row, *how) for how in self.once for row in ROWS]
-        first += [Cell(row, self.long) for row in LONG_ROWS if self.long]
+        first += [Cell(row, self.long) for row in ROWS if self.long]
         ends = (*self.lengths[:1], *self.lengths[-1:])
         for frames in self.lengths:
             for row in LENGTH_ROWS:
@@ -104,7 +102,8 @@ class Plan:
 
 PLANS = {
     "small": Plan(
-        repeated=((10, 1), (50, 1), (10, 8)), long=1000, lengths=(196, 490, 980, 1470, 1960), minutes=4.0, rounds=7
+        repeated=((10, 1), (50, 1), (10, 8)), once=((50, 8), (100, 1), (200, 1)), long=1000,
+        lengths=(196, 490, 980, 1470, 1960), minutes=15.0, rounds=5,
     ),
     "paper": Plan(repeated=((10, 1),), once=((50, 1), (10, 8)), minutes=7.5, rounds=5, memory_batch=1),
     "tiny": Plan(

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from moveset.diffusion.coloured import colour
+from moveset.diffusion.coloured import colour, dct_matrix
 from moveset.diffusion.schedule import linear
 from moveset.errors import FormatError
 from moveset.models.registry import build_model, describe
@@ -179,3 +179,33 @@ def test_a_description_builds_the_same_network(model):
     for wrong in ({"heads": 3}, {"frames": 1}, {"blocks": 0}, {"features": 0}):
         with pytest.raises(FormatError):
             build_model(kind, {**stored, **wrong})
+
+
+def damping(frames=28, **settings):
+    """How much of each frequency of what the network says is left, the data having a deviation of one in all."""
+    model = SegmentTransformerConfig(features=3, frames=frames, text_dim=7, width=16, heads=2, hidden=32, **settings)
+    network = model.build()
+    network.spectrum.fill_(1.0)
+    dct = dct_matrix(frames, torch.device("cpu"))
+    # Row k of the matrix is the wave of frequency k.
+    return torch.stack([(dct @ network._smoothed(wave[None, :, None].expand(1, frames, 3)))[0, :, 0] for wave in dct])
+
+
+def test_smoothing_damps_each_frequency_by_what_the_data_has_of_it():
+    kept = damping(smoothing=0.5)
+    assert torch.allclose(kept, torch.eye(28) / (1 + 0.25) ** 0.5, atol=1e-5)
+    assert torch.allclose(damping(), torch.eye(28), atol=1e-5)
+
+
+def test_tremor_is_damped_above_a_third_of_the_highest_frequency_alone():
+    plain, kept = damping(smoothing=0.3).diagonal(), damping(smoothing=0.3, tremor=1.0).diagonal()
+    assert torch.allclose(kept[:5], plain[:5], atol=0.01)
+    assert torch.allclose(kept[15:], torch.tensor(0.5**0.5), atol=0.01)
+    assert (kept.diff() <= 1e-6).all()  # no edge to ring at
+    assert torch.allclose(damping(smoothing=0.3, tremor=0.1), damping(smoothing=0.3), atol=1e-6)
+
+
+def test_a_student_keeps_the_smoothing_of_its_teacher():
+    config = SegmentTransformerConfig(features=3, frames=6, text_dim=7, width=16, heads=2, hidden=32, smoothing=0.3)
+    student = replace(config, tremor=1.0).build().student()
+    assert (student.config.smoothing, student.config.tremor, student.config.guided) == (0.3, 1.0, True)

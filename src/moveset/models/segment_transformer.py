@@ -38,7 +38,9 @@ class SegmentTransformerConfig:
     ``max_index`` is where the segment index saturates: 1 tells a first segment from a later one, and nothing more.
     ``smoothing`` c damps frequency k of what the network says by s_k / sqrt(s_k² + c²), s being the spectrum of the
     data: frames are made by one token each, and what little they disagree in is worth nothing to a squared error and
-    all to the eye. 0 leaves it as it is.
+    all to the eye. ``tremor`` is c where it is larger, for the frequencies above a third of the highest, in which
+    nobody moves on purpose: with one c for all that is strong enough against trembling, feet swing too low. 0 leaves
+    all as it is.
     """
 
     features: int = 269
@@ -50,6 +52,7 @@ class SegmentTransformerConfig:
     blocks: int = 4
     max_index: int = 1
     smoothing: float = 0.0
+    tremor: float = 0.0
     guided: bool = False
 
     def __post_init__(self) -> None:
@@ -59,6 +62,7 @@ class SegmentTransformerConfig:
         require_range("blocks", self.blocks, 1, 64)
         require_range("max_index", self.max_index, 0, 4096)
         require_range("smoothing", self.smoothing, 0.0, 100.0)
+        require_range("tremor", self.tremor, 0.0, 100.0)
         require_range("width modulo heads", self.width % self.heads, 0, 0)
 
     def build(self) -> "SegmentTransformer":
@@ -209,11 +213,15 @@ class SegmentTransformer(nn.Module):
             return context.expected + self._smoothed(missed)
 
     def _smoothed(self, x_BnD: Tensor) -> Tensor:
-        if not self.config.smoothing:
+        frames, smoothing, tremor = self.config.frames, self.config.smoothing, self.config.tremor
+        if not (smoothing or tremor):
             return x_BnD
         spectrum = cast(Tensor, self.spectrum)
-        keep = spectrum / (spectrum.square() + self.config.smoothing**2).sqrt()
-        dct = dct_matrix(self.config.frames, x_BnD.device)
+        # From one to the other within a few frequencies: an edge would ring.
+        fast_k = torch.sigmoid(torch.arange(frames, device=x_BnD.device) - frames / 3)
+        limit_k1 = (smoothing + (max(tremor, smoothing) - smoothing) * fast_k)[:, None]
+        keep = spectrum / (spectrum.square() + limit_k1.square()).sqrt()
+        dct = dct_matrix(frames, x_BnD.device)
         return dct.T @ (keep * (dct @ x_BnD))
 
     def student(self) -> "SegmentTransformer":

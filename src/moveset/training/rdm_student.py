@@ -50,6 +50,7 @@ class RDMStudentConfig:
         adversarial: weight of the discriminator's verdict; 0 leaves the discriminator out.
         ema: decay of the target network.
         root: weight of the four root features, as in the teacher's training.
+        tremor: of the student's network, see ``SegmentTransformerConfig``; one evaluation trembles more than ten.
         heading, bent: as in the teacher's training (``RDMConfig``); the teacher is told the bent past too.
         codec, frames: filled in from the teacher's.
         model: the student's architecture; filled in from the teacher's.
@@ -66,6 +67,7 @@ class RDMStudentConfig:
     warmup: int = 100
     discriminator_lr: float = 1e-3
     root: float = 5.0
+    tremor: float = 0.0
     heading: float = 0.0
     bent: float = 0.0
     text_encoder: str = "minilm"
@@ -103,6 +105,7 @@ class RDMStudentTask(Task):
         )
         self.data = SegmentData(sources, shared, loop)
         self.student = self.teacher.student().requires_grad_(True)
+        self.student.config = replace(self.student.config, tremor=config.tremor)
         self.config = replace(config, model=self.student.config, codec=shared.codec, frames=shared.grid.frames)
         self.ema = Ema(self.student, config.ema)
         self.grid = PhaseGrid(config.points, config.phases)
