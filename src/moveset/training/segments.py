@@ -27,6 +27,7 @@ from moveset.errors import InputError
 from moveset.motion.features import FeatureCodec
 from moveset.training.clip_source import ClipSource, CorpusClips
 from moveset.training.clips import FeatureStore
+from moveset.training.stills import make_stills
 
 # Frames of a segment by N, the number of segments of the longest clip.
 SEGMENT_FRAMES = {count: MAX_FRAMES // count for count in (1, 4, 7, 14)}
@@ -45,6 +46,8 @@ class CuttingConfig:
         whole_caption: share of segments of clips in two parts that get the sentence for all of it.
         continuations: clips to add in which an action goes on; 0 for none.
         continuation_share: share of segments from them.
+        stills: clips to add in which a person stands still (``training.stills``); 0 for none.
+        still_share: share of segments from them.
         composed_share: share of segments from compositions, among the others.
     """
 
@@ -54,6 +57,8 @@ class CuttingConfig:
     whole_caption: float = 0.2
     continuations: int = 1200
     continuation_share: float = 0.2
+    stills: int = 0
+    still_share: float = 0.1
     composed_share: float = 0.35
 
 
@@ -92,7 +97,7 @@ class SegmentBatch:
 
 @dataclass(frozen=True, eq=False)
 class Row:
-    """A clip: its frames, and the sentences of each part, which ends at a frame; all of it has its own sentences."""
+    """A clip: its frames, the sentences of each part, which ends at a frame, and those of all of it, if any."""
 
     features: np.ndarray
     ends: tuple[int, ...]
@@ -126,14 +131,27 @@ class ClipSet:
         weights = source.weights(clips, power=0.5, composed_share=cutting.composed_share)
         self.rows = [_row(source, clip, store) for clip in clips]
         self.weights = weights / weights.sum()
-        if cutting.continuations:
+        if cutting.continuations or cutting.stills:
             if not isinstance(source, CorpusClips):
-                raise InputError("only a corpus can be continued; train on a folder with --set cutting.continuations=0")
-            share = cutting.continuation_share
-            made = _continuations(source.corpus, split, store, codec, cutting.continuations, folder)
-            added = torch.full((len(made),), share / max(len(made), 1), dtype=torch.float64)
+                raise InputError(
+                    "only a corpus can be continued or stand still; train on a folder with "
+                    "--set cutting.continuations=0 --set cutting.stills=0"
+                )
+            corpus = source.corpus
+        if cutting.continuations:
+            made = _continuations(corpus, split, store, codec, cutting.continuations, folder)
+            self._add(made, cutting.continuation_share)
+        if cutting.stills:
+            count = cutting.stills if split == "train" else cutting.stills // 10
+            stills = make_stills(corpus, split, codec, store.normalizer, count)
+            self._add([Row(still.features, still.ends, still.said, ()) for still in stills], cutting.still_share)
+
+    def _add(self, rows: list[Row], share: float) -> None:
+        """Rows that get this share of what is drawn, if there are any."""
+        if rows:
+            added = torch.full((len(rows),), share / len(rows), dtype=torch.float64)
             self.weights = torch.cat(((1 - share) * self.weights, added))
-            self.rows += made
+            self.rows += rows
 
     def all_captions(self) -> list[str]:
         """Every caption in use."""
@@ -150,7 +168,7 @@ class ClipSet:
         """A sentence for these frames, chosen by three numbers in [0, 1)."""
         middle = start + frames // 2
         part = next((k for k, end in enumerate(clip.ends) if middle < end), len(clip.ends) - 1)
-        options = clip.whole if chance[0] < self.cutting.whole_caption else clip.said[part]
+        options = clip.whole if clip.whole and chance[0] < self.cutting.whole_caption else clip.said[part]
         caption = options[int(chance[1] * len(options))]
         return paraphrase(caption) if chance[2] < self.paraphrased else caption
 

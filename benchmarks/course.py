@@ -1,0 +1,103 @@
+"""Does a stream keep its course? How fast straight walks turn, how far those who stand wander, and how feet slide.
+
+    python benchmarks/course.py --networks rdm md pcm-1 --out docs/streaming/course.json
+
+Of every sentence ``--copies`` streams of ten seconds, as users get them. Turning is between the directions in which the
+root travels in the first and the last second, per second: the median of its size, and of itself (left is positive),
+which tells a stream that sways from one that circles. Real takes of the corpus are measured likewise.
+"""
+
+import argparse
+import json
+import statistics
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from moveset.data.corpus import Corpus
+from moveset.evaluation.physical import jerk, skating
+from moveset.pipelines.stream_bundle import DEFAULT_STREAM, StreamBundle
+from moveset.pipelines.stream_group import StreamGroup
+from moveset.pipelines.stream_settings import check_stream
+
+SENTENCES = (
+    "a person walks forward",
+    "a person walks in a straight line",
+    "a person runs",
+    "a person walks and turns left",
+    "a person walks and turns right",
+    "a person stands still",
+    "a person waves with both hands",
+)
+SECONDS = 10.0
+FPS = 20.0
+
+
+def turning(root_F3: Tensor) -> float:
+    """Degrees a second, to the left positive, by which a path turns; steps of a second, so that gaits do not count."""
+    travelled = (root_F3[int(FPS) :] - root_F3[: -int(FPS)])[:, [0, 2]]
+    course = torch.atan2(travelled[:, 0], travelled[:, 1]).diff()
+    turned = torch.atan2(course.sin(), course.cos()).sum().rad2deg()
+    return float(turned) / (len(course) / FPS)
+
+
+def measured(clips: list[Tensor]) -> dict[str, float]:
+    """Of joints (F, J, 3) of each clip, more than a second long."""
+    turns = [turning(joints[:, 0]) for joints in clips]
+    away = [float((joints[-1, 0] - joints[0, 0])[[0, 2]].norm()) / (len(joints) / FPS) for joints in clips]
+    return {
+        "clips": len(clips),
+        "turning": round(statistics.median(map(abs, turns)), 2),
+        "turning_left": round(statistics.median(turns), 2),
+        "metres_a_second": round(statistics.median(away), 3),
+        "skating": round(statistics.mean(float(skating(joints.float(), FPS)) for joints in clips), 3),
+        "jerk": round(statistics.mean(float(jerk(joints.float(), FPS)) for joints in clips), 1),
+    }
+
+
+def streams(bundle: StreamBundle, network: str, sentence: str, copies: int) -> list[Tensor]:
+    """Joints of so many streams of one sentence."""
+    settings = check_stream(bundle.config, sentence, network=network).settings
+    group = StreamGroup(bundle, settings, device="cpu")
+    lanes = [group.open(sentence, seed) for seed in range(copies)]
+    pieces = [group.advance(lanes) for _ in range(round(SECONDS * FPS / bundle.config.segment))]
+    return [torch.cat([piece[k].segment.motion.joints for piece in pieces]) for k in range(copies)]
+
+
+def takes(corpus: Corpus) -> dict[str, dict[str, float]]:
+    """Real walks and runs of three seconds or more."""
+    found: dict[str, list[Tensor]] = {"walk": [], "run": []}
+    for k in corpus.indices(composed=False):
+        record = corpus.records[k]
+        if record.contents[0] in found and len(record.contents) == 1 and record.frames >= 3 * FPS:
+            found[record.contents[0]].append(corpus.motion(k).joints)
+    return {f"real: {content}": measured(clips) for content, clips in found.items() if clips}
+
+
+def main() -> None:
+    """See the module."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--model", default=DEFAULT_STREAM, help="a shipped stream, or a folder")
+    parser.add_argument("--networks", nargs="*", default=["pcm-1"])
+    parser.add_argument("--sentences", nargs="*", default=list(SENTENCES))
+    parser.add_argument("--copies", type=int, default=24)
+    parser.add_argument("--corpus", type=Path, help="measure its walks and runs too")
+    parser.add_argument("--out", type=Path)
+    given = parser.parse_args()
+    torch.set_num_threads(1)
+    bundle = StreamBundle.find(given.model)
+    rows = takes(Corpus.open(given.corpus)) if given.corpus else {}
+    for name, row in rows.items():
+        print(name, row, flush=True)
+    for network in given.networks:
+        for sentence in given.sentences:
+            row = measured(streams(bundle, network, sentence, given.copies))
+            rows[f"{network}: {sentence}"] = row
+            print(f"{network}: {sentence}", row, flush=True)
+    if given.out:
+        given.out.write_text(json.dumps({"copies": given.copies, "seconds": SECONDS, "rows": rows}, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()
