@@ -60,15 +60,31 @@ def test_lookup_equals_encoding(sentences, tmp_path):
     same(cut, TextEmbedding(cache.lookup(rows).tokens[:, :3], cache.lookup(rows).mask[:, :3], cut.pooled))
 
 
-def test_file_is_kept_when_nothing_changed_and_made_anew_otherwise(sentences, tmp_path):
+def test_a_file_grows_by_what_it_does_not_hold(sentences, tmp_path):
     path = tmp_path / "text.safetensors"
     encoder = LetterEncoder()
     EmbeddingCache.build(encoder, sentences, path)
-    calls = encoder.calls
+    calls, first = encoder.calls, path.read_bytes()
     EmbeddingCache.build(encoder, sentences * 2, path)
+    EmbeddingCache.build(encoder, sentences[:3], path)
     assert encoder.calls == calls
-    assert EmbeddingCache.build(encoder, [*sentences, "new words"], path).lookup(["new words"]).mask.all()
-    assert encoder.calls > calls
+    assert path.read_bytes() == first
+    grown = EmbeddingCache.build(encoder, ["new words", *sentences[:5], "and others"], path)
+    assert encoder.calls == calls + 1
+    assert len(grown) == len(set(sentences)) + 3
+    picked = ["and others", "", sentences[40], "new words"]
+    same(grown.lookup(picked), encoder.encode(picked))
+    same(EmbeddingCache.open(path).lookup(picked), encoder.encode(picked))
+
+
+def test_a_file_of_another_encoder_or_of_none_is_made_anew(sentences, tmp_path):
+    path = tmp_path / "text.safetensors"
+    encoder = LetterEncoder()
+    EmbeddingCache.build(encoder, sentences, path)
+    other = LetterEncoder()
+    other.name = "other letters"
+    assert EmbeddingCache.build(other, sentences[:2], path).encoder == "other letters"
+    assert len(EmbeddingCache.open(path)) == 3
     path.write_bytes(b"nonsense")
     assert len(EmbeddingCache.build(encoder, sentences, path)) == len(set(sentences)) + 1
     assert [p.name for p in tmp_path.iterdir()] == ["text.safetensors"]

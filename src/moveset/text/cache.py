@@ -50,28 +50,23 @@ class EmbeddingCache:
 
     @classmethod
     def build(cls, encoder: TextEncoder, sentences: Sequence[str], path: str | Path) -> "EmbeddingCache":
-        """Encode the different ones among ``sentences`` and write them; a file that already holds just these is kept.
+        """Encode those of ``sentences`` that the file at ``path`` does not hold yet, and add them to it.
 
         Raises:
             InputError: no sentences, or a path that cannot be written.
         """
         path = Path(path)
         wanted = tuple(dict.fromkeys(["", *check_sentences(sentences)]))
-        if path.exists():
-            try:
-                found = cls.open(path)
-            except FormatError:
-                found = None  # damaged or of an older version: made anew
-            if found and (found.encoder, found.max_tokens, found.sentences) == (
-                encoder.name,
-                encoder.max_tokens,
-                wanted,
-            ):
+        found = cls._usable(path, encoder)
+        if found is not None:
+            held = set(found.sentences)
+            wanted = tuple(sentence for sentence in wanted if sentence not in held)
+            if not wanted:
                 return found
         states, pooled = _encode_all(encoder, wanted)
         offsets = torch.tensor([0, *(len(s) for s in states)]).cumsum(0)
         cache = cls(encoder.name, encoder.max_tokens, wanted, torch.cat(states), pooled, offsets)
-        cache._write(path)
+        (cache if found is None else found._with(cache))._write(path)
         return cls.open(path)
 
     @classmethod
@@ -142,6 +137,21 @@ class EmbeddingCache:
     @cached_property
     def _row_of(self) -> dict[str, int]:
         return {sentence: row for row, sentence in enumerate(self.sentences)}
+
+    @classmethod
+    def _usable(cls, path: Path, encoder: TextEncoder) -> "EmbeddingCache | None":
+        """What a file holds of this encoder; None if it is missing, damaged, of an older version or of another one."""
+        try:
+            found = cls.open(path)
+        except (InputError, FormatError):
+            return None
+        return found if (found.encoder, found.max_tokens) == (encoder.name, encoder.max_tokens) else None
+
+    def _with(self, more: "EmbeddingCache") -> "EmbeddingCache":
+        """The sentences of both, of which none is in both."""
+        tokens, pooled = (torch.cat((getattr(self, name), getattr(more, name))) for name in ("tokens", "pooled"))
+        offsets = torch.cat((self.offsets, self.offsets[-1] + more.offsets[1:]))
+        return EmbeddingCache(self.encoder, self.max_tokens, self.sentences + more.sentences, tokens, pooled, offsets)
 
     def _well_formed(self) -> bool:
         shapes = all((getattr(self, n).dtype, getattr(self, n).ndim) == want for n, want in _TENSORS.items())
