@@ -99,9 +99,12 @@ def rdm(segments: int = 7) -> Recipe:
             noise="coloured",
             forecast=True,
             feet=3.0,
+            heading=HEADING,
+            bent=BENT,
+            cutting=STREAMED,
             disturbance=DISTURBANCE,
         ),
-        engine=_recurrent(),
+        engine=_recurrent(10300),
     )
 
 
@@ -139,7 +142,10 @@ def dip() -> Recipe:
 
 def rdm_student() -> Recipe:
     """RDM-7 in one evaluation a segment; ``--set phases=2`` and ``--set phases=4`` for more."""
-    return Recipe(task=RDMStudentConfig(batch=48, disturbance=DISTURBANCE), engine=_students(700))
+    task = RDMStudentConfig(
+        batch=48, tremor=1.0, heading=HEADING, bent=BENT, cutting=STREAMED, disturbance=DISTURBANCE
+    )
+    return Recipe(task=task, engine=_students(600))
 
 
 def movement() -> Recipe:
@@ -171,11 +177,14 @@ def _judge(steps: int) -> EngineConfig:
 # clips at w = 1, 2 and 3.
 GUIDANCE = (1.0, 4.0)
 DISTURBANCE = Disturbance(paraphrased=0.5, word_drop=0.12, blur=0.12)
+# Streams walk straight and stand still (docs/streaming.md).
+HEADING, BENT = 5.0, 0.1
+STREAMED = CuttingConfig(stills=800)
 
 
-def _recurrent() -> EngineConfig:
+def _recurrent(steps: int = 4600) -> EngineConfig:
     return EngineConfig(
-        steps=4600, save_every=500, validate_every=500, grad_clip=1.0, precision="bf16-mixed", threads=1
+        steps=steps, save_every=500, validate_every=500, grad_clip=1.0, precision="bf16-mixed", threads=1
     )
 
 
