@@ -20,9 +20,11 @@ from moveset.diffusion.schedule import linear
 from moveset.motion.clip import Motion
 from moveset.motion.features import FeatureCodec, Normalizer, get_codec
 from moveset.motion.foot_lock import FootLock
+from moveset.motion.hold_root import hold_root
 from moveset.motion.incremental import IncrementalDecoder
 from moveset.motion.native import NativeCodec
 from moveset.pipelines.stream_bundle import FLOW, StreamBundle
+from moveset.pipelines.text_to_motion import CONTACT
 from moveset.rdm.sampler import Denoiser, stream
 from moveset.rdm.staircase import Shape, Staircase, levels
 from moveset.rdm.transport import Transport
@@ -293,6 +295,7 @@ def finished_motion(networks: Networks, features: Tensor, blend_seconds: float =
     decoder, feet = IncrementalDecoder(codec, blend_seconds), FootLock(codec.skeleton, codec.fps)
     pieces = []
     for piece in networks.normalizer.denormalize(features).split(networks.frames):
-        pieces.append(feet(decoder(piece), piece[:, codec.groups["contacts"]] > 0.5))
+        planted = piece[:, codec.groups["contacts"]] > CONTACT
+        pieces.append(feet(decoder(hold_root(piece, planted, codec)), planted))
     turned, root = (torch.cat([getattr(p, name) for p in pieces]) for name in ("rotations", "root"))
     return Motion(turned, root, codec.fps, codec.skeleton)

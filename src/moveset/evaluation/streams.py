@@ -21,6 +21,7 @@ from moveset.models.flow import CouplingFlow
 from moveset.motion.clip import Motion
 from moveset.motion.features import get_codec
 from moveset.motion.foot_lock import FootLock
+from moveset.motion.hold_root import hold_root
 from moveset.motion.incremental import IncrementalDecoder
 from moveset.motion.native import NativeCodec
 from moveset.pipelines.device import pick_device
@@ -51,7 +52,7 @@ class Streams:
         "moveset.evaluation.generators", "moveset.evaluation.streams", "moveset.pipelines.stream_settings",
         "moveset.text.stages", "moveset.rdm.sampler", "moveset.rdm.staircase", "moveset.rdm.transport",
         "moveset.rdm.noise", "moveset.diffusion.steps", "moveset.diffusion.coloured", "moveset.motion.incremental",
-        "moveset.motion.foot_lock",
+        "moveset.motion.foot_lock", "moveset.motion.hold_root",
     )  # fmt: skip
 
     def __init__(
@@ -144,9 +145,9 @@ class Streams:
         decoder, feet = IncrementalDecoder(codec, settings.blend_seconds), FootLock(codec.skeleton, codec.fps)
         pieces = []
         for piece in features.split(self._bundle.config.segment):
-            motion = decoder(piece)
             planted = piece[:, codec.groups["contacts"]] > CONTACT
-            pieces.append(feet(motion, planted) if settings.foot_lock else motion)
+            locked = settings.foot_lock
+            pieces.append(feet(decoder(hold_root(piece, planted, codec)), planted) if locked else decoder(piece))
         turned, root = (torch.cat([getattr(piece, name) for piece in pieces]) for name in ("rotations", "root"))
         return Motion(turned, root, codec.fps, codec.skeleton)
 

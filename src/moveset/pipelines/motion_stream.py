@@ -23,6 +23,7 @@ from moveset.models.flow import CouplingFlow
 from moveset.motion.clip import Motion
 from moveset.motion.features import get_codec
 from moveset.motion.foot_lock import FootLock
+from moveset.motion.hold_root import hold_root
 from moveset.motion.incremental import IncrementalDecoder
 from moveset.motion.native import NativeCodec
 from moveset.pipelines.device import pick_device
@@ -350,9 +351,11 @@ class MotionStream(Iterator[Segment]):
                 features = next(self._sampler)[0] * self._std + self._mean
             # Outside, so that what users get are ordinary tensors.
             features = features.cpu().clone()
-            motion = self._decoder(features)
             if self._settings.foot_lock:
-                motion = self._feet(motion, features[:, self.codec.groups["contacts"]] > CONTACT)
+                planted = features[:, self.codec.groups["contacts"]] > CONTACT
+                motion = self._feet(self._decoder(hold_root(features, planted, self.codec)), planted)
+            else:
+                motion = self._decoder(features)
             finished = self._sampler.progress.finished - 1
             self._denoise.leave(finished)
             number, frames = finished - self._given, len(features)

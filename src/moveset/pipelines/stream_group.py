@@ -23,6 +23,7 @@ from moveset.models.flow import CouplingFlow
 from moveset.motion.clip import Motion
 from moveset.motion.features import get_codec
 from moveset.motion.foot_lock import FootLock
+from moveset.motion.hold_root import hold_root
 from moveset.motion.incremental import IncrementalDecoder
 from moveset.motion.native import NativeCodec
 from moveset.pipelines.device import pick_device
@@ -192,10 +193,9 @@ class StreamGroup:
 
     def _decoded(self, lane: Lane, features: Tensor) -> tuple[Motion, Tensor]:
         planted = features[:, self.codec.groups["contacts"]] > CONTACT
-        motion = lane.decoder(features)
-        if self.settings.foot_lock:
-            motion = lane.feet(motion, planted)
-        return motion, planted
+        if not self.settings.foot_lock:
+            return lane.decoder(features), planted
+        return lane.feet(lane.decoder(hold_root(features, planted, self.codec)), planted), planted
 
     def _piece(self, lane: Lane, clean: Tensor, decoded: tuple[Motion, Tensor], spent: float) -> Piece:
         motion, planted = decoded

@@ -142,9 +142,7 @@ def dip() -> Recipe:
 
 def rdm_student() -> Recipe:
     """RDM-7 in one evaluation a segment; ``--set phases=2`` and ``--set phases=4`` for more."""
-    task = RDMStudentConfig(
-        batch=48, tremor=1.0, heading=HEADING, bent=BENT, cutting=STREAMED, disturbance=DISTURBANCE
-    )
+    task = RDMStudentConfig(batch=48, tremor=1.0, heading=HEADING, bent=BENT, cutting=STREAMED, disturbance=DISTURBANCE)
     return Recipe(task=task, engine=_students(600))
 
 

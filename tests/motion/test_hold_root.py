@@ -1,0 +1,86 @@
+"""Who stands on both feet does not glide."""
+
+import pytest
+import torch
+
+from moveset.motion import rotations
+from moveset.motion.clip import Motion
+from moveset.motion.hold_root import hold_root
+from moveset.motion.native import NativeCodec
+from moveset.motion.skeleton import HML22
+
+CODEC = NativeCodec()
+STEPS = CODEC.groups["root_velocity"]
+BOTH = torch.ones(28, 4, dtype=torch.bool)
+
+
+def gliding(speed=(0.06, 0.11), turn=0.0, frames=28):
+    """Features of a person who stands, breathes, and glides over the floor (m/s in x and z), turning steadily."""
+    turned = rotations.identity(frames, len(HML22))
+    time = torch.arange(frames) / CODEC.fps
+    turned[:, 0] = rotations.yaw(turn * time)
+    turned[:, HML22.index("spine1")] = rotations.about("x", 2 * torch.sin(3 * time))
+    root = torch.zeros(frames, 3)
+    root[:, 1] = -float(HML22.rest_positions[:, 1].min())
+    root[:, [0, 2]] = time[:, None] * torch.tensor(speed)
+    return CODEC.encode(Motion(turned, root, CODEC.fps, HML22))
+
+
+def travel(features):
+    """Metres that feet travel over the floor, frame by frame (F - 1, 4)."""
+    return CODEC.joints(features)[:, list(HML22.feet)].diff(dim=0)[..., [0, 2]].norm(dim=-1)
+
+
+@pytest.mark.parametrize("heading", [0.0, 1.0, -2.5])
+def test_planted_feet_stay_whatever_the_heading(heading):
+    features = gliding((0.1 * heading, 0.11))
+    features[0, CODEC.groups["root_yaw"]] = heading  # from the second frame on the body faces another way
+    inside = slice(1, -1)
+    assert travel(features)[inside].min() > 0.004
+    held = hold_root(features, BOTH, CODEC)
+    assert travel(held)[inside].max() < 1e-5
+    # The last step leads out of the segment: the next one goes on from a body that stands.
+    assert held[-1, STEPS].abs().max() < 1e-5
+
+
+def test_nothing_but_the_roots_steps_changes():
+    features = gliding()
+    held = hold_root(features, BOTH, CODEC)
+    changed = (held != features).any(dim=0).nonzero()[:, 0].tolist()
+    assert changed == list(range(STEPS.start, STEPS.stop))
+    assert features[0, STEPS].abs().max() > 0  # the input is left alone
+
+
+@pytest.mark.parametrize("planted", [(0, 0, 0, 0), (1, 1, 0, 0), (0, 0, 0, 1)])
+def test_who_lifts_a_foot_goes_where_they_go(planted):
+    features = gliding()
+    told = torch.tensor(planted, dtype=torch.bool).expand(28, 4)
+    assert torch.equal(hold_root(features, told, CODEC), features)
+
+
+def test_who_stands_still_already_stays_as_they_are():
+    features = gliding((0.0, 0.0))
+    assert torch.allclose(hold_root(features, BOTH, CODEC), features, atol=1e-6)
+
+
+def test_only_the_steps_between_planted_frames_are_held_and_without_a_jolt():
+    features, told = gliding(), BOTH.clone()
+    told[:10] = False
+    held = hold_root(features, told, CODEC)
+    assert torch.equal(held[:10], features[:10])
+    before, after = (x[9:13, STEPS].norm(dim=1) for x in (features, held))
+    assert after[0] == before[0]
+    assert 0 < after[1] < before[1]  # a third of it is left in the first step
+    assert after[2:].max() < 1e-6
+
+
+def test_feet_that_slide_apart_keep_their_middle():
+    """The drift is the mean of the feet's: what they do against each other is for the lock."""
+    features = gliding((0.0, 0.0))
+    hip = HML22.index("left_hip")
+    spread = rotations.about("x", torch.linspace(0, 6, 28))
+    columns = CODEC.groups["rotations"].start + 6 * hip
+    features[:, columns : columns + 6] = rotations.to_6d(spread)
+    held = hold_root(features, BOTH, CODEC)
+    feet = CODEC.joints(held)[:, list(HML22.feet)][..., [0, 2]]
+    assert feet.mean(dim=1).diff(dim=0)[1:-1].norm(dim=-1).max() < 1e-5
