@@ -9,7 +9,7 @@ from moveset.diffusion.phases import PhaseGrid
 from moveset.diffusion.schedule import linear
 from moveset.diffusion.steps import denoise_step, over, predict_z0
 from moveset.pcm.consistency import phased_target
-from moveset.rdm.distillation import clean_target, implied_clean, share_of_clean
+from moveset.rdm.distillation import clean_target, implied_clean, share_of_clean, whole_target
 
 SCHEDULE, B = linear(), 10
 EVERY_POINT = torch.arange(B)
@@ -139,3 +139,43 @@ def test_a_jump_is_differentiable_in_the_clean_segment():
     denoise_step(SCHEDULE, Z, clean, FROM, TO).sum().backward()
     share = over(share_of_clean(SCHEDULE, FROM, TO), Z).expand_as(Z)
     torch.testing.assert_close(clean.grad, share, rtol=1e-3, atol=1e-4)
+
+
+@pytest.mark.parametrize("phases", [1, 2, 4])
+def test_the_whole_way_is_the_teachers_sampling_down_to_the_edge(phases):
+    grid, network = PhaseGrid(10, phases), Noise(0)
+
+    def teacher(x, t, w):
+        return predict_z0(SCHEDULE, x, network(x, t), t)
+
+    target = whole_target(SCHEDULE, grid, teacher, same, same, Z, EVERY_POINT, torch.zeros(B))
+    for k in range(B):
+        point = EVERY_POINT[k : k + 1]
+        start, edge = grid.time(point), grid.lower(point)
+        z, t = Z[k : k + 1], start
+        while int(t) > int(edge):
+            before = grid.previous(point)
+            z = denoise_step(SCHEDULE, z, teacher(z, t, None), t, before)
+            point, t = point - 1, before
+        assert not target.requires_grad
+        landed = denoise_step(SCHEDULE, Z[k : k + 1], target[k : k + 1], start, edge)
+        torch.testing.assert_close(landed, z, rtol=2e-3, atol=2e-3)
+
+
+def test_where_one_step_is_the_whole_way_both_targets_agree():
+    grid, network = PhaseGrid(10, 2), Noise(0)
+
+    def teacher(x, t, w):
+        return predict_z0(SCHEDULE, x, network(x, t), t)
+
+    lowest = grid.previous(EVERY_POINT) == grid.lower(EVERY_POINT)
+    whole = whole_target(SCHEDULE, grid, teacher, same, same, Z, EVERY_POINT, torch.zeros(B))
+    short, _ = clean_target(SCHEDULE, grid, teacher, teacher, same, same, Z, EVERY_POINT, torch.zeros(B))
+    assert torch.equal(whole[lowest], short[lowest])
+    assert (whole[~lowest] - short[~lowest]).abs().max() > 1e-3
+
+
+def test_the_whole_way_of_one_who_knows_the_truth_is_the_truth_in_any_coordinates():
+    push, pull = (lambda y: 2 * y + 1), (lambda x: (x - 1) / 2)
+    target = whole_target(SCHEDULE, PhaseGrid(10, 2), lambda x, t, w: CLEAN, push, pull, Z, EVERY_POINT, torch.zeros(B))
+    torch.testing.assert_close(target, CLEAN, rtol=1e-2, atol=1e-2)

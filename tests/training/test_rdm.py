@@ -166,6 +166,21 @@ def test_every_kind_of_training_learns_and_can_be_loaded(what, folder, rdm7, tmp
     assert build_model(loaded.kind, loaded.config).config == parse_config(loaded.kind, loaded.config)
 
 
+def test_a_course_is_learned_from_a_bent_past(folder, tmp_path):
+    task, _ = trained(folder, "md-7", tmp_path / "run", "heading=2.0", "bent=0.2", validate_every=3)
+    log = [json.loads(line) for line in (tmp_path / "run" / "metrics.jsonl").read_text().splitlines()]
+    assert all(line["heading"] > 0 for line in log)
+    spy, batch, loss, _ = loss_of(task, lambda asked: asked[0])
+    yaw, later = task.data.codec.groups["root_yaw"], batch.index > 0
+    told, real = spy.asked[2][later].clone(), batch.previous[later].clone()
+    assert len(told) > 5
+    assert (told[..., yaw] != real[..., yaw]).all()
+    told[..., yaw] = real[..., yaw] = 0.0
+    torch.testing.assert_close(told, real)
+    plain, _ = trained(folder, "md-7", tmp_path / "plain", "bent=0.2")
+    assert loss > loss_of(plain, lambda asked: asked[0])[2]
+
+
 def test_settings_of_the_printed_algorithm_train(folder, tmp_path):
     task, _ = trained(folder, "rdm-7", tmp_path / "run", *LITERAL, "cutting.aligned=true", "cutting.continuations=0")
     assert task.transport.depth_cap == 6

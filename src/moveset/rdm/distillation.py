@@ -72,3 +72,30 @@ def clean_target(
     jumped = denoise_step(schedule, stepped, pull(ema(push(stepped), next_B, w_B)), next_B.clamp(min=1), edge_B)
     landed = torch.where(over(at_edge_B, z_BnD), stepped, jumped)
     return push(implied_clean(schedule, z_BnD, landed, t_B, edge_B)), share_of_clean(schedule, t_B, edge_B)
+
+
+@torch.no_grad()
+def whole_target(
+    schedule: Schedule,
+    grid: PhaseGrid,
+    teacher: Clean,
+    push: Carry,
+    pull: Carry,
+    z_BnD: Tensor,
+    point_B: Tensor,
+    w_B: Tensor,
+) -> Tensor:
+    """The clean segment that all of the teacher's guided steps from t_i to the phase's lower edge come to.
+
+    What ``clean_target`` says far above an edge is what the averaged student says a step below: what is wrong there
+    goes on upwards. This asks the teacher itself, for as many evaluations as there are points in between.
+    """
+    start_B, edge_B = grid.time(point_B), grid.lower(point_B)
+    landed, t_B = z_BnD, start_B
+    while bool((t_B > edge_B).any()):
+        next_B = torch.where(t_B > edge_B, grid.previous(point_B), t_B)
+        stepped = denoise_step(schedule, landed, pull(teacher(push(landed), t_B, w_B)), t_B, next_B)
+        landed = torch.where(over(t_B > edge_B, landed), stepped, landed)
+        point_B = torch.where(t_B > edge_B, point_B - 1, point_B)
+        t_B = next_B
+    return push(implied_clean(schedule, z_BnD, landed, start_B, edge_B))

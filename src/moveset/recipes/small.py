@@ -142,8 +142,10 @@ def dip() -> Recipe:
 
 def rdm_student() -> Recipe:
     """RDM-7 in one evaluation a segment; ``--set phases=2`` and ``--set phases=4`` for more."""
-    task = RDMStudentConfig(batch=48, tremor=1.0, heading=HEADING, bent=BENT, cutting=STREAMED, disturbance=DISTURBANCE)
-    return Recipe(task=task, engine=_students(600))
+    task = RDMStudentConfig(
+        batch=48, tremor=1.0, rehearsed=8, heading=HEADING, bent=BENT, cutting=STREAMED, disturbance=DISTURBANCE
+    )
+    return Recipe(task=task, engine=_students(900))
 
 
 def movement() -> Recipe:

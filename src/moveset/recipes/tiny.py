@@ -102,7 +102,10 @@ def dip() -> Recipe:
 
 def rdm_student() -> Recipe:
     """One evaluation a segment."""
-    return Recipe(task=RDMStudentConfig(batch=4, warmup=1, cutting=_CUTTING, disturbance=_ROUGH), engine=_ENGINE)
+    task = RDMStudentConfig(
+        batch=4, warmup=1, tremor=1.0, rehearsed=2, heading=1.0, bent=0.1, cutting=_CUTTING, disturbance=_ROUGH
+    )
+    return Recipe(task=task, engine=_ENGINE)
 
 
 def movement() -> Recipe:

@@ -20,7 +20,7 @@ from moveset.models.segment_transformer import SegmentTransformerConfig
 from moveset.motion.features import Normalizer
 from moveset.pcm.consistency import Draws, draw
 from moveset.pcm.losses import hinge_discriminator, hinge_generator, huber
-from moveset.rdm.distillation import clean_target
+from moveset.rdm.distillation import clean_target, whole_target
 from moveset.rdm.grid import GridConfig
 from moveset.rdm.staircase import levels
 from moveset.rdm.transport import Transport
@@ -51,6 +51,8 @@ class RDMStudentConfig:
         ema: decay of the target network.
         root: weight of the four root features, as in the teacher's training.
         tremor: of the student's network, see ``SegmentTransformerConfig``; one evaluation trembles more than ten.
+        rehearsed: rows of a batch that are, besides, asked at the top of a phase for what all of the teacher's steps
+            come to (``rdm.distillation.whole_target``).
         heading, bent: as in the teacher's training (``RDMConfig``); the teacher is told the bent past too.
         codec, frames: filled in from the teacher's.
         model: the student's architecture; filled in from the teacher's.
@@ -68,6 +70,7 @@ class RDMStudentConfig:
     discriminator_lr: float = 1e-3
     root: float = 5.0
     tremor: float = 0.0
+    rehearsed: int = 0
     heading: float = 0.0
     bent: float = 0.0
     text_encoder: str = "minilm"
@@ -156,6 +159,10 @@ class RDMStudentTask(Task):
             turn_B = heading_error(made, target, batch.valid, self.data.codec, self.normalizer)
             loss = loss + config.heading * (turn_B * share_B).mean()
             report["heading"] = turn_B.mean().detach()
+        if config.rehearsed:
+            rehearsal = self._rehearse(batch.rows(config.rehearsed), draws)
+            loss = loss + rehearsal
+            report["rehearsal"] = rehearsal.detach()
         if config.adversarial:
             fooled, seen = self._judge(bound, batch, draws, z, made, t_B, edge_B, loop)
             loss = loss + config.adversarial * fooled
@@ -163,6 +170,24 @@ class RDMStudentTask(Task):
         report["gradient_norm"] = loop.minimise(loss, "student")
         self.ema.update(self.student)
         return report | {"loss": loss.detach()}
+
+    def _rehearse(self, batch: SegmentBatch, draws: Draws) -> Tensor:
+        """Distance to the teacher's whole way down a phase, for the first rows of a batch."""
+        count = len(batch.index)
+        text, w_B = self.data.read(batch.captions), draws.w_B[:count]
+        bound = _Bound(batch, text, self.data.read([""] * count), self.transport, self.teacher)
+        phase_B = torch.randint(self.config.phases, (count,), generator=self.draws).to(w_B.device)
+        point_B = (phase_B + 1) * self.config.points // self.config.phases - 1
+        z = add_noise(SCHEDULE, bound.pull(batch.clean), draws.noise_BND[:count], self.grid.time(point_B))
+        target = whole_target(SCHEDULE, self.grid, bound.guided, bound.push, bound.pull, z, point_B, w_B)
+        made = bound.by(self.student, self.data.read(batch.captions, self.draws))(
+            bound.push(z), self.grid.time(point_B), w_B
+        )
+        loss = _distance(made, target, self.scale, batch.valid, self.config.huber)
+        if self.config.heading:
+            turn_B = heading_error(made, target, batch.valid, self.data.codec, self.normalizer)
+            loss = loss + self.config.heading * turn_B.mean()
+        return loss
 
     def validate(self, step: int, loop: Loop) -> dict[str, float]:
         """Mean squared distance to the teacher's 25 guided steps from the same noise, on captions of val."""

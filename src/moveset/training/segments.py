@@ -8,7 +8,7 @@ Shapes: B rows, n frames of a segment, D features.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 
 import numpy as np
@@ -81,6 +81,10 @@ class SegmentBatch:
     index: Tensor
     captions: list[str]
     previous_captions: list[str]
+
+    def rows(self, count: int) -> "SegmentBatch":
+        """The first so many."""
+        return SegmentBatch(*(getattr(self, field.name)[:count] for field in fields(self)))
 
     def to(self, device: torch.device | str) -> "SegmentBatch":
         """The same on another device."""
