@@ -13,10 +13,14 @@ from moveset.models.segment_transformer import SegmentTransformerConfig
 from moveset.pipelines.stored_weights import restored
 from moveset.pipelines.stream_bundle import StreamBundle
 from moveset.rdm.grid import GridConfig
+from moveset.text.cache import EmbeddingCache
+from moveset.text.encoder import get_text_encoder
 from moveset.training import checkpoint, pack_stream
 from moveset.training.clips import FeatureStore
 from moveset.training.rdm import RDMConfig
 from moveset.training.rdm_student import RDMStudentConfig
+from moveset.training.segments import CuttingConfig
+from moveset.training.stills import SENTENCES
 from tests.training.run_folders import write_corpus, write_run
 
 FRAMES = 8
@@ -109,6 +113,18 @@ def test_smoothing_of_students_can_be_chosen_afterwards(quick, trained, tmp_path
     config = command(monkeypatch, trained, tmp_path / "smooth", "--networks", "pcm-1", "--smoothing", "0.6").config
     assert config.models["pcm-1"].config["smoothing"] == 0.6
     assert config.models["rdm"].config["smoothing"] != 0.6
+
+
+def test_who_learned_to_stand_still_knows_the_words_for_it(quick, trained, tmp_path, monkeypatch):
+    network = MODEL.build()
+    task = RDMConfig(model=MODEL, flow=None, grid=GridConfig(frames=FRAMES), cutting=CuttingConfig(stills=8))
+    write_run(trained, "standing", task, denoiser_ema=network)
+    path = trained / "runs" / "cache" / "text-minilm.safetensors"
+    EmbeddingCache.build(get_text_encoder("minilm"), SENTENCES, path)
+    bundle = command(monkeypatch, trained, tmp_path / "stands", "--networks", "--folder", "rdm=standing")
+    assert set(SENTENCES) <= set(bundle.captions.sentences)
+    plain = command(monkeypatch, trained, tmp_path / "walks", "--networks")
+    assert not set(SENTENCES) & set(plain.captions.sentences)
 
 
 def test_a_model_without_flow_has_none(quick, trained, tmp_path, monkeypatch):

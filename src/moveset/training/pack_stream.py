@@ -14,6 +14,7 @@ from moveset.text.cache import EmbeddingCache
 from moveset.training import checkpoint, frozen
 from moveset.training.clips import FeatureStore
 from moveset.training.pack import familiarity_limit, known_captions
+from moveset.training.stills import SENTENCES
 
 RDM, MD = "rdm", "md"
 #: Where ``moveset train`` leaves each network, below the folder of all runs.
@@ -84,6 +85,8 @@ def pack_stream(
     store = FeatureStore(cache / f"features-{rdm.task['codec']}")
     text = EmbeddingCache.open(cache / f"text-{encoder.replace('/', '-').replace(':', '-')}.safetensors")
     known = known_captions(corpus)
+    if rdm.task["cutting"].get("stills"):
+        known = sorted({*known, *SENTENCES})
     pooled = text.lookup(known).pooled
     config = StreamConfig(
         name=name,
