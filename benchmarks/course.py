@@ -1,10 +1,12 @@
 """Does a stream keep its course? How fast straight walks turn, how far those who stand wander, and how feet slide.
 
-    python benchmarks/course.py --networks rdm md pcm-1 --out docs/streaming/course.json
+    python benchmarks/course.py --networks rdm md pcm-1 --corpus data/corpus.safetensors \\
+        --out docs/streaming/course.json
 
-Of every sentence ``--copies`` streams of ten seconds, as users get them. Turning is between the directions in which the
-root travels in the first and the last second, per second: the median of its size, and of itself (left is positive),
-which tells a stream that sways from one that circles. Real takes of the corpus are measured likewise.
+Of every sentence ``--copies`` streams of ten seconds, as users get them. Turning is what the direction in which the
+root travels within a second changes by, from the first second to the last, per second: the median of its size, and of
+itself (left is positive), which tells a stream that sways from one that circles. Real takes of the corpus are measured
+likewise.
 """
 
 import argparse

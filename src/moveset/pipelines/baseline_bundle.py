@@ -5,7 +5,6 @@ before them (DiP). ``normalizer.safetensors`` has feature_mean and feature_std (
 normalised pose that a motion starts from.
 """
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -62,14 +61,7 @@ class BaselineConfig(FolderConfig):
             "timesteps": (1, 100_000),
             "sampler_steps": (1, self.timesteps),
         }
-        for name, (low, high) in limits.items():
-            value = getattr(self, name)
-            if type(value) is not int or not low <= value <= high:
-                raise ValueError(f"{name} {value!r} is no whole number in {low} to {high}")
-        if not 0 <= self.eta <= 1:
-            raise ValueError(f"eta {self.eta} is not in 0 to 1")
-        if not all(name in self.models and 0 <= w < math.inf for name, w in self.guidance.items()):
-            raise ValueError("guidance of a network that is not there, or below 0")
+        self.check_sampling(self.eta, limits)
 
     def noise_schedule(self) -> Schedule:
         """The schedule by its name and length."""

@@ -12,6 +12,7 @@ Only what is asked for is read, and what is read is verified. The kinds are ``bu
 """
 
 import hashlib
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cached_property
@@ -90,6 +91,17 @@ class FolderConfig:
         for name, spec in self.models.items():
             if spec.base is not None and self.models[spec.base].base is not None:
                 raise ValueError(f"the base {spec.base!r} of {name!r} is itself stored as differences")
+
+    def check_sampling(self, eta: float, limits: Mapping[str, tuple[int, int]]) -> None:
+        """Raises ValueError for fields that are no whole number within limits, and for eta or guidance out of range."""
+        for name, (low, high) in limits.items():
+            value = getattr(self, name)
+            if type(value) is not int or not low <= value <= high:
+                raise ValueError(f"{name} {value!r} is no whole number in {low} to {high}")
+        if not 0 <= eta <= 1:
+            raise ValueError(f"eta {eta} is not in 0 to 1")
+        if not all(name in self.models and 0 <= w < math.inf for name, w in self.guidance.items()):
+            raise ValueError("guidance of a network that is not there, or below 0")
 
     @classmethod
     def parse(cls, data: bytes, where: Path) -> Self:

@@ -7,7 +7,6 @@ Networks, all but one of the denoisers optional:
 ``flow``         the invertible transport between segments; without it the transport is the identity
 """
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -83,17 +82,10 @@ class StreamConfig(FolderConfig):
             "start": (0, self.sampler_steps),
             "lag": (1, self.sampler_steps),
         }
-        for name, (low, high) in limits.items():
-            value = getattr(self, name)
-            if type(value) is not int or not low <= value <= high:
-                raise ValueError(f"{name} {value!r} is no whole number in {low} to {high}")
-        if not 0 <= self.eta <= 1:
-            raise ValueError(f"eta {self.eta} is not in 0 to 1")
+        self.check_sampling(self.eta, limits)
         for name, spec in self.models.items():
             if spec.config.get("guided") and name not in self.guidance:
                 raise ValueError(f"the network {name!r} takes a guidance scale, but has no default")
-        if not all(name in self.models and 0 <= w < math.inf for name, w in self.guidance.items()):
-            raise ValueError("guidance of a network that is not there, or below 0")
 
 
 class StreamBundle(ModelFolder[StreamConfig]):
