@@ -10,6 +10,7 @@ free to call its modules in any order and by any method, needs no ``no_sync`` fo
 noticeable at these sizes (72 MB of gradients for the largest model).
 """
 
+import atexit
 import hashlib
 import os
 import signal
@@ -395,4 +396,13 @@ def _fabric(config: EngineConfig) -> "Fabric":
     strategy = "ddp" if devices * nodes > 1 else "auto"
     fabric = Fabric(accelerator=device, devices=devices, num_nodes=nodes, strategy=strategy, precision=precision)
     fabric.launch()
+    if torch.distributed.is_initialized() and torch.distributed.get_backend() == "gloo":
+        atexit.register(_leave_group)
     return fabric
+
+
+def _leave_group() -> None:
+    """Threads of gloo that still run when the interpreter is gone abort a process that has done its work
+    (pytorch/pytorch#190489); Fabric sees to NCCL's alone."""
+    if torch.distributed.is_initialized():
+        torch.distributed.destroy_process_group()
