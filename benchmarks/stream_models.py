@@ -24,7 +24,7 @@ from moveset.motion.hold_root import hold_root
 from moveset.motion.incremental import IncrementalDecoder
 from moveset.motion.native import NativeCodec
 from moveset.pipelines.stream_bundle import FLOW, StreamBundle
-from moveset.pipelines.text_to_motion import CONTACT
+from moveset.pipelines.stream_settings import CONTACT
 from moveset.rdm.sampler import Denoiser, stream
 from moveset.rdm.staircase import Shape, Staircase, levels
 from moveset.rdm.transport import Transport

@@ -7,7 +7,7 @@ from moveset.data import bandai_namco, cmu
 from moveset.errors import InputError
 from moveset.evaluation import physical
 from moveset.motion import rotations
-from moveset.motion.cleanup import lock_feet, smooth
+from moveset.motion.cleanup import lock_feet, move_feet, smooth
 from moveset.motion.clip import Motion
 from moveset.motion.contacts import stances
 from moveset.motion.inertia import decay, settle
@@ -15,6 +15,7 @@ from moveset.motion.skeleton import HML22, Skeleton
 from tests.motions import gait, shaken, smooth_noise, wander
 
 LEGS = [1, 2, 4, 5]
+ANKLES = [7, 8]
 BELOW_HIPS = [4, 5, 7, 8, 10, 11]
 
 
@@ -64,6 +65,40 @@ def test_a_sliding_walk_stops_sliding_without_a_pop(factor):
     assert leg_jerk(locked).mean() < 1.25 * leg_jerk(motion).mean()
 
 
+@pytest.mark.parametrize("away", [0.1, 0.3, 0.8])
+@pytest.mark.parametrize("side", [0, 1])
+def test_feet_that_are_out_of_reach_stay_on_the_floor(away, side):
+    """A foot used to be drawn towards its hip, that is up: running people pawed the air."""
+    motion = gait(40)
+    shifts = torch.zeros(40, 2, 3)
+    shifts[:, side, 2] = -away
+    moved = move_feet(motion, shifts)
+    ankle, toe = HML22.feet[2 * side : 2 * side + 2]
+    height = (moved.joints - motion.joints)[..., 1]
+    assert height[:, toe].abs().max() < 5e-4
+    assert height[:, ankle].min() > -1e-4  # heels rise, they do not sink
+    back = (motion.joints - moved.joints)[:, toe, 2]
+    assert back.max() <= away + 1e-4
+    assert back.min() > min(away, 0.05)
+    # No knee is straighter than the leg is long, and nothing else moves.
+    others = [j for j in range(22) if j not in LEGS]
+    assert (moved.joints - motion.joints)[:, [j for j in others if j not in BELOW_HIPS]].norm(dim=-1).max() < 1e-5
+
+
+def test_the_toe_stays_where_it_is_wanted_as_long_as_the_heel_may_rise():
+    motion = gait(40)
+    shifts = torch.zeros(40, 2, 3)
+    shifts[:, 0, 2] = -0.2
+    moved = move_feet(motion, shifts)
+    turned = rotations.angle(rotations.mul(rotations.inv(motion.global_rotations), moved.global_rotations))
+    ankle, toe = HML22.feet[:2]
+    risen = (turned[:, ankle] > 1e-3) & (turned[:, ankle] < 0.3)
+    assert risen.any()
+    wanted = motion.joints[:, toe] + shifts[:, 0]
+    assert (moved.joints[:, toe] - wanted)[risen].norm(dim=-1).max() < 2e-3
+    assert turned[:, ankle].max() < 0.36
+
+
 def test_only_legs_move_and_feet_keep_height_and_orientation():
     motion = shaken(gait(80), 5)
     motion = Motion(motion.rotations, motion.root + torch.tensor([0.0, 0.05, 0.0]))  # off the floor: nothing to lift
@@ -73,7 +108,8 @@ def test_only_legs_move_and_feet_keep_height_and_orientation():
     above = [j for j in range(22) if j not in BELOW_HIPS]
     assert (locked.joints - motion.joints)[:, above].norm(dim=-1).max() < 1e-5
     turned = rotations.angle(rotations.mul(rotations.inv(motion.global_rotations), locked.global_rotations))
-    assert turned[:, [j for j in range(22) if j not in LEGS]].max() < 2e-3
+    assert turned[:, [j for j in range(22) if j not in (*LEGS, *ANKLES)]].max() < 2e-3
+    assert turned[:, ANKLES].quantile(0.95) < 2e-3  # heels rise where a leg is too short
     stretched = (locked.joints - motion.joints)[:, [7, 10, 8, 11], 1].abs()
     assert stretched.median() < 1e-5
 

@@ -62,8 +62,8 @@ def test_a_foot_is_let_go_before_its_leg_is_stretched():
     motion = sliding(200, 0.2)
     locked = pieces(motion, planted(200, 0, 200), size=28)
     offset = (locked[:, LEFT_TOE] - motion.joints[:, LEFT_TOE])[:, [0, 2]].norm(dim=-1)
-    assert 0.1 < float(offset.max()) < 0.2
-    assert float(offset[-100:].min()) < 0.08
+    assert 0.2 < float(offset.max()) < 0.35
+    assert float(offset[-100:].min()) < 0.16
 
 
 def test_feet_in_the_air_and_on_the_floor_are_left_alone():

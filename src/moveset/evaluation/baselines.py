@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from moveset.diffusion.guidance import cfg
-from moveset.errors import InputError
+from moveset.errors import FormatError, InputError
 from moveset.evaluation.generators import (
     Remembered,
     Tick,
@@ -23,9 +23,11 @@ from moveset.evaluation.generators import (
 from moveset.motion.clip import Motion
 from moveset.motion.features import get_codec
 from moveset.motion.foot_lock import FootLock
+from moveset.motion.hold_root import hold_root
+from moveset.motion.native import NativeCodec
 from moveset.pipelines.baseline_bundle import DENOISER, IDLE, BaselineBundle
 from moveset.pipelines.device import pick_device
-from moveset.pipelines.text_to_motion import CONTACT
+from moveset.pipelines.stream_settings import CONTACT
 from moveset.rdm.autoregressive import idle_prefix, rollout_chunks, sample_piece
 from moveset.rdm.prediction import clean_from_noise
 from moveset.rdm.staircase import levels
@@ -47,13 +49,15 @@ class Baseline:
 
     Raises:
         InputError: steps or guidance out of range.
+        FormatError: a folder of another codec.
     """
 
     random, segment = True, 0.0
     code = (
         "moveset.evaluation.generators", "moveset.evaluation.baselines", "moveset.rdm.autoregressive",
         "moveset.rdm.prediction", "moveset.rdm.noise", "moveset.diffusion.steps", "moveset.diffusion.guidance",
-        "moveset.motion.foot_lock",
+        "moveset.motion.foot_lock", "moveset.motion.cleanup", "moveset.motion.hold_root",
+        "moveset.pipelines.stream_settings",
     )  # fmt: skip
 
     def __init__(
@@ -76,7 +80,12 @@ class Baseline:
         if not 0.0 <= self._w < 100.0:
             raise InputError(f"guidance {self._w:g} is not in 0 to 100; {config.name!r} has {chosen:g}")
         self._bundle, self._batch, self._foot_lock = bundle, batch, foot_lock
-        self._device, self._codec = pick_device(device), get_codec(config.codec)
+        codec = get_codec(config.codec)
+        if not isinstance(codec, NativeCodec):
+            raise FormatError(
+                f"model {config.name!r} has the codec {config.codec!r}; a baseline of streams has 'native'"
+            )
+        self._device, self._codec = pick_device(device), codec
         self._text = Remembered(get_text_encoder(config.text_encoder, device=self._device))
         self._schedule = config.noise_schedule()
         self.model, self.network = config.name, DENOISER
@@ -163,11 +172,11 @@ class Baseline:
         return stack(found + empty).to(self._device)
 
     def _motion(self, features: Tensor) -> Motion:
-        motion = self._codec.decode(features)
         if not self._foot_lock:
-            return motion
-        planted = features[: len(motion), self._codec.groups["contacts"]] > CONTACT
-        return FootLock(self._codec.skeleton, self._codec.fps)(motion, planted)
+            return self._codec.decode(features)
+        planted = features[:, self._codec.groups["contacts"]] > CONTACT
+        motion = self._codec.decode(hold_root(features, planted, self._codec))
+        return FootLock(self._codec.skeleton, self._codec.fps)(motion, planted[: len(motion)])
 
 
 def _prompt_at(clip: Wanted, frame: float) -> str:

@@ -26,8 +26,7 @@ from moveset.motion.incremental import IncrementalDecoder
 from moveset.motion.native import NativeCodec
 from moveset.pipelines.device import pick_device
 from moveset.pipelines.stream_bundle import FLOW, StreamBundle
-from moveset.pipelines.stream_settings import StreamSettings, get_schedule, share_evenly
-from moveset.pipelines.text_to_motion import CONTACT
+from moveset.pipelines.stream_settings import CONTACT, StreamSettings, get_schedule, share_evenly
 from moveset.rdm.sampler import stream
 from moveset.rdm.staircase import Shape, Staircase
 from moveset.rdm.transport import Transport
@@ -52,7 +51,7 @@ class Streams:
         "moveset.evaluation.generators", "moveset.evaluation.streams", "moveset.pipelines.stream_settings",
         "moveset.text.stages", "moveset.rdm.sampler", "moveset.rdm.staircase", "moveset.rdm.transport",
         "moveset.rdm.noise", "moveset.diffusion.steps", "moveset.diffusion.coloured", "moveset.motion.incremental",
-        "moveset.motion.foot_lock", "moveset.motion.hold_root",
+        "moveset.motion.foot_lock", "moveset.motion.cleanup", "moveset.motion.hold_root",
     )  # fmt: skip
 
     def __init__(

@@ -17,6 +17,7 @@ from moveset.motion.smoothing import gaussian_smooth
 from moveset.motion.two_bone_ik import two_bone
 
 _BLEND = 0.25  # seconds for a foot to leave or reach its locked place
+_HEEL = 0.35  # radians by which a heel rises at most to let its toe stay
 _GENTLE = 0.1  # seconds before and after a foot is under the floor in which it rises and falls
 
 
@@ -24,8 +25,8 @@ def lock_feet(motion: Motion, strength: float = 1.0, contacts: Tensor | None = N
     """Feet that stay where they stand: planted toes (or ankles) are pinned in place and legs follow by two-bone IK.
 
     Each stance is pinned to where its foot moves least; on the way into and out of it the shift dies away smoothly.
-    Height and orientation of the feet stay, except that feet below the floor y = 0 are lifted onto it. Nothing above
-    the hips moves. A foot that its leg cannot reach comes as near as it can.
+    Feet keep their height, except that those below the floor y = 0 are lifted onto it, and their orientation as long as
+    legs reach (``move_feet``). Nothing above the hips moves.
 
     Args:
         motion: on a skeleton with feet and known knees (hml22, kit21).
@@ -60,19 +61,24 @@ def lock_feet(motion: Motion, strength: float = 1.0, contacts: Tensor | None = N
 def move_feet(motion: Motion, shifts: Tensor) -> Motion:
     """The left and the right foot moved by ``shifts`` (F, 2, 3) metres; legs follow by two-bone IK, in float64.
 
-    Feet keep their orientation, nothing above the hips moves, and what a leg cannot reach it comes near.
+    Nothing above the hips moves. Feet keep their orientation while their legs reach that far; then heels rise with the
+    toes in place, and what even that does not reach slides over the floor, for a foot must not be drawn up into the
+    air.
 
     Raises:
         InputError: a skeleton without known knees.
     """
     joints, turned = motion.joints.double(), motion.global_rotations.double().clone()
     hips, knees, ankles = (list(row) for row in zip(*_legs(motion.skeleton), strict=True))
+    toes = [motion.skeleton.children[ankle][0] for ankle in ankles]
     bends = turned.new_tensor([HINGES[motion.skeleton.name][motion.skeleton.joints[knee]] for knee in knees])
     leg = torch.stack((joints[:, hips], joints[:, knees], joints[:, ankles]), dim=-2)
-    target = _within_reach(leg.flatten(0, 1), (joints[:, ankles] + shifts).flatten(0, 1)).unflatten(0, (-1, 2))
+    reach = reachable(leg, joints[:, ankles] + shifts)
+    target, heel = raise_heels(leg[..., 0, :], joints[:, ankles] + shifts, joints[:, toes] + shifts, reach)
     start, middle, end = leg.unbind(-2)
     hinge = rotations.rotate(turned[:, hips], bends)
     turned[:, hips], turned[:, knees] = two_bone(turned[:, hips], turned[:, knees], start, middle, end, target, hinge)
+    turned[:, ankles] = rotations.mul(heel, turned[:, ankles])
     local = rotations.unroll(rotations.normalize(global_to_local(turned, motion.skeleton)))
     return Motion(local, motion.root, motion.fps, motion.skeleton)
 
@@ -137,16 +143,51 @@ def _stance(flat: Tensor, pivot: list[int]) -> Tensor:
     return shift
 
 
-def _within_reach(leg: Tensor, target: Tensor) -> Tensor:
-    """Targets (F, 3) drawn towards the hip where they would stretch the leg (F, 3, 3): a knee never snaps straight."""
-    bones = torch.diff(leg, dim=1).norm(dim=-1).sum(dim=1)
-    reach = (leg[:, 2] - leg[:, 0]).norm(dim=-1)
-    wanted = (target - leg[:, 0]).norm(dim=-1)
+def reachable(leg: Tensor, ankle: Tensor) -> Tensor:
+    """How far from the hip an ankle (..., 3) that is wanted there may be (...): a knee never snaps straight.
+
+    All of the way up to the present reach of the leg (..., 3, 3: hip, knee, ankle), of what is left of its length ever
+    less.
+    """
+    bones = torch.diff(leg, dim=-2).norm(dim=-1).sum(dim=-1)
+    reach = (leg[..., 2, :] - leg[..., 0, :]).norm(dim=-1)
+    wanted = (ankle - leg[..., 0, :]).norm(dim=-1)
     room = (bones - reach).clamp_min(1e-9)
     stretch = (wanted - reach).clamp_min(0.0)
-    allowed = torch.minimum(wanted, reach) + room * -torch.expm1(-stretch / room)
-    near: Tensor = leg[:, 0] + (target - leg[:, 0]) * (allowed / wanted)[:, None]
-    return near
+    return torch.minimum(wanted, reach) + room * -torch.expm1(-stretch / room)
+
+
+def raise_heels(hip: Tensor, ankle: Tensor, toe: Tensor, reach: Tensor) -> tuple[Tensor, Tensor]:
+    """Where ankles come to that are wanted beyond the leg's reach, and the world rotations (..., 4) of their feet.
+
+    The foot turns about its toe, in the plane of hip, toe and ankle, until the ankle is near enough, by up to
+    ``_HEEL``; then it slides towards the spot below the hip, at the height that it has.
+
+    Args:
+        hip: (..., 3).
+        ankle: (..., 3), where it is wanted.
+        toe: (..., 3), likewise.
+        reach: (...), the longest distance from hip to ankle.
+    """
+    foot, leg = ankle - toe, hip - toe
+    length, far = foot.norm(dim=-1), leg.norm(dim=-1)
+
+    def opening(distance: Tensor) -> Tensor:
+        """Angle at the toe between hip and ankle, where these are so far apart."""
+        return ((length**2 + far**2 - distance**2) / (2 * length * far).clamp_min(1e-12)).clamp(-1.0, 1.0).acos()
+
+    short = (ankle - hip).norm(dim=-1) > reach + 1e-9
+    needed = (opening((ankle - hip).norm(dim=-1)) - opening(reach)).clamp(0.0, _HEEL)
+    axis = torch.nn.functional.normalize(torch.linalg.cross(foot, leg), dim=-1)
+    angle = torch.where(short, needed, 0.0)
+    heel = rotations.from_axis_angle(axis, angle)
+    risen = toe + rotations.rotate(heel, foot)
+    # The rest: level, so that nothing leaves the floor.
+    to = risen - hip
+    level = to[..., [0, 2]].norm(dim=-1)
+    room = (reach**2 - to[..., 1] ** 2).clamp_min(0.0).sqrt()
+    share = torch.where(short, (room / level.clamp_min(1e-9)).clamp(max=1.0), 1.0)
+    return hip + to * torch.stack((share, torch.ones_like(share), share), dim=-1), heel
 
 
 def _stillest(path: Tensor) -> Tensor:

@@ -20,9 +20,9 @@ from moveset.motion.contacts import stances
 from moveset.motion.inertia import decay
 from moveset.motion.skeleton import Skeleton
 
-_BLEND = 0.25  # seconds in which a foot leaves its locked place
+_BLEND = 0.35  # seconds in which a foot leaves its locked place
 _RISE = 0.1  # seconds in which a foot that was lifted onto the floor comes down to where it should be
-_SLACK = 0.15  # metres from its locked place at which a foot is let go
+_SLACK = 0.3  # metres from its locked place at which a foot is let go
 _HISTORY = 4  # frames of contacts that decide with the next ones whether a foot stands
 
 _Point = tuple[float, float]

@@ -33,6 +33,7 @@ from moveset.pipelines.segment_denoise import SegmentDenoise
 from moveset.pipelines.stream_bundle import DEFAULT_STREAM, FLOW, StreamBundle
 from moveset.pipelines.stream_settings import (
     BLEND_SECONDS,
+    CONTACT,
     StreamRequest,
     StreamSettings,
     Timeline,
@@ -41,7 +42,6 @@ from moveset.pipelines.stream_settings import (
     held,
 )
 from moveset.pipelines.stream_state import Snapshot
-from moveset.pipelines.text_to_motion import CONTACT
 from moveset.pipelines.warnings import too_long, unfamiliar
 from moveset.rdm.sampler import Stream, StreamState, stream
 from moveset.rdm.transport import Transport

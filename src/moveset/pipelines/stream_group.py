@@ -31,8 +31,7 @@ from moveset.pipelines.motion_stream import Segment
 from moveset.pipelines.prompt_memory import PromptMemory
 from moveset.pipelines.segment_denoise import Reader
 from moveset.pipelines.stream_bundle import FLOW, StreamBundle
-from moveset.pipelines.stream_settings import StreamSettings, Timeline, get_schedule, held
-from moveset.pipelines.text_to_motion import CONTACT
+from moveset.pipelines.stream_settings import CONTACT, StreamSettings, Timeline, get_schedule, held
 from moveset.pipelines.warnings import too_long, unfamiliar
 from moveset.rdm.noise import START, segment_noise
 from moveset.rdm.transport import Transport

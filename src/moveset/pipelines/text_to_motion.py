@@ -28,8 +28,8 @@ from moveset.pipelines.request import Method, Request, check_method, check_reque
 from moveset.pipelines.warnings import too_long, unfamiliar
 from moveset.text.encoder import TextEmbedding, TextEncoder, get_text_encoder, stack
 
-# Below one half: a doubtful foot is held rather than let slide (a fifth less skating than at 0.5, at the same jerk).
-CONTACT = 0.35
+# Far below one half: a doubtful foot is held rather than let slide (docs/decisions.md).
+CONTACT = 0.25
 
 
 @dataclass(frozen=True, eq=False)
