@@ -24,6 +24,15 @@ _FORMAT = "moveset text cache 1"
 _TENSORS = {"tokens": (torch.float16, 2), "pooled": (torch.float16, 2), "offsets": (torch.int64, 1)}
 
 
+def cache_file(folder: Path, encoder: str) -> Path:
+    """The file of an encoder's sentences in a folder; names of encoders may be paths.
+
+    >>> cache_file(Path("cache"), "clip:openai/clip-vit-base-patch32").name
+    'text-clip-openai-clip-vit-base-patch32.safetensors'
+    """
+    return folder / f"text-{encoder.replace('/', '-').replace(':', '-')}.safetensors"
+
+
 @dataclass(frozen=True, eq=False)
 class EmbeddingCache:
     """Token states of K different sentences in half precision.

@@ -21,7 +21,7 @@ from moveset.errors import InputError
 from moveset.models.evaluator import EvaluatorConfig, MatchingEvaluator, MovementConfig
 from moveset.models.registry import describe
 from moveset.motion.features import Normalizer, get_codec
-from moveset.text.cache import EmbeddingCache
+from moveset.text.cache import EmbeddingCache, cache_file
 from moveset.text.encoder import get_text_encoder
 from moveset.text.glove import GloveWords
 from moveset.text.words import as_words
@@ -255,7 +255,7 @@ def reader(config: EvaluatorTrainingConfig, source: ClipSource, clips: Sequence[
         return read_words
 
     said = sorted({text for clip in clips for text in source.captions(clip)})
-    file = cache / f"evaluator-text-{config.words.replace('/', '-').replace(':', '-')}.safetensors"
+    file = cache / f"evaluator-{cache_file(cache, config.words).name}"
     text = EmbeddingCache.build(get_text_encoder(config.words), said, file)
 
     def read_tokens(clips: Sequence[int], pick: Sequence[float]) -> tuple[Tensor, Tensor | None, Tensor]:

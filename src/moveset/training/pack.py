@@ -9,7 +9,7 @@ from torch import nn
 from moveset.data.captions import heldout_captions
 from moveset.data.corpus import Corpus
 from moveset.pipelines.bundle import BundleConfig, save_folder
-from moveset.text.cache import EmbeddingCache
+from moveset.text.cache import EmbeddingCache, cache_file
 from moveset.text.encoder import get_text_encoder
 from moveset.text.familiarity import calibrate
 from moveset.training import checkpoint, frozen
@@ -59,7 +59,7 @@ def pack(
     latents = LatentSet.of(
         corpus, "train", store, vae.module, sources.cache / f"latents-{vae.digest[:12]}-train.safetensors"
     )
-    text = EmbeddingCache.open(sources.cache / f"text-{text_encoder}.safetensors")
+    text = EmbeddingCache.open(cache_file(sources.cache, text_encoder))
     shipped = frozen.load(decoder, "vae_ema") if decoder else vae
     modules: dict[str, nn.Module] = {
         "vae": shipped.module,

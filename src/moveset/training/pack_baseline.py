@@ -10,7 +10,7 @@ from torch import Tensor
 from moveset.data.corpus import Corpus
 from moveset.motion.features import FeatureCodec, Normalizer, get_codec
 from moveset.pipelines.baseline_bundle import DENOISER, IDLE, BaselineConfig, save_baseline
-from moveset.text.cache import EmbeddingCache
+from moveset.text.cache import EmbeddingCache, cache_file
 from moveset.training import checkpoint, frozen
 from moveset.training.clips import FeatureStore
 from moveset.training.pack import familiarity_limit, known_captions
@@ -37,7 +37,7 @@ def pack_baseline(
     task = found.task
     corpus, codec = Corpus.open(corpus_path), get_codec(task["codec"])
     store = FeatureStore(cache / f"features-{codec.name}")
-    text = EmbeddingCache.open(cache / f"text-{task['text_encoder'].replace('/', '-').replace(':', '-')}.safetensors")
+    text = EmbeddingCache.open(cache_file(cache, task["text_encoder"]))
     known = known_captions(corpus)
     pooled = text.lookup(known).pooled
     statistics = {"feature_mean": store.normalizer.mean, "feature_std": store.normalizer.std}

@@ -10,7 +10,7 @@ from torch import nn
 from moveset.data.corpus import Corpus
 from moveset.errors import InputError
 from moveset.pipelines.stream_bundle import DEFAULT_STREAM, FLOW, StreamConfig, save_stream_bundle
-from moveset.text.cache import EmbeddingCache
+from moveset.text.cache import EmbeddingCache, cache_file
 from moveset.training import checkpoint, frozen
 from moveset.training.clips import FeatureStore
 from moveset.training.pack import familiarity_limit, known_captions
@@ -83,7 +83,7 @@ def pack_stream(
         raise InputError(f"the students were distilled on grids of {sorted(points)} points; pack those of one grid")
     corpus, encoder = Corpus.open(corpus_path), rdm.task["text_encoder"]
     store = FeatureStore(cache / f"features-{rdm.task['codec']}")
-    text = EmbeddingCache.open(cache / f"text-{encoder.replace('/', '-').replace(':', '-')}.safetensors")
+    text = EmbeddingCache.open(cache_file(cache, encoder))
     known = known_captions(corpus)
     if rdm.task["cutting"].get("stills"):
         known = sorted({*known, *SENTENCES})

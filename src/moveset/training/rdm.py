@@ -24,7 +24,7 @@ from moveset.motion.features import FeatureCodec, Normalizer, get_codec
 from moveset.rdm.grid import GridConfig, corrupt, draw
 from moveset.rdm.losses import flow_loss, masked_mse, velocity_loss
 from moveset.rdm.transport import Transport
-from moveset.text.cache import EmbeddingCache
+from moveset.text.cache import EmbeddingCache, cache_file
 from moveset.text.encoder import TextEmbedding, get_text_encoder
 from moveset.training.clip_source import ClipSource, open_clips
 from moveset.training.clips import FeatureStore
@@ -159,7 +159,7 @@ class SegmentData:
         self.val = self.cut(config, source, "val", store, folder, 0.0)
         said = wordings(self.train.all_captions(), config.disturbance)
         captions = sorted({*said, *self.val.all_captions()})
-        path = sources.cache / f"text-{config.text_encoder.replace('/', '-').replace(':', '-')}.safetensors"
+        path = cache_file(sources.cache, config.text_encoder)
         return EmbeddingCache.build(get_text_encoder(config.text_encoder), captions, path)
 
     def cut(

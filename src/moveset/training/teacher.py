@@ -12,7 +12,7 @@ from moveset.models.latent_denoiser import LatentDenoiserConfig
 from moveset.models.registry import describe
 from moveset.models.token_denoiser import TokenDenoiserConfig
 from moveset.motion.features import get_codec
-from moveset.text.cache import EmbeddingCache
+from moveset.text.cache import EmbeddingCache, cache_file
 from moveset.text.encoder import TextEmbedding, get_text_encoder
 from moveset.training import frozen
 from moveset.training.clip_source import open_clips
@@ -64,8 +64,9 @@ class LatentData:
         self.train.paraphrased = self.disturbance.paraphrased
         self.val = LatentSet.of(clips, "val", store, vae.module, Path(f"{latents}-val.safetensors"), windows=0)
         captions = sorted({*self.train.all_captions(), *self.val.all_captions()})
-        path = sources.cache / f"text-{text_encoder.replace('/', '-').replace(':', '-')}.safetensors"
-        self.text = EmbeddingCache.build(get_text_encoder(text_encoder), captions, path)
+        self.text = EmbeddingCache.build(
+            get_text_encoder(text_encoder), captions, cache_file(sources.cache, text_encoder)
+        )
 
     def batch(self, size: int, step: int) -> LatentBatch:
         """Training latents of a step, on the device."""
