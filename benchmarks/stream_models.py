@@ -14,9 +14,11 @@ from pathlib import Path
 import torch
 from torch import Tensor, nn
 
+from moveset.data.captions import mirror_text
 from moveset.diffusion.guidance import cfg
 from moveset.diffusion.phases import PhaseGrid
 from moveset.diffusion.schedule import linear
+from moveset.models.symmetric import Symmetric
 from moveset.motion.clip import Motion
 from moveset.motion.features import FeatureCodec, Normalizer, get_codec
 from moveset.motion.foot_lock import FootLock
@@ -194,6 +196,7 @@ class Bound:
         self._module, self._text, self._prompts, self._w = module, text, prompts, guidance
         self._guided = bool(getattr(module.config, "guided", False))
         self._twice = bool(guidance) and not self._guided
+        self._even = isinstance(module, Symmetric)
         self._once = clean_left and hasattr(module, "read")
         self._half, self.evaluations = half, 0
         self._read: tuple[tuple[int, ...], TextEmbedding] | None = None
@@ -208,12 +211,11 @@ class Bound:
     ) -> Tensor:
         """Clean segments (B, n, D)."""
         text = self._words(tuple(dict.fromkeys(segments)))
-        rows = len(text)
-        self.evaluations += rows
+        self.evaluations += len(text)
         if self._twice:
             x, prev = (z.repeat(2, 1, 1) for z in (x, prev))
             t, prev_t, index = (z.repeat(2) for z in (t, prev_t, index))
-        w = torch.full((rows,), self._w) if self._guided else None
+        w = torch.full((len(x),), self._w) if self._guided else None
         with torch.autocast("cpu", torch.bfloat16, enabled=self._half):
             if self._once:
                 if self._context is None or self._context[0] != segments[0]:
@@ -225,10 +227,11 @@ class Bound:
         return cfg(*made.float().chunk(2), self._w) if self._twice else made.float()
 
     def _words(self, order: tuple[int, ...]) -> TextEmbedding:
-        """Of the rows of these segments, with the empty text below if the network is evaluated twice."""
+        """Of the rows of these segments; below them the empty text for guidance, or what mirror images are told."""
         if self._read is None or self._read[0] != order:
             said = [sentence for segment in order for sentence in self._prompts(segment)]
-            self._read = (order, self._text(said + [""] * len(said) if self._twice else said))
+            below = [""] * len(said) if self._twice else [mirror_text(line) for line in said] if self._even else []
+            self._read = (order, self._text(said + below))
         return self._read[1]
 
 

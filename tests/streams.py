@@ -6,6 +6,7 @@ import torch
 
 from moveset.models.flow import FlowConfig
 from moveset.models.segment_transformer import SegmentTransformerConfig
+from moveset.motion.native import NativeCodec
 from moveset.pipelines.stream_bundle import StreamConfig, save_stream_bundle
 from moveset.text.encoder import get_text_encoder
 from tests.bundles import CAPTIONS, standing_features
@@ -39,8 +40,11 @@ def tiny_stream(path: Path, *, seed: int = 0) -> Path:
         lag=1,
         guidance={"rdm": 0.0, "md": 0.0, "pcm-1": 1.5, "pcm-2": 1.5},
         far_prompt=0.4,
+        symmetric=("pcm-1",),
         provenance={"data": "none: random weights for tests"},
     )
+    order, signs = NativeCodec().mirror()
+    features = 0.5 * (features + features[order] * signs)
     normalizer = {"feature_mean": features, "feature_std": torch.full_like(features, 0.02)}
     pooled = get_text_encoder("minilm").encode(list(CAPTIONS)).pooled
     return save_stream_bundle(path, config, modules, normalizer, CAPTIONS, pooled)

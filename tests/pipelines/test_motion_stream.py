@@ -69,16 +69,23 @@ def walking(frames, speed=1.0, heading=0.0, start=(0.0, 0.0)):
 
 
 def test_the_first_segments_worked_out_by_hand(opened, encoder):
-    made = plain(opened, network="pcm-1", seed=5, guidance=2.0)
-    network, flow = (made.bundle.module(name) for name in ("pcm-1", "flow"))
-    text = encoder.encode([WALK])
+    made = plain(opened, prompt="a person turns left", network="pcm-1", seed=5, guidance=2.0)
+    network, flow = made.bundle.module("pcm-1").network, made.bundle.module("flow")
+    text, mirrored = encoder.encode(["a person turns left"]), encoder.encode(["a person turns right"])
     w, level, clean = torch.tensor([2.0]), torch.tensor([999]), torch.tensor([0])
-    n = made.bundle.normalizer
+    n, (order, signs) = made.bundle.normalizer, get_codec("native").mirror()
+
+    def even(x, prev, index):
+        one = network(x, level, prev, clean, index, text.tokens, text.mask, w)
+        x, prev = x[..., order] * signs, prev[..., order] * signs
+        other = network(x, level, prev, clean, index, mirrored.tokens, mirrored.mask, w)[..., order] * signs
+        return one + 0.5 * (other.mean(dim=1) - one.mean(dim=1))
+
     with torch.no_grad():
         noise = [network.colour(segment_noise(5, j, START, (FRAMES, 269))[None]) for j in (0, 1)]
-        first = network(noise[0], level, torch.zeros(1, FRAMES, 269), clean, clean, text.tokens, text.mask, w)
+        first = even(noise[0], torch.zeros(1, FRAMES, 269), clean)
         pushed = flow(noise[1], flow.context(text.pooled, torch.tensor([1])))
-        second = network(pushed, level, first, clean, torch.tensor([1]), text.tokens, text.mask, w)
+        second = even(pushed, first, torch.tensor([1]))
         both = torch.cat((first, second), dim=1)[0] * n["feature_std"] + n["feature_mean"]
     got = take(made, 2)
     want = get_codec("native").decode(both.double())
@@ -106,7 +113,7 @@ def test_guidance_without_a_student_is_two_evaluations(opened, encoder):
 @pytest.mark.parametrize(
     ("options", "evaluations"),
     [
-        ({"network": "pcm-1"}, [1, 1, 1]),
+        ({"network": "pcm-1"}, [2, 2, 2]),  # with its mirror image
         ({"network": "pcm-2"}, [2, 2, 2]),
         ({"steps": 2}, [2, 2, 2]),
         ({"network": "md"}, [6, 6, 6]),

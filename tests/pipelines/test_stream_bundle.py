@@ -11,10 +11,12 @@ from moveset.cli.__main__ import main
 from moveset.errors import FormatError, InputError
 from moveset.models.flow import FlowConfig
 from moveset.models.segment_transformer import SegmentTransformerConfig
+from moveset.models.symmetric import Symmetric
 from moveset.pipelines import model_folder
 from moveset.pipelines.bundle import Bundle
 from moveset.pipelines.stream_bundle import StreamBundle, StreamConfig, save_stream_bundle
 from tests.bundles import tiny_bundle
+from tests.streams import tiny_stream
 
 CONFIG = StreamConfig(
     name="tiny-stream",
@@ -95,6 +97,8 @@ def test_the_same_networks_give_the_same_bytes(folder, tmp_path):
         ({"lag": 0}, "lag 0"),
         ({"eta": float("nan")}, "eta nan"),
         ({"fps": 0.0}, "frame rate"),
+        ({"symmetric": ("rdm",)}, "'rdm' is no guided network"),
+        ({"symmetric": ("pcm-8",)}, "'pcm-8' is no guided network"),
         ({"guidance": {"pcm-1": 1.5}}, "'pcm-2' takes a guidance scale"),
         ({"guidance": {"pcm-1": 1.5, "pcm-2": -1.0}}, "below 0"),
         ({"guidance": {"pcm-1": 1.5, "pcm-2": 1.0, "pcm-8": 1.0}}, "not there"),
@@ -117,6 +121,27 @@ def test_students_may_be_kept_as_differences(folder, tmp_path):
         for key, value in half.module(name).state_dict().items():
             wanted = networks()[name].state_dict()[key]
             assert float((value - wanted).abs().max()) <= 1e-3 * float(wanted.abs().max())
+
+
+def test_symmetric_networks_come_with_their_mirror_image(tmp_path):
+    bundle = StreamBundle(tiny_stream(tmp_path / "tiny"))
+    assert bundle.config.symmetric == ("pcm-1",)
+    assert isinstance(bundle.module("pcm-1"), Symmetric)
+    assert bundle.module("pcm-1") is bundle.module("pcm-1")
+    assert not isinstance(bundle.module("pcm-2"), Symmetric)
+
+
+def test_what_leans_to_one_side_cannot_be_symmetric(tmp_path):
+    bundle = StreamBundle(tiny_stream(tmp_path / "tiny"))
+    bundle.normalizer["feature_mean"][0] += 0.01  # on average it turns
+    with pytest.raises(FormatError, match="lean to one side"):
+        bundle.module("pcm-1")
+
+
+def test_other_features_have_no_mirror_image(tmp_path):
+    config = dataclasses.replace(CONFIG, codec="hml", symmetric=("pcm-1",))
+    with pytest.raises(FormatError, match="'hml' have no mirror image"):
+        StreamBundle(save(tmp_path / "hml", config)).module("pcm-1")
 
 
 def test_statistics_are_needed(tmp_path):

@@ -14,10 +14,12 @@ from typing import Any, cast
 import torch
 from torch import Tensor, nn
 
+from moveset.data.captions import mirror_text
 from moveset.diffusion.guidance import cfg
 from moveset.errors import FormatError
 from moveset.evaluation.generators import Remembered, Tick, Wanted, frames_at, joints_at, weights_of
 from moveset.models.flow import CouplingFlow
+from moveset.models.symmetric import Symmetric
 from moveset.motion.clip import Motion
 from moveset.motion.features import get_codec
 from moveset.motion.foot_lock import FootLock
@@ -196,6 +198,7 @@ class Bound:
     ) -> None:  # fmt: skip
         self._network, self._text, self._said, self._guided, self._w = network, text, said, guided, guidance
         self._twice = bool(guidance) and not guided
+        self._even = isinstance(network, Symmetric)
         self._once, self._device = once and hasattr(network, "read"), device
         self._words: tuple[tuple[int, ...], TextEmbedding] | None = None
         self._context: tuple[int, object] | None = None
@@ -224,9 +227,10 @@ class Bound:
         return self._text.encode([line(segment) for line in self._said]).pooled.to(self._device)
 
     def _read(self, segments: tuple[int, ...]) -> TextEmbedding:
-        """Of the rows of these segments, with the empty text below if the network is evaluated twice."""
+        """Of the rows of these segments; below them the empty text for guidance, or what mirror images are told."""
         if self._words is None or self._words[0] != segments:
             said = [line(segment) for segment in segments for line in self._said]
-            text = self._text.encode(said + [""] * len(said) if self._twice else said)
+            below = [""] * len(said) if self._twice else [mirror_text(line) for line in said] if self._even else []
+            text = self._text.encode(said + below)
             self._words = (segments, text.to(self._device))
         return self._words[1]

@@ -53,6 +53,24 @@ class NativeCodec:
             start += size
         self.dim = start
 
+    def mirror(self) -> tuple[Tensor, Tensor]:
+        """(D,) order and (D,) signs: ``x[..., order] * signs`` are the features of the mirrored motion."""
+        joints, sides = torch.tensor(self.skeleton.mirror_order), torch.tensor((-1.0, 1.0, 1.0))
+        axes, columns = torch.arange(3), torch.arange(6)
+        below = joints[1:] - 1
+        parts = {
+            "root_yaw": (torch.zeros(1).long(), -torch.ones(1)),
+            "root_velocity": (torch.arange(2), sides[[0, 2]]),
+            "root_height": (torch.zeros(1).long(), torch.ones(1)),
+            # A mirrored rotation has the entries s_i s_j R_ij.
+            "rotations": (joints[:, None] * 6 + columns, (sides[:2, None] * sides).flatten().repeat(len(joints))),
+            "positions": (below[:, None] * 3 + axes, sides.repeat(len(below))),
+            "velocities": (joints[:, None] * 3 + axes, sides.repeat(len(joints))),
+            "contacts": (torch.tensor((2, 3, 0, 1)), torch.ones(4)),
+        }
+        order = torch.cat([self.groups[name].start + rows.flatten() for name, (rows, _) in parts.items()])
+        return order, torch.cat([signs for _, signs in parts.values()])
+
     def encode(self, motion: Motion) -> Tensor:
         """Features (F, D) of a motion of F >= 2 frames.
 

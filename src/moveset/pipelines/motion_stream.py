@@ -18,6 +18,7 @@ from typing import Any, Self, cast
 import torch
 from torch import Tensor
 
+from moveset.data.captions import mirror_text
 from moveset.errors import FormatError, InputError
 from moveset.models.flow import CouplingFlow
 from moveset.motion.clip import Motion
@@ -61,7 +62,8 @@ class Segment:
         prompt: what it was told.
         motion: world rotations and path, going on from the segment before; float64, so that long walks stay smooth.
         latency_ms: what making it took, with the encoding of new prompts since the segment before.
-        network_evaluations: since the segment before; guidance by two evaluations counts both.
+        network_evaluations: since the segment before; guidance by two evaluations counts both, as
+            does a network that is evaluated with its mirror image.
     """
 
     number: int
@@ -256,7 +258,7 @@ class MotionStream(Iterator[Segment]):
             self._go_on(StreamState.restore(numbers["sampler"], found), int(numbers["given"]))
             self._prompts |= {int(segment): prompt for segment, prompt in numbers["prompts"].items()}
             for segment, prompt in self._prompts.items():
-                self._denoise.enter(segment, self._texts(prompt))
+                self._denoise.enter(segment, self._texts(prompt), self._texts(mirror_text(prompt)))
             self._decoder = IncrementalDecoder.from_state(self.codec, numbers["decoder"])
             self._feet = FootLock.from_state(self.codec.skeleton, self.codec.fps, numbers["feet"])
             for k, made in enumerate(numbers["waiting"]):
@@ -368,7 +370,7 @@ class MotionStream(Iterator[Segment]):
     def _enter(self, segment: int) -> Tensor | None:
         """Called by the sampler when a segment enters: its prompt, which stays."""
         prompt = self._prompts[segment] = self._timeline.at(segment - self._given)
-        pooled = self._denoise.enter(segment, self._texts(prompt))
+        pooled = self._denoise.enter(segment, self._texts(prompt), self._texts(mirror_text(prompt)))
         return None if self._transport.flow is None else pooled
 
     def _weights(self, settings: StreamSettings) -> dict[str, Any]:

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor, nn
 
 from moveset.diffusion.guidance import cfg
+from moveset.models.symmetric import Symmetric
 from moveset.text.encoder import TextEmbedding, stack
 
 
@@ -52,25 +53,28 @@ class SegmentDenoise:
         self._twice = bool(guidance) and not guided
         self._empty, self._seeded, self._device = empty.to(device), seeded, device
         self._once = clean_left and isinstance(network, Reader)
+        self._even = isinstance(network, Symmetric)
         self._texts: dict[int, TextEmbedding] = {}
+        self._mirrored: dict[int, TextEmbedding] = {}
         self._context: tuple[int, object] | None = None
         self.evaluations = 0
 
-    def enter(self, segment: int, text: TextEmbedding) -> Tensor:
-        """Bind the prompt of a segment; its sentence embedding (1, C)."""
-        self._texts[segment] = text.to(self._device)
+    def enter(self, segment: int, text: TextEmbedding, mirrored: TextEmbedding) -> Tensor:
+        """Bind the prompt of a segment, and what it says of the mirror image; its sentence embedding (1, C)."""
+        self._texts[segment], self._mirrored[segment] = text.to(self._device), mirrored.to(self._device)
         return self._texts[segment].pooled
 
     def leave(self, segment: int) -> None:
         """Forget a finished segment."""
         self._texts.pop(segment, None)
+        self._mirrored.pop(segment, None)
 
     def __call__(
         self, x_BnD: Tensor, t_B: Tensor, prev_BnD: Tensor, prev_t_B: Tensor, index_B: Tensor, segments: Sequence[int]
     ) -> Tensor:
         """Clean segments (B, n, D)."""
         rows = len(x_BnD) * (2 if self._twice else 1)
-        self.evaluations += rows
+        self.evaluations += len(x_BnD) * (2 if self._twice or self._even else 1)
         if self._seeded and 1 in segments:
             # The sampler's plan has the given motion still in work, at the level of its place in the staircase.
             prev_t_B = prev_t_B * torch.tensor([segment != 1 for segment in segments], device=self._device)
@@ -97,4 +101,6 @@ class SegmentDenoise:
         texts = [self._texts[segment] for segment in segments]
         if self._twice:
             texts += [self._empty] * len(texts)
+        if self._even:
+            texts += [self._mirrored[segment] for segment in segments]
         return texts[0] if len(texts) == 1 else stack(texts)

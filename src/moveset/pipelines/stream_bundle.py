@@ -10,17 +10,23 @@ Networks, all but one of the denoisers optional:
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar, Self
 
+import torch
 from torch import Tensor, nn
 
+from moveset.errors import FormatError
 from moveset.models import flow, segment_transformer  # noqa: F401  (they register their kinds)
+from moveset.models.symmetric import Symmetric
+from moveset.motion.features import get_codec
+from moveset.motion.native import NativeCodec
 from moveset.pipelines.model_folder import STREAM, FolderConfig, ModelFolder, save_folder
 
 DEFAULT_STREAM = "rdm-small"
 SCHEDULES = ("linear", "cosine")
 FLOW = "flow"
 STATISTICS = ("feature_mean", "feature_std")
+_LEAN = 1e-3  # of a standard deviation
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,6 +45,8 @@ class StreamConfig(FolderConfig):
         lag: by how many steps a segment stays behind the one before it.
         eta: noise that is put back at each step, 0 (none) to 1.
         idle: the prompt of a stream before it is given one.
+        symmetric: guided networks that are evaluated with their mirror image (``models.symmetric``), so that streams
+            keep to neither side.
     """
 
     task: ClassVar[str] = STREAM
@@ -54,6 +62,11 @@ class StreamConfig(FolderConfig):
     lag: int = 1
     eta: float = 0.0
     idle: str = "a person stands still"
+    symmetric: tuple[str, ...] = ()
+
+    @classmethod
+    def of(cls, raw: Mapping[str, Any]) -> Self:
+        return cls(**{**raw, "symmetric": tuple(raw["symmetric"])})
 
     def flows(self, network: str) -> bool:
         """Whether a network's segments pass through the flow; the baseline was trained without."""
@@ -83,6 +96,9 @@ class StreamConfig(FolderConfig):
             "lag": (1, self.sampler_steps),
         }
         self.check_sampling(self.eta, limits)
+        for name in self.symmetric:
+            if name not in self.models or not self.models[name].config.get("guided"):
+                raise ValueError(f"{name!r} is no guided network, which alone can be symmetric")
         for name, spec in self.models.items():
             if spec.config.get("guided") and name not in self.guidance:
                 raise ValueError(f"the network {name!r} takes a guidance scale, but has no default")
@@ -101,6 +117,28 @@ class StreamBundle(ModelFolder[StreamConfig]):
 
     config_class = StreamConfig
     statistics = STATISTICS
+
+    def module(self, name: str, device: torch.device | str = "cpu") -> nn.Module:
+        """As every model folder's; symmetric networks come with their mirror image.
+
+        Raises:
+            FormatError: as there; statistics that lean to one side.
+        """
+        network = super().module(name, device)
+        if name in self.config.symmetric and not isinstance(network, Symmetric):
+            network = self._modules[name] = self._even(network).to(device)
+        return network
+
+    def _even(self, network: nn.Module) -> Symmetric:
+        codec = get_codec(self.config.codec)
+        if not isinstance(codec, NativeCodec):
+            raise FormatError(f"{self.path}: features of {codec.name!r} have no mirror image, so nothing is symmetric")
+        order, signs = codec.mirror()
+        mean, std = (self.normalizer[statistic] for statistic in STATISTICS)
+        lean = ((mean[order] * signs - mean) / std, std[order] / std - 1)
+        if max(float(part.abs().max()) for part in lean) > _LEAN:
+            raise FormatError(f"{self.path}: its statistics lean to one side, so nothing is symmetric; pack it without")
+        return Symmetric(network, order, signs).eval()
 
 
 def save_stream_bundle(

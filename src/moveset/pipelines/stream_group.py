@@ -16,10 +16,12 @@ from typing import cast
 import torch
 from torch import Tensor
 
+from moveset.data.captions import mirror_text
 from moveset.diffusion.guidance import cfg
 from moveset.diffusion.steps import denoise_step
 from moveset.errors import FormatError, InputError
 from moveset.models.flow import CouplingFlow
+from moveset.models.symmetric import Symmetric
 from moveset.motion.clip import Motion
 from moveset.motion.features import get_codec
 from moveset.motion.foot_lock import FootLock
@@ -199,7 +201,8 @@ class StreamGroup:
     def _piece(self, lane: Lane, clean: Tensor, decoded: tuple[Motion, Tensor], spent: float) -> Piece:
         motion, planted = decoded
         number, frames = lane.number, len(motion)
-        evaluations = self.settings.steps * (2 if lane.guidance and not self._guided else 1)
+        twice = isinstance(self._network, Symmetric) or (lane.guidance and not self._guided)
+        evaluations = self.settings.steps * (2 if twice else 1)
         latency = round(spent + lane.reading_ms, 3)
         lane.left, lane.number, lane.reading_ms = clean[None].clone(), number + 1, 0.0
         return Piece(Segment(number, number * frames, frames, lane.prompt, motion, latency, evaluations), planted)
@@ -229,6 +232,8 @@ class StreamGroup:
         w_B = torch.tensor([lane.guidance for lane in lanes], device=self.device)
         twice = not self._guided and bool(w_B.any())
         scale_B = w_B if self._guided else None
+        if isinstance(self._network, Symmetric):
+            text = stack([text, *(self._texts(mirror_text(lane.prompt)).to(self.device) for lane in lanes)])
         if twice:
             text = stack([text, *[self._texts("").to(self.device)] * len(lanes)])
             left_BnD, index_B = left_BnD.repeat(2, 1, 1), index_B.repeat(2)

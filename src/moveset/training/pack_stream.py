@@ -31,6 +31,7 @@ class Sampling:
     lag: int = 1
     eta: float = 0.0
     idle: str = "a person stands still"
+    symmetric: tuple[str, ...] = ()
 
 
 def pack_stream(
@@ -138,6 +139,7 @@ def main() -> None:
     parser.add_argument("--smoothing", type=float, help="of the students' output; as trained by default")
     parser.add_argument("--last", action="store_true", help="the students' last weights instead of the averaged ones")
     parser.add_argument("--whole", action="store_true", help="the students' weights, not differences from rdm's")
+    parser.add_argument("--symmetric", nargs="*", default=[], help="guided networks to be sampled with mirror images")
     parser.add_argument("--name", default=DEFAULT_STREAM)
     parser.add_argument("--out", type=Path, required=True)
     given = parser.parse_args()
@@ -150,6 +152,7 @@ def main() -> None:
         lag=given.lag,
         eta=given.eta,
         idle=given.idle,
+        symmetric=tuple(given.symmetric),
     )
     scales = guidance_of(given.guidance, tuple(runs))
     cache = given.runs / "cache"
