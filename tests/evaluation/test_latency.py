@@ -122,7 +122,7 @@ def test_a_report_is_whole(report, plan):
         assert math.isclose(row["mean_ms"]["total"], parts, abs_tol=0.01)
     # The default network comes first: ratios are to it.
     assert list(report["streams"]) == ["pcm-1", "rdm", "md", "pcm-2"]
-    assert [row["evaluations"] for row in report["streams"].values()] == [1, 3, 6, 2]
+    assert [row["evaluations"] for row in report["streams"].values()] == [2, 3, 6, 2]
     assert report["streams"]["rdm"]["settings"] == {"start": 3, "lag": 1, "eta": 0.0}
     assert {k: [p["seconds"] for p in v] for k, v in report["lengths"].items()} == {
         "pcm-1, one clip": [2.0, 9.8],

@@ -101,7 +101,7 @@ def test_a_foot_is_let_go_before_its_leg_is_dragged_along():
     motion = Motion(still.rotations.expand(20 * N, 22, 4).clone(), still.root + away)
     stream = locked(motion, torch.ones(20 * N, 4, dtype=torch.bool))
     off = (stream.joints - motion.joints)[:, FEET].norm(dim=-1)
-    assert 0.1 < off.max() < 0.2
+    assert 0.2 < off.max() < 0.35
     assert jerks(stream)[1].max() < 900.0
 
 

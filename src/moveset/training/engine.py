@@ -10,9 +10,7 @@ free to call its modules in any order and by any method, needs no ``no_sync`` fo
 noticeable at these sizes (72 MB of gradients for the largest model).
 """
 
-import atexit
 import hashlib
-import os
 import signal
 import threading
 from collections.abc import Callable, Iterator, Mapping
@@ -26,6 +24,7 @@ from torch import Tensor, nn
 
 from moveset.errors import InputError
 from moveset.training import checkpoint, resume
+from moveset.training.fabric import launch
 from moveset.training.lock import locked
 from moveset.training.log import TrainingLog
 from moveset.training.optim import set_lr
@@ -223,7 +222,7 @@ def run(
     """
     if config.threads:
         torch.set_num_threads(config.threads)
-    fabric = _fabric(config)
+    fabric = launch(config)
     cuda = [fabric.device] if fabric.device.type == "cuda" else []
     with ExitStack() as stack:
         if fabric.is_global_zero:
@@ -372,37 +371,3 @@ def _signals() -> Iterator[list[int]]:
     finally:
         for number, handler in previous.items():
             signal.signal(number, handler)
-
-
-def _fabric(config: EngineConfig) -> "Fabric":
-    try:
-        from lightning_fabric import Fabric
-    except ImportError as error:
-        raise InputError("training needs lightning-fabric; install it with pip install 'moveset[train]'") from error
-    device = config.device
-    if device == "auto":
-        device = "cuda" if torch.cuda.is_available() else "mps" if torch.backends.mps.is_available() else "cpu"
-    available = {"cpu": True, "cuda": torch.cuda.is_available(), "mps": torch.backends.mps.is_available()}
-    if not available.get(device, False):
-        usable = ", ".join(name for name, usable in available.items() if usable)
-        raise InputError(f"device {device!r} cannot be used here; this machine has {usable}")
-    precision = config.precision
-    if precision == "auto":
-        precision = "bf16-mixed" if device == "cuda" and torch.cuda.is_bf16_supported() else "32-true"
-    devices, nodes = config.devices, 1
-    if torch.distributed.is_torchelastic_launched():
-        devices = int(os.environ["LOCAL_WORLD_SIZE"])
-        nodes = int(os.environ["WORLD_SIZE"]) // devices
-    strategy = "ddp" if devices * nodes > 1 else "auto"
-    fabric = Fabric(accelerator=device, devices=devices, num_nodes=nodes, strategy=strategy, precision=precision)
-    fabric.launch()
-    if torch.distributed.is_initialized() and torch.distributed.get_backend() == "gloo":
-        atexit.register(_leave_group)
-    return fabric
-
-
-def _leave_group() -> None:
-    """Threads of gloo that still run when the interpreter is gone abort a process that has done its work
-    (pytorch/pytorch#190489); Fabric sees to NCCL's alone."""
-    if torch.distributed.is_initialized():
-        torch.distributed.destroy_process_group()

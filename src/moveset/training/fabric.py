@@ -1,0 +1,53 @@
+"""Where a training computes: device, precision, and the processes that share it."""
+
+import atexit
+import os
+from typing import TYPE_CHECKING
+
+import torch
+
+from moveset.errors import InputError
+
+if TYPE_CHECKING:
+    from lightning_fabric import Fabric
+
+    from moveset.training.engine import EngineConfig
+
+
+def launch(config: "EngineConfig") -> "Fabric":
+    """Lightning's Fabric for a training, launched: this process has its place among all of them.
+
+    Raises:
+        InputError: no lightning-fabric, or a device that cannot be used here.
+    """
+    try:
+        from lightning_fabric import Fabric
+    except ImportError as error:
+        raise InputError("training needs lightning-fabric; install it with pip install 'moveset[train]'") from error
+    device = config.device
+    if device == "auto":
+        device = "cuda" if torch.cuda.is_available() else "mps" if torch.backends.mps.is_available() else "cpu"
+    available = {"cpu": True, "cuda": torch.cuda.is_available(), "mps": torch.backends.mps.is_available()}
+    if not available.get(device, False):
+        usable = ", ".join(name for name, usable in available.items() if usable)
+        raise InputError(f"device {device!r} cannot be used here; this machine has {usable}")
+    precision = config.precision
+    if precision == "auto":
+        precision = "bf16-mixed" if device == "cuda" and torch.cuda.is_bf16_supported() else "32-true"
+    devices, nodes = config.devices, 1
+    if torch.distributed.is_torchelastic_launched():
+        devices = int(os.environ["LOCAL_WORLD_SIZE"])
+        nodes = int(os.environ["WORLD_SIZE"]) // devices
+    strategy = "ddp" if devices * nodes > 1 else "auto"
+    fabric = Fabric(accelerator=device, devices=devices, num_nodes=nodes, strategy=strategy, precision=precision)
+    fabric.launch()
+    if torch.distributed.is_initialized() and torch.distributed.get_backend() == "gloo":
+        atexit.register(_leave_group)
+    return fabric
+
+
+def _leave_group() -> None:
+    """Threads of gloo that still run when the interpreter is gone abort a process that has done its work
+    (pytorch/pytorch#190489); Fabric sees to NCCL's alone."""
+    if torch.distributed.is_initialized():
+        torch.distributed.destroy_process_group()
