@@ -92,7 +92,7 @@ def test_shipped_rows_are_evaluated_with_their_folders_and_the_others_are_not_tr
     assert calls["real"] == (None, 7)
     assert calls["pcm-1"] == (shipped()[CLIPS], 7)
     assert calls["teacher"] == (shipped()[CLIPS], 5)
-    assert "PCM, 1 step, k = 20: not trained" in seen
+    assert "PCM, 1 step, k = 20: no weights given" in seen
     assert "Teacher, 50 guided steps: 5 repeats" in seen
 
 
@@ -106,7 +106,7 @@ def test_given_folders_fill_rows_by_their_name(tmp_path: Path):
     found = Recorder()
     trained = folder(tmp_path / "a", f"{CLIPS}-k20", ("vae", "pcm-1"))
     results = run_suite("motionpcm", SuiteSettings((trained,), only=("k20", "no-ema")), found)
-    assert [(entry.row.key, entry.missing) for entry in results] == [("k20", ""), ("no-ema", "not trained")]
+    assert [(entry.row.key, entry.missing) for entry in results] == [("k20", ""), ("no-ema", "no weights given")]
     assert found.calls == [("k20", trained, 20)]
 
 

@@ -39,7 +39,7 @@ def test_a_suite_becomes_a_page(place: Path, capsys: pytest.CaptureFixture[str])
     folder = place / "results" / "motionpcm"
     table = load_table(folder)
     assert printed.out.rstrip("\n") == (folder / "table.md").read_text().rstrip("\n")
-    assert "PCM, 1 step, without EMA: not trained" in printed.err
+    assert "PCM, 1 step, without EMA: no weights given" in printed.err
     assert {key: found.repeats for key, found in table.measured.items()} == dict.fromkeys(
         ("real", "vae", "lcm-2", "pcm-1", "mine-pcm-1"), 2
     )

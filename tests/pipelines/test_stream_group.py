@@ -130,3 +130,19 @@ def test_what_cannot_be_grouped_is_refused(group):
     assert lane.prompt == WALK
     with pytest.raises(InputError, match="empty"):
         made.open("", 1)
+
+
+def test_what_mirror_images_are_told_is_read_once(group, monkeypatch):
+    together = group()
+    assert "pcm-1" in together.bundle.config.symmetric
+    lanes = [together.open("a person turns left", 1)]
+    together.advance(lanes)
+
+    def refused(sentences):
+        raise AssertionError(f"{sentences} were read again")
+
+    monkeypatch.setattr(together.encoder, "encode", refused)
+    # Other streams' prompts may have pushed these out of the memory.
+    together._texts._known.clear()
+    together.advance(lanes)
+    assert lanes[0].number == 2

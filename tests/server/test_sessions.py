@@ -1,30 +1,34 @@
 """When a stream is due, when it runs out, and where a prompt takes it back to; with a clock of our own."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
+import torch
 
+from moveset.motion.features import get_codec
+from moveset.motion.foot_lock import FootLock
+from moveset.motion.incremental import IncrementalDecoder
+from moveset.pipelines.stream_group import Lane
+from moveset.pipelines.stream_settings import held
 from moveset.server import sessions
 from moveset.server.sessions import Session
-
-
-class Lane(SimpleNamespace):
-    def copy(self):
-        return Lane(**vars(self))
+from moveset.text.encoder import TextEmbedding
 
 
 @pytest.fixture
 def clock(monkeypatch):
     now = SimpleNamespace(now=100.0)
     monkeypatch.setattr(sessions, "time", SimpleNamespace(monotonic=lambda: now.now))
-    monkeypatch.setattr(sessions, "replace", lambda lane, **new: Lane(**vars(lane) | new))
     return now
 
 
 def begin(buffer=2.0, commit=None):
     session = Session(1, lambda messages: None, buffer, commit, None)
     config = SimpleNamespace(fps=20.0, segment=28)
-    lane = Lane(number=0, line=None, since=0, prompt="walk", text=None, guidance=1.0, reading_ms=0.0)
+    codec = get_codec("native")
+    text = TextEmbedding(torch.zeros(1, 1, 4), torch.ones(1, 1, dtype=torch.bool), torch.zeros(1, 4))
+    lane = Lane(0, 1.0, held("walk"), "walk", text, IncrementalDecoder(codec), FootLock(codec.skeleton, 20.0))
     session.started(SimpleNamespace(bundle=SimpleNamespace(config=config)), lane)
     return session
 
@@ -112,10 +116,13 @@ def test_a_prompt_goes_back_to_the_first_segment_that_is_not_committed(clock):
     for _ in range(5):
         make(session)
     session.acknowledge(30)
-    session.lane.line, session.lane.since, session.lane.prompt, session.lane.guidance = "bow, bow", 5, "bow", 3.0
+    lane, line, text = session.lane, held("bow"), replace(session.lane.text)
+    lane.line, lane.since, lane.prompt, lane.text, lane.mirrored, lane.guidance = line, 5, "bow", text, text, 3.0
     session.go_back()
     assert (session.lane.number, session.sent) == (2, 56)  # frame 40 is in segment 1
-    assert (session.lane.line, session.lane.prompt, session.lane.guidance) == ("bow, bow", "bow", 3.0)
+    assert (session.lane.line, session.lane.prompt, session.lane.guidance) == (line, "bow", 3.0)
+    assert session.lane.text is text
+    assert session.lane.mirrored is text
     assert session.lane.since == 2
     make(session)
     assert min(session.kept) >= 1

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from moveset.diffusion.guidance import cfg
-from moveset.errors import FormatError, InputError
+from moveset.errors import InputError
 from moveset.evaluation.generators import (
     Remembered,
     Tick,
@@ -21,10 +21,8 @@ from moveset.evaluation.generators import (
     weights_of,
 )
 from moveset.motion.clip import Motion
-from moveset.motion.features import get_codec
 from moveset.motion.foot_lock import FootLock
 from moveset.motion.hold_root import hold_root
-from moveset.motion.native import NativeCodec
 from moveset.pipelines.baseline_bundle import DENOISER, IDLE, BaselineBundle
 from moveset.pipelines.device import pick_device
 from moveset.pipelines.stream_settings import CONTACT
@@ -80,12 +78,7 @@ class Baseline:
         if not 0.0 <= self._w < 100.0:
             raise InputError(f"guidance {self._w:g} is not in 0 to 100; {config.name!r} has {chosen:g}")
         self._bundle, self._batch, self._foot_lock = bundle, batch, foot_lock
-        codec = get_codec(config.codec)
-        if not isinstance(codec, NativeCodec):
-            raise FormatError(
-                f"model {config.name!r} has the codec {config.codec!r}; a baseline of streams has 'native'"
-            )
-        self._device, self._codec = pick_device(device), codec
+        self._device, self._codec = pick_device(device), config.native_codec()
         self._text = Remembered(get_text_encoder(config.text_encoder, device=self._device))
         self._schedule = config.noise_schedule()
         self.model, self.network = config.name, DENOISER

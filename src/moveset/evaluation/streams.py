@@ -16,16 +16,13 @@ from torch import Tensor, nn
 
 from moveset.data.captions import mirror_text
 from moveset.diffusion.guidance import cfg
-from moveset.errors import FormatError
 from moveset.evaluation.generators import Remembered, Tick, Wanted, frames_at, joints_at, weights_of
 from moveset.models.flow import CouplingFlow
 from moveset.models.symmetric import Symmetric
 from moveset.motion.clip import Motion
-from moveset.motion.features import get_codec
 from moveset.motion.foot_lock import FootLock
 from moveset.motion.hold_root import hold_root
 from moveset.motion.incremental import IncrementalDecoder
-from moveset.motion.native import NativeCodec
 from moveset.pipelines.device import pick_device
 from moveset.pipelines.stream_bundle import FLOW, StreamBundle
 from moveset.pipelines.stream_settings import CONTACT, StreamSettings, get_schedule, share_evenly
@@ -54,6 +51,7 @@ class Streams:
         "moveset.text.stages", "moveset.rdm.sampler", "moveset.rdm.staircase", "moveset.rdm.transport",
         "moveset.rdm.noise", "moveset.diffusion.steps", "moveset.diffusion.coloured", "moveset.motion.incremental",
         "moveset.motion.foot_lock", "moveset.motion.cleanup", "moveset.motion.hold_root",
+        "moveset.models.symmetric",
     )  # fmt: skip
 
     def __init__(
@@ -66,10 +64,8 @@ class Streams:
         device: str = "auto",
         batch: int = 96,
     ) -> None:
-        codec = get_codec(bundle.config.codec)
-        if not isinstance(codec, NativeCodec):
-            raise FormatError(f"model {bundle.config.name!r} has the codec {codec.name!r}; a stream needs 'native'")
-        self._bundle, self._settings, self._shape, self._codec = bundle, settings, shape, codec
+        self._bundle, self._settings, self._shape = bundle, settings, shape
+        self._codec = bundle.config.native_codec()
         self._device, self._batch = pick_device(device), batch
         self._text = Remembered(get_text_encoder(bundle.config.text_encoder, device=self._device))
         self.model, self.network, self.steps = bundle.config.name, settings.network, settings.steps
@@ -78,7 +74,14 @@ class Streams:
 
     def describe(self) -> dict[str, Any]:
         settings = {k: v for k, v in asdict(self._settings).items() if k not in ("network", "steps", "buffer")}
-        return {**settings, "shape": self._shape, "batch": self._batch, "device": self._device.type}
+        symmetric = self.network in self._bundle.config.symmetric
+        return {
+            **settings,
+            "symmetric": symmetric,
+            "shape": self._shape,
+            "batch": self._batch,
+            "device": self._device.type,
+        }
 
     def weights(self) -> dict[str, str]:
         return weights_of(self._bundle, (self._settings.network, *([FLOW] if self._uses_flow else [])))

@@ -250,7 +250,7 @@ def find_weights(row: Row, folders: Mapping[str, Path]) -> tuple[Path | None, st
         return None, ""
     folder = folders.get(row.model) or shipped().get(row.model)
     if folder is None:
-        return None, "not trained"
+        return None, "no weights given"
     if row.network not in networks(folder):
         return None, f"not in {row.model}"
     return folder, ""

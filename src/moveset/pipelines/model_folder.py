@@ -25,6 +25,8 @@ from torch import Tensor, nn
 
 from moveset.errors import FormatError, InputError
 from moveset.models.packed import PACKABLE, can_pack, pack
+from moveset.motion.features import get_codec
+from moveset.motion.native import NativeCodec
 from moveset.pipelines.stored_weights import halved, restored, subtracted
 from moveset.pipelines.verified_folder import VerifiedFolder, json_bytes, json_object, write_whole
 from moveset.text.familiarity import KnownPrompts
@@ -83,6 +85,17 @@ class FolderConfig:
         """Step counts for which there is a student: the numbers behind "pcm-" or "lcm-", ascending."""
         prefix = f"{solver}-"
         return tuple(sorted(int(name[len(prefix) :]) for name in self.models if name.startswith(prefix)))
+
+    def native_codec(self) -> NativeCodec:
+        """The codec of a model whose motion is made piece by piece, which only native features can be.
+
+        Raises:
+            FormatError: another codec.
+        """
+        codec = get_codec(self.codec)
+        if not isinstance(codec, NativeCodec):
+            raise FormatError(f"model {self.name!r} has the codec {codec.name!r}; a stream needs 'native'")
+        return codec
 
     def check(self) -> None:
         """Raises ValueError, TypeError or KeyError for numbers that no such model can have."""

@@ -18,15 +18,12 @@ from typing import Any, Self, cast
 import torch
 from torch import Tensor
 
-from moveset.data.captions import mirror_text
 from moveset.errors import FormatError, InputError
 from moveset.models.flow import CouplingFlow
 from moveset.motion.clip import Motion
-from moveset.motion.features import get_codec
 from moveset.motion.foot_lock import FootLock
 from moveset.motion.hold_root import hold_root
 from moveset.motion.incremental import IncrementalDecoder
-from moveset.motion.native import NativeCodec
 from moveset.pipelines.device import pick_device
 from moveset.pipelines.prompt_memory import PromptMemory
 from moveset.pipelines.seed_motion import SeedMotion
@@ -105,16 +102,13 @@ class MotionStream(Iterator[Segment]):
         device: torch.device | str = "auto",
         encoder: TextEncoder | None = None,
     ) -> None:
-        codec = get_codec(bundle.config.codec)
-        if not isinstance(codec, NativeCodec):
-            raise FormatError(f"model {bundle.config.name!r} has the codec {codec.name!r}; a stream needs 'native'")
-        self.bundle, self.codec, self.device = bundle, codec, pick_device(str(device))
+        self.bundle, self.codec, self.device = bundle, bundle.config.native_codec(), pick_device(str(device))
         self.encoder = encoder or get_text_encoder(bundle.config.text_encoder, device=self.device)
         self._texts = PromptMemory(self.encoder)
         normalizer = bundle.normalizer
         self._mean, self._std = (normalizer[name].to(self.device) for name in ("feature_mean", "feature_std"))
         self._seed, self._timeline = request.seed, request.timeline
-        seed = None if seed_motion is None else SeedMotion.of(seed_motion, codec, bundle.config.segment)
+        seed = None if seed_motion is None else SeedMotion.of(seed_motion, self.codec, bundle.config.segment)
         self._begin(request.settings, seed)
 
     @classmethod
@@ -258,7 +252,7 @@ class MotionStream(Iterator[Segment]):
             self._go_on(StreamState.restore(numbers["sampler"], found), int(numbers["given"]))
             self._prompts |= {int(segment): prompt for segment, prompt in numbers["prompts"].items()}
             for segment, prompt in self._prompts.items():
-                self._denoise.enter(segment, self._texts(prompt), self._texts(mirror_text(prompt)))
+                self._denoise.enter(segment, prompt)
             self._decoder = IncrementalDecoder.from_state(self.codec, numbers["decoder"])
             self._feet = FootLock.from_state(self.codec.skeleton, self.codec.fps, numbers["feet"])
             for k, made in enumerate(numbers["waiting"]):
@@ -325,7 +319,7 @@ class MotionStream(Iterator[Segment]):
             self._network,
             guided=bool(config.models[settings.network].config.get("guided")),
             guidance=settings.guidance,
-            empty=self._texts(""),
+            encode=self._texts,
             clean_left=settings.clean_left,
             seeded=given > 0,
             device=self.device,
@@ -370,13 +364,14 @@ class MotionStream(Iterator[Segment]):
     def _enter(self, segment: int) -> Tensor | None:
         """Called by the sampler when a segment enters: its prompt, which stays."""
         prompt = self._prompts[segment] = self._timeline.at(segment - self._given)
-        pooled = self._denoise.enter(segment, self._texts(prompt), self._texts(mirror_text(prompt)))
+        pooled = self._denoise.enter(segment, prompt)
         return None if self._transport.flow is None else pooled
 
     def _weights(self, settings: StreamSettings) -> dict[str, Any]:
-        """The sha256 of the networks that make segments."""
+        """The sha256 of the networks that make segments, and whether theirs is evaluated with its mirror image."""
         names = (settings.network, FLOW) if self._uses_flow(settings) else (settings.network,)
-        return {name: self.bundle.files[f"{name}.safetensors"][0] for name in names}
+        found: dict[str, Any] = {name: self.bundle.files[f"{name}.safetensors"][0] for name in names}
+        return found | {"symmetric": settings.network in self.bundle.config.symmetric}
 
     def _uses_flow(self, settings: StreamSettings) -> bool:
         return self.bundle.config.flows(settings.network)

@@ -3,12 +3,13 @@
 Shapes: B rows (one a segment in work), n frames of a segment, D features, L text tokens, C text width.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Protocol, cast, runtime_checkable
 
 import torch
 from torch import Tensor, nn
 
+from moveset.data.captions import mirror_text
 from moveset.diffusion.guidance import cfg
 from moveset.models.symmetric import Symmetric
 from moveset.text.encoder import TextEmbedding, stack
@@ -32,7 +33,7 @@ class SegmentDenoise:
         network: the denoiser.
         guided: whether it takes the guidance scale as an input; the others are evaluated with and without text.
         guidance: scale w.
-        empty: the empty prompt, for guidance by two evaluations.
+        encode: a prompt's embedding; the empty one is for guidance by two evaluations.
         clean_left: every segment is told its finished predecessor, so text and predecessor are read once for all steps.
         seeded: segment 0 is a given motion, so the one after it is told a clean predecessor at every step.
         device: where to compute.
@@ -44,14 +45,15 @@ class SegmentDenoise:
         *,
         guided: bool,
         guidance: float,
-        empty: TextEmbedding,
+        encode: Callable[[str], TextEmbedding],
         clean_left: bool,
         seeded: bool,
         device: torch.device,
     ) -> None:
         self._network, self._guided, self._guidance = network, guided, guidance
         self._twice = bool(guidance) and not guided
-        self._empty, self._seeded, self._device = empty.to(device), seeded, device
+        self._encode, self._seeded, self._device = encode, seeded, device
+        self._empty = encode("").to(device)
         self._once = clean_left and isinstance(network, Reader)
         self._even = isinstance(network, Symmetric)
         self._texts: dict[int, TextEmbedding] = {}
@@ -59,9 +61,11 @@ class SegmentDenoise:
         self._context: tuple[int, object] | None = None
         self.evaluations = 0
 
-    def enter(self, segment: int, text: TextEmbedding, mirrored: TextEmbedding) -> Tensor:
-        """Bind the prompt of a segment, and what it says of the mirror image; its sentence embedding (1, C)."""
-        self._texts[segment], self._mirrored[segment] = text.to(self._device), mirrored.to(self._device)
+    def enter(self, segment: int, prompt: str) -> Tensor:
+        """Bind the prompt of a segment; its sentence embedding (1, C)."""
+        self._texts[segment] = self._encode(prompt).to(self._device)
+        if self._even:
+            self._mirrored[segment] = self._encode(mirror_text(prompt)).to(self._device)
         return self._texts[segment].pooled
 
     def leave(self, segment: int) -> None:

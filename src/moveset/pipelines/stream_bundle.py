@@ -18,8 +18,6 @@ from torch import Tensor, nn
 from moveset.errors import FormatError
 from moveset.models import flow, segment_transformer  # noqa: F401  (they register their kinds)
 from moveset.models.symmetric import Symmetric
-from moveset.motion.features import get_codec
-from moveset.motion.native import NativeCodec
 from moveset.pipelines.model_folder import STREAM, FolderConfig, ModelFolder, save_folder
 
 DEFAULT_STREAM = "rdm-small"
@@ -130,10 +128,7 @@ class StreamBundle(ModelFolder[StreamConfig]):
         return network
 
     def _even(self, network: nn.Module) -> Symmetric:
-        codec = get_codec(self.config.codec)
-        if not isinstance(codec, NativeCodec):
-            raise FormatError(f"{self.path}: features of {codec.name!r} have no mirror image, so nothing is symmetric")
-        order, signs = codec.mirror()
+        order, signs = self.config.native_codec().mirror()
         mean, std = (self.normalizer[statistic] for statistic in STATISTICS)
         lean = ((mean[order] * signs - mean) / std, std[order] / std - 1)
         if max(float(part.abs().max()) for part in lean) > _LEAN:

@@ -19,15 +19,13 @@ from torch import Tensor
 from moveset.data.captions import mirror_text
 from moveset.diffusion.guidance import cfg
 from moveset.diffusion.steps import denoise_step
-from moveset.errors import FormatError, InputError
+from moveset.errors import InputError
 from moveset.models.flow import CouplingFlow
 from moveset.models.symmetric import Symmetric
 from moveset.motion.clip import Motion
-from moveset.motion.features import get_codec
 from moveset.motion.foot_lock import FootLock
 from moveset.motion.hold_root import hold_root
 from moveset.motion.incremental import IncrementalDecoder
-from moveset.motion.native import NativeCodec
 from moveset.pipelines.device import pick_device
 from moveset.pipelines.motion_stream import Segment
 from moveset.pipelines.prompt_memory import PromptMemory
@@ -63,6 +61,7 @@ class Lane:
         line: what it is told when, counted from segment ``since`` on.
         prompt: what the next segment is told.
         text: the same, encoded.
+        mirrored: what it says of the mirror image, encoded, where the network is symmetric.
         number: of the next segment.
         left: (1, n, D) the last finished segment, normalised.
         reading_ms: what encoding took since the last segment.
@@ -78,6 +77,7 @@ class Lane:
     since: int = 0
     number: int = 0
     left: Tensor | None = None
+    mirrored: TextEmbedding | None = None
     reading_ms: float = 0.0
 
     def copy(self) -> "Lane":
@@ -85,6 +85,14 @@ class Lane:
         # The decoder replaces what it remembers; the foot lock writes into it.
         feet = FootLock.from_state(self.feet.skeleton, self.feet.fps, self.feet.state())
         return replace(self, decoder=copy(self.decoder), feet=feet)
+
+    def back_at(self, earlier: "Lane") -> "Lane":
+        """A copy of ``earlier`` that is told from there on what this lane is told."""
+        place = earlier.copy()
+        place.line, place.since, place.guidance = self.line, earlier.number, self.guidance
+        place.prompt, place.text, place.mirrored = self.prompt, self.text, self.mirrored
+        place.reading_ms = self.reading_ms
+        return place
 
 
 class StreamGroup:
@@ -116,20 +124,19 @@ class StreamGroup:
                 f"{settings.steps} steps); streams are grouped where a segment follows a finished one: set start and "
                 "lag to the steps, or use a student"
             )
-        codec = get_codec(config.codec)
-        if not isinstance(codec, NativeCodec):
-            raise FormatError(f"model {config.name!r} has the codec {codec.name!r}; a stream needs 'native'")
-        self.bundle, self.settings, self.codec, self.device = bundle, settings, codec, pick_device(str(device))
+        self.bundle, self.settings = bundle, settings
+        self.codec, self.device = config.native_codec(), pick_device(str(device))
         self.encoder = encoder or get_text_encoder(config.text_encoder, device=self.device)
         self._texts = PromptMemory(self.encoder)
         self._mean, self._std = (bundle.normalizer[name].to(self.device) for name in ("feature_mean", "feature_std"))
         self._network = bundle.module(settings.network, self.device)
+        self._even = isinstance(self._network, Symmetric)
         self._guided = bool(config.models[settings.network].config.get("guided"))
         self._colour: Callable[[Tensor], Tensor] | None = getattr(self._network, "colour", None)
         flow = cast(CouplingFlow, bundle.module(FLOW, self.device)) if config.flows(settings.network) else None
         self._transport = Transport(flow, max(config.depth_cap, 1))
         self._schedule, self._levels = get_schedule(config), settings.levels(config)
-        self._shape = (config.segment, codec.dim)
+        self._shape = (config.segment, self.codec.dim)
 
     def open(self, prompt: str, seed: int, guidance: float | None = None) -> Lane:
         """A stream at its beginning.
@@ -187,9 +194,10 @@ class StreamGroup:
     def _read(self, lane: Lane) -> None:
         """What the lane's next segment is told."""
         prompt = lane.line.at(lane.number - lane.since)
-        if prompt != lane.prompt:
+        if prompt != lane.prompt or (self._even and lane.mirrored is None):
             start = time.perf_counter()
             lane.text, lane.prompt = self._texts(prompt).to(self.device), prompt
+            lane.mirrored = self._texts(mirror_text(prompt)).to(self.device) if self._even else None
             lane.reading_ms += (time.perf_counter() - start) * 1e3
 
     def _decoded(self, lane: Lane, features: Tensor) -> tuple[Motion, Tensor]:
@@ -201,7 +209,7 @@ class StreamGroup:
     def _piece(self, lane: Lane, clean: Tensor, decoded: tuple[Motion, Tensor], spent: float) -> Piece:
         motion, planted = decoded
         number, frames = lane.number, len(motion)
-        twice = isinstance(self._network, Symmetric) or (lane.guidance and not self._guided)
+        twice = self._even or (lane.guidance and not self._guided)
         evaluations = self.settings.steps * (2 if twice else 1)
         latency = round(spent + lane.reading_ms, 3)
         lane.left, lane.number, lane.reading_ms = clean[None].clone(), number + 1, 0.0
@@ -232,8 +240,8 @@ class StreamGroup:
         w_B = torch.tensor([lane.guidance for lane in lanes], device=self.device)
         twice = not self._guided and bool(w_B.any())
         scale_B = w_B if self._guided else None
-        if isinstance(self._network, Symmetric):
-            text = stack([text, *(self._texts(mirror_text(lane.prompt)).to(self.device) for lane in lanes)])
+        if self._even:
+            text = stack([text, *(lane.mirrored for lane in lanes if lane.mirrored is not None)])
         if twice:
             text = stack([text, *[self._texts("").to(self.device)] * len(lanes)])
             left_BnD, index_B = left_BnD.repeat(2, 1, 1), index_B.repeat(2)

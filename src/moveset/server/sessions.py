@@ -7,7 +7,7 @@ n frames of a segment.
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 from moveset.pipelines.stream_group import Lane, StreamGroup
@@ -137,7 +137,6 @@ class Session:
             return
         number = math.ceil((self.played + self.commit) / self.segment)
         if number < now.number:
-            wished = {name: getattr(now, name) for name in ("line", "prompt", "text", "guidance", "reading_ms")}
-            self.lane = replace(self.kept[number].copy(), since=number, **wished)
+            self.lane = now.back_at(self.kept[number])
             self.sent = number * self.segment
             self.look()
