@@ -152,19 +152,24 @@ def _make(source: ClipSource, codec: FeatureCodec, folder: Path, progress: bool)
                 file.write(encoded.tobytes())
                 frames.append(len(encoded))
         ends = np.cumsum([0, *frames])
-        shape = (int(ends[-1]), codec.dim)
-        raw = np.memmap(building / "raw", np.float32, "r", shape=shape)
-        normalizer = source.normalizer(codec, lambda clip: torch.tensor(raw[ends[clip] : ends[clip + 1]]))
-        mean, std = normalizer.mean.numpy(), normalizer.std.numpy()
-        out = np.lib.format.open_memmap(building / "features.npy", mode="w+", dtype=np.float32, shape=shape)
-        for start, stop in pairwise(ends):
-            out[start:stop] = (raw[start:stop] - mean) / std
-        out.flush()
-        del raw
+        normalizer = _normalise(source, codec, building, ends)
         (building / "raw").unlink()
         rows = [[int(start), count] for start, count in zip(ends, frames, strict=False)]
-        index = {"version": _VERSION, "clips": rows, "mean": mean.tolist(), "std": std.tolist()}
+        index = {"version": _VERSION, "clips": rows, **normalizer}
         (building / "index.json").write_text(json.dumps(index))
         building.rename(folder)
     finally:
         shutil.rmtree(building, ignore_errors=True)
+
+
+def _normalise(source: ClipSource, codec: FeatureCodec, building: Path, ends: np.ndarray) -> dict[str, list[float]]:
+    """From ``raw`` to ``features.npy``; the statistics."""
+    shape = (int(ends[-1]), codec.dim)
+    raw = np.memmap(building / "raw", np.float32, "r", shape=shape)
+    normalizer = source.normalizer(codec, lambda clip: torch.tensor(raw[ends[clip] : ends[clip + 1]]))
+    mean, std = normalizer.mean.numpy(), normalizer.std.numpy()
+    out = np.lib.format.open_memmap(building / "features.npy", mode="w+", dtype=np.float32, shape=shape)
+    for start, stop in pairwise(ends):
+        out[start:stop] = (raw[start:stop] - mean) / std
+    out.flush()
+    return {"mean": mean.tolist(), "std": std.tolist()}
