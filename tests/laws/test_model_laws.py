@@ -8,12 +8,13 @@ from moveset.models.timed_vae import TimedVAEConfig
 from moveset.models.token_denoiser import TokenDenoiserConfig
 from moveset.models.token_vae import TokenVAEConfig
 
-# Registered architectures at test size: 7 features, 3 latent tokens of 4; text tokens of 6.
+# Registered architectures at test size: 7 features, 3 latent tokens of 4 or one of 12; text tokens of 6.
 VAES = {
     "token": lambda: TokenVAEConfig(
         features=7, tokens=3, token_dim=4, width=16, layers=3, heads=2, feed_forward=32, positions=40
     ).build(),
     "timed": lambda: TimedVAEConfig(features=7, tokens=3, token_dim=4, width=16, frame_width=8).build(),
+    "global": lambda: TimedVAEConfig(features=7, tokens=1, slots=6, token_dim=12, width=16, frame_width=8).build(),
 }
 DENOISERS = {
     "token": lambda guidance: TokenDenoiserConfig(
@@ -27,6 +28,10 @@ DENOISERS = {
 
 def _rand(*shape, seed=0):
     return torch.randn(*shape, generator=torch.Generator().manual_seed(seed))
+
+
+def _latents(vae, count, seed=0):
+    return _rand(count, vae.config.tokens, vae.config.token_dim, seed=seed)
 
 
 def _close(a, b):
@@ -61,7 +66,7 @@ class TestVAE:
     def test_gradients_reach_every_parameter(self, vae):
         vae.train()
         mean, log_variance = vae.encode(_rand(4, 20, 7), LENGTHS)
-        z = mean + (0.5 * log_variance).exp() * _rand(4, 3, 4, seed=1)
+        z = mean + (0.5 * log_variance).exp() * _latents(vae, 4, seed=1)
         (vae.decode(z, LENGTHS, 20).square().mean() + mean.square().mean() + log_variance.square().mean()).backward()
         silent = [n for n, p in vae.named_parameters() if p.grad is None or not p.grad.any()]
         assert silent == []
@@ -83,14 +88,14 @@ class TestVAE:
         longer = torch.cat((x, _rand(4, 11, 7, seed=2)), dim=1)
         for a, b in zip(vae.encode(x, LENGTHS), vae.encode(longer, LENGTHS), strict=True):
             _close(a, b)
-        z = _rand(4, 3, 4)
+        z = _latents(vae, 4)
         short, long = vae.decode(z, LENGTHS, 20), vae.decode(z, LENGTHS, 31)
         _close(short, long[:, :20])
         assert (long[:, 20:] == 0).all()
 
     def test_an_item_of_a_batch_is_the_item_alone(self, vae):
         vae.eval()
-        x, z = _rand(4, 20, 7), _rand(4, 3, 4)
+        x, z = _rand(4, 20, 7), _latents(vae, 4)
         means, log_variances = vae.encode(x, LENGTHS)
         decoded = vae.decode(z, LENGTHS, 20)
         for k, n in enumerate(LENGTHS.tolist()):
@@ -105,13 +110,13 @@ class TestVAE:
         x = _rand(1, 20, 7).requires_grad_()
         vae.encode(x, LENGTHS[:1])[0].square().sum().backward()
         assert (x.grad.abs().amax(-1) > 0).all()
-        z = _rand(1, 3, 4).requires_grad_()
+        z = _latents(vae, 1).requires_grad_()
         vae.decode(z, LENGTHS[:1], 20).square().sum().backward()
         assert (z.grad.abs().amax(-1) > 0).all()
 
     def test_evaluation_is_deterministic(self, vae):
         vae.eval()
-        z = _rand(4, 3, 4)
+        z = _latents(vae, 4)
         assert torch.equal(vae.decode(z, LENGTHS, 20), vae.decode(z, LENGTHS, 20))
 
 

@@ -3,7 +3,9 @@
 In the published VAE (``token_vae``) attention must first discover which latent token answers for which moment. Here the
 routing is fixed: latent token n covers the n-th sixteenth of the clip, whatever its length; convolutions do the rest.
 
-Shapes: B batch, F frames, D features, P patches of 4 frames, S = 3N slots over relative time, N latent tokens, C width.
+With one token and 48 slots the latent is MLD's single global one (arXiv 2212.04048) in an otherwise equal network.
+
+Shapes: B batch, F frames, D features, P patches of 4 frames, S slots over relative time, N latent tokens, C width.
 """
 
 from dataclasses import dataclass
@@ -15,15 +17,15 @@ from torch.nn import functional as fn
 from moveset.models.registry import register, require_range
 
 PATCH = 4
-SLOTS_PER_TOKEN = 3
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class TimedVAEConfig:
-    """Sizes of a ``TimedVAE``."""
+    """Sizes of a ``TimedVAE``; ``slots`` is how many places in time, evenly spread, a token is made of."""
 
     features: int = 269
     tokens: int = 16
+    slots: int = 3
     token_dim: int = 32
     width: int = 256
     frame_width: int = 128
@@ -33,7 +35,7 @@ class TimedVAEConfig:
     frame_blocks: int = 2
 
     def __post_init__(self) -> None:
-        for name in ("features", "tokens", "token_dim", "width", "frame_width"):
+        for name in ("features", "tokens", "slots", "token_dim", "width", "frame_width"):
             require_range(name, getattr(self, name), 1, 16384)
         for name in ("encoder_blocks", "decoder_blocks", "token_blocks", "frame_blocks"):
             require_range(name, getattr(self, name), 0, 64)
@@ -53,14 +55,14 @@ class TimedVAE(nn.Module):
         self.patch_in = nn.Linear(PATCH * c.features, c.width)
         self.length_in = nn.Linear(2 * _RELATIVE_WAVES + 2, c.width)
         self.encoder = nn.ModuleList(ConvBlock(c.width, 3, 1) for _ in range(c.encoder_blocks))
-        self.merge = nn.Linear(SLOTS_PER_TOKEN * c.width, c.width)
+        self.merge = nn.Linear(c.slots * c.width, c.width)
         self.encoder_mixer = nn.ModuleList(TokenMixer(c.width, c.tokens) for _ in range(c.token_blocks))
         self.norm_latent = nn.LayerNorm(c.width)
         self.to_latent = nn.Linear(c.width, 2 * c.token_dim)
 
         self.from_latent = nn.Linear(c.token_dim, c.width)
         self.decoder_mixer = nn.ModuleList(TokenMixer(c.width, c.tokens) for _ in range(c.token_blocks))
-        self.split = nn.Linear(c.width, SLOTS_PER_TOKEN * c.width)
+        self.split = nn.Linear(c.width, c.slots * c.width)
         self.length_out = nn.Linear(2 * _RELATIVE_WAVES + 2, c.width)
         self.decoder = nn.ModuleList(ConvBlock(c.width, 3, 1) for _ in range(c.decoder_blocks))
         self.patch_out = nn.Linear(c.width, PATCH * c.frame_width)
@@ -80,7 +82,7 @@ class TimedVAE(nn.Module):
         x = (x + self.length_in(place(lengths_B, x.shape[1]))).transpose(1, 2) * mask
         for block in self.encoder:
             x = block(x, mask)
-        slots = resample(x.transpose(1, 2), patches, torch.full_like(patches, SLOTS_PER_TOKEN * self.config.tokens))
+        slots = resample(x.transpose(1, 2), patches, torch.full_like(patches, self.config.slots * self.config.tokens))
         tokens = self.merge(slots.reshape(batch, self.config.tokens, -1))
         for mixer in self.encoder_mixer:
             tokens = mixer(tokens)
