@@ -118,7 +118,8 @@ def test_differences_count_only_outside_the_intervals(table: Table):
 def test_one_repeat_has_no_interval_and_proves_nothing():
     alone = {"a": {"fid": Interval(0.1, float("inf"))}, "b": {"fid": Interval(9.0, 0.0)}}
     (found,) = differences(alone, {"a": ["b"]})
-    assert found.tied == ("FID",)
+    assert (found.open, found.tied) == (("FID",), ())
+    assert found.sentence({"a": "A", "b": "B"}) == "A against B: undecided by a single repeat in FID."
     assert outside(alone, "a", "b", "fid", "{}").verdict == "not met"
     raw = result_json({"fid": (0.1, None)}, repeats=1)
     assert Measured.of(raw, "x").metrics["fid"].half_width == float("inf")

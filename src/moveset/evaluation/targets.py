@@ -3,6 +3,7 @@
 A difference counts where two rows' 95 % intervals do not touch. Everything else is a tie, in either direction.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -30,13 +31,17 @@ class Check:
 
 @dataclass(frozen=True)
 class Difference:
-    """How a row stands to a reference row: metrics that are better, worse and tied, by their labels."""
+    """How a row stands to a reference row: metrics that are better, worse, tied, and open, by their labels.
+
+    Open is what one of the two has a single repeat of: there is no interval to be outside of.
+    """
 
     row: str
     reference: str
     better: tuple[str, ...]
     worse: tuple[str, ...]
     tied: tuple[str, ...]
+    open: tuple[str, ...] = ()
 
     def sentence(self, labels: Mapping[str, str]) -> str:
         """In words.
@@ -46,6 +51,7 @@ class Difference:
         """
         parts = [f"{said} in {', '.join(names)}" for said, names in (
             ("better", self.better), ("worse", self.worse), ("no difference outside the intervals", self.tied),
+            ("undecided by a single repeat", self.open),
         ) if names]  # fmt: skip
         return f"{labels[self.row]} against {labels[self.reference]}: {'; '.join(parts)}."
 
@@ -63,13 +69,14 @@ def differences(rows: Rows, against: Mapping[str, Sequence[str]]) -> list[Differ
         for reference in references:
             if key == reference or key not in rows or reference not in rows:
                 continue
-            found: dict[str, list[str]] = {"better": [], "worse": [], "tied": []}
+            found: dict[str, list[str]] = {"better": [], "worse": [], "tied": [], "open": []}
             for column in QUALITY:
                 if column.name in rows[key] and column.name in rows[reference]:
-                    verdict = _against(column, rows[key][column.name], rows[reference][column.name], real)
-                    found[verdict].append(column.label)
+                    a, b = rows[key][column.name], rows[reference][column.name]
+                    known = math.isfinite(a.half_width) and math.isfinite(b.half_width)
+                    found[_against(column, a, b, real) if known else "open"].append(column.label)
             if any(found.values()):
-                out.append(Difference(key, reference, *(tuple(found[k]) for k in ("better", "worse", "tied"))))
+                out.append(Difference(key, reference, **{verdict: tuple(names) for verdict, names in found.items()}))
     return out
 
 
