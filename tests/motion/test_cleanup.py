@@ -65,6 +65,18 @@ def test_a_sliding_walk_stops_sliding_without_a_pop(factor):
     assert leg_jerk(locked).mean() < 1.25 * leg_jerk(motion).mean()
 
 
+def test_feet_that_are_carried_off_take_steps():
+    still = gait(120)
+    root = torch.stack((torch.zeros(120), still.root[:1, 1].expand(120), 0.04 * torch.arange(120)), dim=1)
+    motion = Motion(still.rotations[:1].expand(120, -1, -1).clone(), root, 20.0, HML22)
+    locked = lock_feet(motion, contacts=torch.ones(120, 4, dtype=torch.bool))
+    assert physical.skating(motion.joints, 20.0) == 1.0
+    assert physical.skating(locked.joints, 20.0) < 0.6
+    raised = locked.joints[:, [10, 11], 1] > motion.joints[:, [10, 11], 1] + 0.03
+    assert bool(raised.any(dim=0).all())
+    assert not bool(raised.all(dim=1).any())
+
+
 @pytest.mark.parametrize("away", [0.1, 0.3, 0.8])
 @pytest.mark.parametrize("side", [0, 1])
 def test_feet_that_are_out_of_reach_stay_on_the_floor(away, side):

@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from moveset.errors import InputError
+from moveset.evaluation import physical
 from moveset.motion import rotations
 from moveset.motion.clip import Motion
 from moveset.motion.foot_lock import FootLock
@@ -64,6 +65,23 @@ def test_a_foot_is_let_go_before_its_leg_is_stretched():
     offset = (locked[:, LEFT_TOE] - motion.joints[:, LEFT_TOE])[:, [0, 2]].norm(dim=-1)
     assert 0.2 < float(offset.max()) < 0.35
     assert float(offset[-100:].min()) < 0.16
+
+
+def test_feet_that_are_carried_off_take_steps_in_turn():
+    motion = sliding(120, 0.6)
+    locked = pieces(motion, torch.ones(120, 4, dtype=torch.bool), size=28)
+    toes = locked[:, [LEFT_TOE, HML22.feet[3]], 1]
+    raised = toes > toes[0] + 0.03
+    assert physical.skating(motion.joints, FPS) == 1.0
+    assert physical.skating(locked, FPS) < 0.5
+    assert bool(raised.any(dim=0).all())
+    assert not bool(raised.all(dim=1).any())
+
+
+def test_nobody_steps_on_one_leg():
+    motion = sliding(120, 0.6)
+    locked = pieces(motion, planted(120, 0, 120), size=28)
+    assert torch.allclose(locked[:, LEFT_TOE, 1], motion.joints[:, LEFT_TOE, 1], atol=0.02)
 
 
 def test_feet_in_the_air_and_on_the_floor_are_left_alone():

@@ -18,6 +18,9 @@ from moveset.motion.two_bone_ik import two_bone
 
 _BLEND = 0.25  # seconds for a foot to leave or reach its locked place
 _HEEL = 0.35  # radians by which a heel rises at most to let its toe stay
+_STRIDE = 0.3  # metres that the body may carry a standing foot before it takes a step
+_CLEARANCE = 0.07  # metres that such a step rises
+ALONE = 1.5  # times as far it is carried while the other foot is in the air, and then it slides
 _GENTLE = 0.1  # seconds before and after a foot is under the floor in which it rises and falls
 
 
@@ -52,8 +55,12 @@ def lock_feet(motion: Motion, strength: float = 1.0, contacts: Tensor | None = N
     shifts = []
     for side in range(len(legs)):
         pair = list(motion.skeleton.feet[2 * side : 2 * side + 2])
-        shift = _pinned(joints[:, pair], planted[:, 2 * side : 2 * side + 2], max(round(_BLEND * motion.fps), 2))
-        shifts.append(strength * (shift + _lift(joints[:, pair, 1].amin(dim=1), motion.fps)))
+        blend = max(round(_BLEND * motion.fps), 2)
+        own = slice(2 * side, 2 * side + 2)
+        others = planted[:, 2 - 2 * side : 4 - 2 * side].any(dim=1)
+        planted[:, own], height = _take_steps(joints[:, pair], planted[:, own], others, blend)
+        shift = _pinned(joints[:, pair], planted[:, own], blend) + _upward(height)
+        shifts.append(strength * (shift + _upward(_lift(joints[:, pair, 1].amin(dim=1), motion.fps))))
     locked = move_feet(motion, torch.stack(shifts, dim=1))
     return Motion(locked.rotations.float(), motion.root, motion.fps, motion.skeleton)
 
@@ -106,6 +113,32 @@ def _legs(skeleton: Skeleton) -> list[tuple[int, int, int]]:
     if len(knees) != 2 or len(skeleton.feet) != 4:
         raise InputError(f"feet can be locked on {' and '.join(HINGES)} only, not on {skeleton.name!r}; retarget after")
     return [(skeleton.parents[knee], knee, skeleton.children[knee][0]) for knee in sorted(knees)]
+
+
+def step_heights(frames: int) -> Tensor:
+    """How high (frames,) a foot is raised that comes to another place instead of sliding there."""
+    at = torch.arange(1, frames + 1, dtype=torch.float64) / (frames + 1)
+    return _CLEARANCE * (at * torch.pi).sin() ** 2
+
+
+def _take_steps(foot: Tensor, planted: Tensor, other: Tensor, blend: int) -> tuple[Tensor, Tensor]:
+    """Stances in which the body carries a foot (F, 2, 3) far, taken apart: (F, 2) planted, and (F,) how high it steps.
+
+    Pinned to one place, such a foot would slide when its leg is stretched. Nobody steps while the ``other`` foot (F,)
+    does not stand.
+    """
+    path, stands, planted = foot.mean(dim=1)[:, [0, 2]], planted.any(dim=1).tolist(), planted.clone()
+    height, start = foot.new_zeros(len(foot)), 0
+    for frame in range(len(foot)):
+        if frame < start or not stands[frame] or not stands[start]:
+            start = max(start, frame)
+        elif (path[frame] - path[start]).norm() > _STRIDE * (1.0 if other[frame] else ALONE):
+            start = min(frame + blend // 2 + 1, len(foot))
+            steps = slice(max(start - blend, 0), start)
+            planted[steps] = False
+            if other[frame]:
+                height[steps] = step_heights(start - steps.start)
+    return planted, height
 
 
 def _pinned(foot: Tensor, planted: Tensor, blend: int) -> Tensor:
@@ -201,8 +234,11 @@ def _stillest(path: Tensor) -> Tensor:
 
 
 def _lift(lowest: Tensor, fps: float) -> Tensor:
-    """(F, 3) shifts that bring the lowest point (F,) of a foot to the floor, rising and falling gently around that."""
+    """How far (F,) the lowest point (F,) of a foot must rise to the floor, rising and falling gently around that."""
     reach = max(round(_GENTLE * fps), 1)
     depth = torch.nn.functional.max_pool1d((-lowest).clamp_min(0.0)[None], 2 * reach + 1, stride=1, padding=reach)
-    height = gaussian_smooth(depth.T, 0.5 * reach)[:, 0]
+    return gaussian_smooth(depth.T, 0.5 * reach)[:, 0]
+
+
+def _upward(height: Tensor) -> Tensor:
     return torch.stack((torch.zeros_like(height), height, torch.zeros_like(height)), dim=-1)

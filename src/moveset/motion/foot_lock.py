@@ -1,7 +1,8 @@
 """Foot locking for motion that never ends: ``cleanup.lock_feet`` without a look ahead, piece by piece.
 
 A foot is pinned where it lands, with whatever shift it still has from its last stance, so that nothing jumps; when it
-leaves, its shift dies away. A foot that stays planted while the body drifts off is let go before its leg is stretched.
+leaves, its shift dies away. A foot that stays planted while the body drifts off is let go before its leg is stretched,
+and takes a step to where it should be if the other foot stands.
 F frames of a piece.
 """
 
@@ -14,7 +15,7 @@ import torch
 from torch import Tensor
 
 from moveset.errors import InputError
-from moveset.motion.cleanup import move_feet
+from moveset.motion.cleanup import ALONE, move_feet, step_heights
 from moveset.motion.clip import Motion
 from moveset.motion.contacts import stances
 from moveset.motion.inertia import decay
@@ -22,7 +23,7 @@ from moveset.motion.skeleton import Skeleton
 
 _BLEND = 0.35  # seconds in which a foot leaves its locked place
 _RISE = 0.1  # seconds in which a foot that was lifted onto the floor comes down to where it should be
-_SLACK = 0.3  # metres from its locked place at which a foot is let go
+_SLACK = 0.2  # metres from its locked place at which a foot is let go
 _HISTORY = 4  # frames of contacts that decide with the next ones whether a foot stands
 
 _Point = tuple[float, float]
@@ -37,6 +38,7 @@ class _Foot:
     shift: _Point = (0.0, 0.0)
     before: _Point = (0.0, 0.0)  # the shift one frame earlier
     fading: list[_Point] = field(default_factory=list)  # shifts of the next frames of a free foot
+    rising: list[float] = field(default_factory=list)  # how high it is raised in these frames
     joints: tuple[_Point, _Point] = ((0.0, 0.0), (0.0, 0.0))  # ankle and toe, unshifted, in the last frame
     lift: float = 0.0
 
@@ -70,19 +72,19 @@ class FootLock:
         known = self._contacts + contacts.tolist()
         standing = stances(joints, self.fps, self.skeleton, torch.tensor(known))[len(self._contacts) :].tolist()
         self._contacts = known[-_HISTORY:]
-        shifts = torch.zeros(len(piece), 2, 3, dtype=torch.float64)
-        for side, foot in enumerate(self._feet):
-            pair = list(self.skeleton.feet[2 * side : 2 * side + 2])
-            places = joints[:, pair][..., [0, 2]].tolist()
-            lowest = joints[:, pair, 1].amin(dim=1).tolist()
-            rows = []
-            for (ankle, toe), low, row in zip(places, lowest, standing, strict=True):
-                planted = row[2 * side : 2 * side + 2]
-                shift = self._step(foot, (tuple(ankle), tuple(toe)), 1 if planted[1] else 0 if planted[0] else -1)
-                foot.lift = max(-low, foot.lift * exp(-1.0 / (_RISE * self.fps)))
-                rows.append((shift[0], foot.lift, shift[1]))
-            shifts[:, side] = torch.tensor(rows, dtype=torch.float64)
-        return move_feet(piece, shifts)
+        feet = joints[:, list(self.skeleton.feet)].unflatten(1, (2, 2))
+        places, lowest = feet[..., [0, 2]].tolist(), feet[..., 1].amin(dim=2).tolist()
+        shifts = []
+        for place, low, planted in zip(places, lowest, standing, strict=True):
+            for side, foot in enumerate(self._feet):
+                ankle, toe = planted[2 * side : 2 * side + 2]
+                other = self._feet[1 - side]
+                alone = bool(other.rising) or other.pivot < 0
+                shift = self._step(foot, place[side], 1 if toe else 0 if ankle else -1, alone)
+                foot.lift = max(-low[side], foot.lift * exp(-1.0 / (_RISE * self.fps)))
+                step = foot.rising.pop(0) if foot.rising else 0.0
+                shifts.append((shift[0], foot.lift + step, shift[1]))
+        return move_feet(piece, torch.tensor(shifts, dtype=torch.float64).reshape(-1, 2, 3))
 
     def state(self) -> dict[str, Any]:
         """Everything that the next piece depends on, as numbers and lists that survive JSON exactly."""
@@ -96,14 +98,15 @@ class FootLock:
         lock._contacts = state["contacts"]
         return lock
 
-    def _step(self, foot: _Foot, joints: tuple[_Point, _Point], pivot: int) -> _Point:
-        """The horizontal shift of the next frame."""
+    def _step(self, foot: _Foot, joints: tuple[_Point, _Point], pivot: int, alone: bool) -> _Point:
+        """The horizontal shift of the next frame; ``alone`` while the other foot is in the air."""
         if pivot >= 0 and foot.pivot >= 0:
             if pivot != foot.pivot:  # it rolls: the new pivot stays where it was in the last frame
                 foot.pin = _plus(foot.joints[pivot], foot.shift)
             shift = _minus(foot.pin, joints[pivot])
-            if shift[0] ** 2 + shift[1] ** 2 > _SLACK**2:
+            if shift[0] ** 2 + shift[1] ** 2 > (_SLACK * (ALONE if alone else 1)) ** 2:
                 pivot, shift = -1, self._let_go(foot)
+                foot.rising = [] if alone else step_heights(self._blend - 1).tolist()
         elif foot.pivot >= 0:
             shift = self._let_go(foot)
         else:
