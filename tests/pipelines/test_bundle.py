@@ -95,6 +95,7 @@ def test_only_what_is_asked_for_is_read(folder):
         (lambda c: c.update(latent=7), "does not describe a model"),
         (lambda c: c.update(min_frames=0), "out of range"),
         (lambda c: c.update(max_frames=10**9), "out of range"),
+        (lambda c: c.update(latent=[1, 32]), "'vae' has tokens 16, the latent 1"),
         (lambda c: c.update(models=[]), "does not describe a model"),
         (lambda c: c["guidance"].pop("pcm-2"), "does not describe a model"),
         (lambda c: c["models"].update({"pcm-x": c["models"]["pcm-1"]}), "does not describe a model"),

@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -46,7 +47,6 @@ def test_students_are_not_the_teacher_any_more_and_the_decoder_keeps_its_encoder
 
 def test_a_resumed_distillation_equals_one_that_never_stopped(trained: Path, tmp_path: Path) -> None:
     recipe = tiny.TRAINING["pcm"]()
-    from dataclasses import replace
 
     maker = task_maker("pcm", recipe.task, sources(trained))
     run(maker, replace(recipe.engine, steps=2), tmp_path / "run")
@@ -82,6 +82,20 @@ def test_a_packed_model_generates_by_every_method(trained: Path, tmp_path: Path)
         made = t2m("a person walks forward", seconds=2.0, steps=steps, solver=solver, seed=3)
         assert len(made.motion) == 40
     assert t2m("a person walks").motion.seconds > 0.9
+
+
+def test_a_latent_of_one_token_is_learned_packed_and_sampled(tmp_path: Path) -> None:
+    from moveset.pipelines.text_to_motion import TextToMotion
+
+    synthetic_corpus(tmp_path / "corpus.safetensors", clips=12, seed=0)
+    sizes = {"tokens": 1, "token_dim": 24}
+    for what, more in (("vae", {"slots": 6}), ("teacher", {})):
+        recipe = tiny.TRAINING[what]()
+        task = replace(recipe.task, model=replace(recipe.task.model, **sizes, **more))
+        run(task_maker(what, task, sources(tmp_path)), recipe.engine, tmp_path / what)
+    out = pack(sources(tmp_path), {}, {"teacher": 2.0}, "one", tmp_path / "one")
+    made = TextToMotion.from_pretrained(out, device="cpu")("a person walks", seconds=2.0, steps=3, solver="teacher")
+    assert len(made.motion) == 40
 
 
 def test_the_command_line_trains(tmp_path: Path) -> None:

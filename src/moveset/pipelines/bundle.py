@@ -56,6 +56,10 @@ class BundleConfig(FolderConfig):
                 raise ValueError(f"guidance of {denoiser!r} is below 0")
         if not 1 <= self.min_frames <= self.max_frames <= 10_000:
             raise ValueError("frame numbers out of range")
+        for name, spec in self.models.items():
+            for size, field in zip(self.latent, ("tokens", "token_dim"), strict=True):
+                if spec.config.get(field, size) != size:
+                    raise ValueError(f"{name!r} has {field} {spec.config[field]}, the latent {size}")
 
 
 class Bundle(ModelFolder[BundleConfig]):

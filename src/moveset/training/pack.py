@@ -78,6 +78,7 @@ def pack(
         name=name,
         codec=vae.task["codec"],
         text_encoder=text_encoder,
+        latent=(vae.module.config.tokens, vae.module.config.token_dim),
         guidance={network: guidance[network] for network in modules if network in guidance},
         far_prompt=familiarity_limit(known_pooled, text_encoder),
         provenance={
