@@ -1,6 +1,7 @@
 """Repairs of finished motions: feet that hold still while they stand, feet above the floor, less jitter. F frames."""
 
 from itertools import pairwise
+from math import dist
 
 import torch
 from torch import Tensor
@@ -127,16 +128,16 @@ def _take_steps(foot: Tensor, planted: Tensor, other: Tensor, blend: int) -> tup
     Pinned to one place, such a foot would slide when its leg is stretched. Nobody steps while the ``other`` foot (F,)
     does not stand.
     """
-    path, stands, planted = foot.mean(dim=1)[:, [0, 2]], planted.any(dim=1).tolist(), planted.clone()
-    height, start = foot.new_zeros(len(foot)), 0
+    path, stands, supported = foot.mean(dim=1)[:, [0, 2]].tolist(), planted.any(dim=1).tolist(), other.tolist()
+    planted, height, start = planted.clone(), foot.new_zeros(len(foot)), 0
     for frame in range(len(foot)):
         if frame < start or not stands[frame] or not stands[start]:
             start = max(start, frame)
-        elif (path[frame] - path[start]).norm() > _STRIDE * (1.0 if other[frame] else ALONE):
+        elif dist(path[frame], path[start]) > _STRIDE * (1.0 if supported[frame] else ALONE):
             start = min(frame + blend // 2 + 1, len(foot))
             steps = slice(max(start - blend, 0), start)
             planted[steps] = False
-            if other[frame]:
+            if supported[frame]:
                 height[steps] = step_heights(start - steps.start)
     return planted, height
 
