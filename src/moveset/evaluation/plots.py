@@ -7,14 +7,16 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from moveset.evaluation.columns import ALL
+from moveset.evaluation.columns import ALL, Column
 from moveset.evaluation.suites import REAL
 from moveset.evaluation.table import Table
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
     from matplotlib.figure import Figure
 
+_WIDE = 20.0  # ratio of values from which on an axis is logarithmic
 GREY = "#808890"
 COLOURS = ("#3b82f6", "#e8833a", "#2ea36b", "#c157c9", "#d94f4f", "#9a8b1f", "#4fa7b5")
 STYLE = {
@@ -79,11 +81,29 @@ def _fronts(table: Table, keys: Sequence[str], figure: "Figure") -> None:
             handles[key] = dot
         best = front({key: (x, sign * y) for key, (x, y) in points.items()})
         axes.step(*zip(*(points[key] for key in best), strict=True), where="post", color=GREY, lw=1, ls="--")
-        _real(table, metric, axes, vertical=False)
-        axes.set(xscale="log", xlabel="ms an item", ylabel=column.head)
-        axes.grid(which="both")
+        axes.set(xlabel="ms an item", ylabel=column.head)
+        _logarithmic(axes.xaxis)
+        if _wide(column, [y for _, y in points.values()]):
+            _logarithmic(axes.yaxis)
+        else:
+            _real(table, metric, axes, vertical=False)
+        axes.grid()
     names = [f"{keys.index(key) + 1}  {table.labels[key]}" for key in handles]
     figure.legend(handles.values(), names, loc="outside right center", frameon=False, fontsize=8)
+
+
+def _wide(column: Column, values: Sequence[float]) -> bool:
+    """Whether bad rows would press the good ones together at the end of a linear axis."""
+    return column.better == "down" and 0 < _WIDE * min(values, default=0.0) < max(values, default=0.0)
+
+
+def _logarithmic(axis: "Axis") -> None:
+    from matplotlib.ticker import LogLocator, NullFormatter, ScalarFormatter
+
+    getattr(axis.axes, f"set_{axis.axis_name}scale")("log")
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axis.set_major_formatter(ScalarFormatter())
+    axis.set_minor_formatter(NullFormatter())
 
 
 def _bars(table: Table, keys: Sequence[str], figure: "Figure") -> None:
@@ -102,8 +122,13 @@ def _bars(table: Table, keys: Sequence[str], figure: "Figure") -> None:
                 height=0.7,
                 error_kw={"ecolor": GREY, "lw": 1.2},
             )
-        _real(table, metric, axes, vertical=True)
         axes.set(xlabel=ALL[metric].head, yticks=list(places), yticklabels=[table.labels[key] for key in keys])
+        known = [table.metrics[key][metric].mean for key in keys if metric in table.metrics[key]]
+        if _wide(ALL[metric], known):
+            _logarithmic(axes.xaxis)
+            axes.set_xlim(left=0.5 * min(known))
+        else:
+            _real(table, metric, axes, vertical=True)
         axes.grid(axis="x")
     axes.invert_yaxis()  # shared, so once
 
