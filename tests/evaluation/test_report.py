@@ -12,7 +12,7 @@ from moveset.evaluation.columns import ALL, Column, places
 from moveset.evaluation.intervals import Interval
 from moveset.evaluation.latex import latex
 from moveset.evaluation.markdown import markdown
-from moveset.evaluation.plots import front
+from moveset.evaluation.plots import _wide, front
 from moveset.evaluation.report import page, to_json, write_report
 from moveset.evaluation.suites import get_suite
 from moveset.evaluation.table import Measured, Table, load_table, save_rows
@@ -287,6 +287,14 @@ def test_a_suite_without_results_still_has_a_table(tmp_path: Path):
 def test_the_front_is_what_nothing_beats_in_both():
     points = {"slow and good": (9.0, 1.0), "fast and bad": (1.0, 9.0), "beaten": (9.0, 9.0), "between": (5.0, 5.0)}
     assert front(points) == ["fast and bad", "between", "slow and good"]
+
+
+@pytest.mark.parametrize(
+    ("metric", "values", "wide"),
+    [("fid", [0.3, 42.0], True), ("fid", [0.3, 5.0], False), ("r1", [0.01, 0.9], False), ("fid", [], False)],
+)
+def test_only_distances_that_lie_far_apart_are_logarithmic(metric, values, wide):
+    assert _wide(ALL[metric], values) is wide
 
 
 @pytest.mark.parametrize(
