@@ -28,9 +28,10 @@ _GENTLE = 0.1  # seconds before and after a foot is under the floor in which it 
 def lock_feet(motion: Motion, strength: float = 1.0, contacts: Tensor | None = None) -> Motion:
     """Feet that stay where they stand: planted toes (or ankles) are pinned in place and legs follow by two-bone IK.
 
-    Each stance is pinned to where its foot moves least; on the way into and out of it the shift dies away smoothly.
-    Feet keep their height, except that those below the floor y = 0 are lifted onto it, and their orientation as long as
-    legs reach (``move_feet``). Nothing above the hips moves.
+    Each stance is pinned to where its foot moves least; on the way into and out of it the shift dies away smoothly. A
+    foot that the body carries far off takes a step instead of sliding. Feet keep their height otherwise, except that
+    those below the floor y = 0 are lifted onto it, and their orientation as long as legs reach (``move_feet``). Nothing
+    above the hips moves.
 
     Args:
         motion: on a skeleton with feet and known knees (hml22, kit21).
