@@ -30,7 +30,7 @@ def networks():
 
 
 def save(path, bases, modules=None):
-    config = BundleConfig(name="tiny", guidance=GUIDANCE)
+    config = BundleConfig(name="tiny", guidance=GUIDANCE, latent=(16, SIZES["token_dim"]))
     return save_folder(path, config, modules or networks(), {}, ["a"], torch.ones(1, 8), bases)
 
 
