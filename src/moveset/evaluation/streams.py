@@ -74,14 +74,8 @@ class Streams:
 
     def describe(self) -> dict[str, Any]:
         settings = {k: v for k, v in asdict(self._settings).items() if k not in ("network", "steps", "buffer")}
-        symmetric = self.network in self._bundle.config.symmetric
-        return {
-            **settings,
-            "symmetric": symmetric,
-            "shape": self._shape,
-            "batch": self._batch,
-            "device": self._device.type,
-        }
+        settings["symmetric"] = self.network in self._bundle.config.symmetric
+        return {**settings, "shape": self._shape, "batch": self._batch, "device": self._device.type}
 
     def weights(self) -> dict[str, str]:
         return weights_of(self._bundle, (self._settings.network, *([FLOW] if self._uses_flow else [])))
