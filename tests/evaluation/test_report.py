@@ -214,11 +214,16 @@ def test_rows_that_were_judged_differently_are_not_put_side_by_side(tmp_path: Pa
             markdown(load_table(suite_folder(tmp_path, "motionpcm", mixed)))
 
 
-def test_rows_that_other_code_measured_are_named(table: Table, tmp_path: Path):
-    assert "Measured by other code" not in markdown(table)
-    old = {**RESULTS, "lcm-1": {**RESULTS["lcm-1"], "measures_sha256": "0"}}
-    text = markdown(load_table(suite_folder(tmp_path / "old", "motionpcm", old)))
-    assert "**Measured by other code than the rest, so evaluate the suite again:** LCM, 1 step." in text
+def test_rows_that_other_code_made_or_measured_are_named(table: Table, tmp_path: Path):
+    assert not table.odd
+    assert "by other code" not in markdown(table)
+    for changed in ({"measures_sha256": "0"}, {"generator_sha256": "0"}, {"generator": ""}):
+        old = {**RESULTS, "lcm-1": {**RESULTS["lcm-1"], **changed}}
+        text = markdown(load_table(suite_folder(tmp_path / next(iter(changed)), "motionpcm", old)))
+        assert "**Made or measured by other code than the rest, so evaluate these again:** LCM, 1 step." in text
+    # The code of real motion and that of a network differ, and may.
+    other = {**RESULTS, "real": {**RESULTS["real"], "generator": "Real", "generator_sha256": "1"}}
+    assert not load_table(suite_folder(tmp_path / "kinds", "motionpcm", other)).odd
 
 
 def test_latex_compiles_by_the_look_of_it(table: Table):

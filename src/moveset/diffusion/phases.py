@@ -77,6 +77,10 @@ class PhaseGrid:
         # The inverse of floor(m N / M): the largest m with floor(m N / M) <= i.
         return ((i + 1) * self.phases - 1).div(self.points, rounding_mode="floor")
 
+    def highest(self, i: Tensor) -> Tensor:
+        """Highest solver point of the phase of point i: where sampling enters it."""
+        return ((self.phase(i) + 1) * self.points).div(self.phases, rounding_mode="floor") - 1
+
     def lower(self, i: Tensor) -> Tensor:
         """s_m, the lower edge of the phase of point i, where the student lands."""
         return self._edge(self.phase(i))

@@ -54,7 +54,7 @@ class Baseline:
     code = (
         "moveset.evaluation.generators", "moveset.evaluation.baselines", "moveset.rdm.autoregressive",
         "moveset.rdm.prediction", "moveset.rdm.noise", "moveset.diffusion.steps", "moveset.diffusion.guidance",
-        "moveset.motion.foot_lock", "moveset.motion.cleanup", "moveset.motion.hold_root",
+        "moveset.motion.foot_lock", "moveset.motion.cleanup", "moveset.motion.hover", "moveset.motion.hold_root",
         "moveset.pipelines.stream_settings",
     )  # fmt: skip
 

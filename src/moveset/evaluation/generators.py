@@ -125,7 +125,7 @@ class Clips:
     random, segment = True, 0.0
     code = (
         "moveset.evaluation.generators", "moveset.pipelines.text_to_motion", "moveset.pipelines.denoise",
-        "moveset.pcm.sampler", "moveset.diffusion.steps", "moveset.motion.foot_lock", "moveset.motion.cleanup",
+        "moveset.pcm.sampler", "moveset.diffusion.steps", "moveset.motion.cleanup", "moveset.motion.hover",
     )  # fmt: skip
 
     def __init__(

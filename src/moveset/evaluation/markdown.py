@@ -68,7 +68,9 @@ def about(table: Table) -> str:
         "Milliseconds an item are those of this run: in batches, on whatever the machine was doing besides.",
     ]
     if table.odd:
-        lines.append(f"**Measured by other code than the rest, so evaluate the suite again:** {'; '.join(table.odd)}.")
+        lines.append(
+            f"**Made or measured by other code than the rest, so evaluate these again:** {'; '.join(table.odd)}."
+        )
     if rough:
         lines.append(f"Rows that cost much have fewer repeats; fewer than {ROUGH} make a rough interval.")
     return "\n\n".join(lines)

@@ -129,6 +129,7 @@ def head(session: Session) -> dict[str, Any]:
         "weights_sha256": _digest(weights) if weights else None,
         "weights": weights,
         "measures_sha256": code_sha256(_MEASURES),
+        "generator": type(generator).__name__,
         "generator_sha256": code_sha256(generator.code),
         "versions": {"moveset": moveset.__version__, "torch": torch.__version__, "python": platform.python_version()},
     }

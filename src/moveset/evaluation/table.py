@@ -4,6 +4,7 @@
 """
 
 import json
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -35,6 +36,7 @@ class Measured:
         split: of the data.
         group: items among which R-precision looks.
         measures: sha256 of the code that measured.
+        made: what made the motion, and the sha256 of its code; "" where a result does not say.
         seconds: what an item took to generate, in batches, on average; None if nothing was generated.
     """
 
@@ -50,6 +52,7 @@ class Measured:
     split: str
     group: int
     measures: str
+    made: tuple[str, str]
     seconds: float | None
 
     @classmethod
@@ -74,6 +77,7 @@ class Measured:
                 split=str(protocol["split"]),
                 group=int(protocol["group"]),
                 measures=str(raw["measures_sha256"]),
+                made=(str(raw.get("generator", "")), str(raw["generator_sha256"])),
                 seconds=float(raw["seconds_per_item"]) if raw["weights_sha256"] else None,
             )
         except (KeyError, TypeError, ValueError, AttributeError, InputError) as error:
@@ -142,15 +146,23 @@ class Table:
 
     @property
     def odd(self) -> list[str]:
-        """Labels of the rows that were measured by other code than most."""
-        return self._unlike("measures", most=True)
+        """Labels of the rows that were measured by other code than most, or made by other code than most of a kind."""
+        rows = list(self.measured.items())
+        measures = Counter(found.measures for _, found in rows)
+        made = {kind: Counter(x.made[1] for _, x in rows if x.made[0] == kind) for kind in {x.made[0] for _, x in rows}}
+        return [
+            self.labels[key]
+            for key, found in rows
+            if found.measures != measures.most_common(1)[0][0]
+            or not found.made[0]
+            or found.made[1] != made[found.made[0]].most_common(1)[0][0]
+        ]
 
-    def _unlike(self, name: str, most: bool = False) -> list[str]:
-        """Labels of the rows whose results differ in a field from the first, or from most."""
+    def _unlike(self, name: str) -> list[str]:
+        """Labels of the rows whose results differ in a field from the first."""
         found = {self.labels[key]: getattr(result, name) for key, result in self.measured.items()}
-        values = list(found.values())
-        model = max(values, key=values.count) if most else values[0]
-        return [label for label, value in found.items() if value != model]
+        first = next(iter(found.values()))
+        return [label for label, value in found.items() if value != first]
 
 
 def save_rows(name: str, rows: Sequence[tuple[Row, str, str]], out: Path) -> None:

@@ -10,6 +10,7 @@ from moveset.errors import InputError
 from moveset.motion import rotations
 from moveset.motion.clip import Motion
 from moveset.motion.contacts import stances
+from moveset.motion.hover import set_down
 from moveset.motion.inertia import settle
 from moveset.motion.kinematics import global_to_local
 from moveset.motion.positions import HINGES
@@ -30,8 +31,8 @@ def lock_feet(motion: Motion, strength: float = 1.0, contacts: Tensor | None = N
 
     Each stance is pinned to where its foot moves least; on the way into and out of it the shift dies away smoothly. A
     foot that the body carries far off takes a step instead of sliding. Feet keep their height otherwise, except that
-    those below the floor y = 0 are lifted onto it, and their orientation as long as legs reach (``move_feet``). Nothing
-    above the hips moves.
+    those below the floor y = 0 are lifted onto it, and their orientation as long as legs reach (``move_feet``). A body
+    that hovers is set down (``hover.set_down``); otherwise nothing above the hips moves.
 
     Args:
         motion: on a skeleton with feet and known knees (hml22, kit21).
@@ -52,6 +53,7 @@ def lock_feet(motion: Motion, strength: float = 1.0, contacts: Tensor | None = N
     legs = _legs(motion.skeleton)
     if len(motion) < 4 or strength == 0.0:
         return motion
+    motion = set_down(motion, strength)
     joints = motion.joints.double()
     planted = stances(joints, motion.fps, motion.skeleton, contacts)
     shifts = []

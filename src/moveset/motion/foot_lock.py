@@ -2,7 +2,7 @@
 
 A foot is pinned where it lands, with whatever shift it still has from its last stance, so that nothing jumps; when it
 leaves, its shift dies away. A foot that stays planted while the body drifts off is let go before its leg is stretched,
-and takes a step to where it should be if the other foot stands.
+and takes a step to where it should be if the other foot stands. A body that hovers sinks (``hover``).
 F frames of a piece.
 """
 
@@ -18,6 +18,7 @@ from moveset.errors import InputError
 from moveset.motion.cleanup import ALONE, move_feet, step_heights
 from moveset.motion.clip import Motion
 from moveset.motion.contacts import stances
+from moveset.motion.hover import Hovering, lowered
 from moveset.motion.inertia import decay
 from moveset.motion.skeleton import Skeleton
 
@@ -56,6 +57,7 @@ class FootLock:
         self._blend = max(round(_BLEND * fps), 2)
         self._feet = [_Foot(), _Foot()]
         self._contacts: list[list[bool]] = []
+        self._hovering = Hovering(fps)
 
     def __call__(self, piece: Motion, contacts: Tensor) -> Motion:
         """The next piece with its feet locked, float64.
@@ -68,6 +70,9 @@ class FootLock:
         """
         if tuple(contacts.shape) != (len(piece), 4):
             raise InputError(f"contacts must be (F, 4) = ({len(piece)}, 4), got {tuple(contacts.shape)}")
+        height = self._hovering(piece.joints)
+        if bool(height.any()):
+            piece = lowered(piece, height)
         joints = piece.joints.double()
         known = self._contacts + contacts.tolist()
         standing = stances(joints, self.fps, self.skeleton, torch.tensor(known))[len(self._contacts) :].tolist()
@@ -88,7 +93,8 @@ class FootLock:
 
     def state(self) -> dict[str, Any]:
         """Everything that the next piece depends on, as numbers and lists that survive JSON exactly."""
-        return {"feet": [asdict(foot) for foot in self._feet], "contacts": self._contacts}
+        feet = [asdict(foot) for foot in self._feet]
+        return {"feet": feet, "contacts": self._contacts, "hovering": self._hovering.state()}
 
     @classmethod
     def from_state(cls, skeleton: Skeleton, fps: float, state: Mapping[str, Any]) -> "FootLock":
@@ -96,6 +102,7 @@ class FootLock:
         lock = cls(skeleton, fps)
         lock._feet = [_Foot(**foot) for foot in state["feet"]]
         lock._contacts = state["contacts"]
+        lock._hovering = Hovering(fps, **state["hovering"])
         return lock
 
     def _step(self, foot: _Foot, joints: tuple[_Point, _Point], pivot: int, alone: bool) -> _Point:

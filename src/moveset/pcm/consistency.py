@@ -49,15 +49,28 @@ class Draws:
     real_noise_BND: Tensor
 
 
-def draw(grid: PhaseGrid, z0_BND: Tensor, w_range: tuple[float, float], generator: torch.Generator) -> Draws:
+def draw(
+    grid: PhaseGrid,
+    z0_BND: Tensor,
+    w_range: tuple[float, float],
+    generator: torch.Generator,
+    sampled_share: float = 0.0,
+) -> Draws:
     """Uniform solver points, guidance scales and judged times, and three independent noises.
 
     Drawn on the generator's device and moved to that of ``z0_BND``: a CPU generator gives the same draws everywhere.
+
+    Args:
+        sampled_share: this share of the items is moved up to the highest point of its phase. These are the points that
+            sampling evaluates; the published method leaves them one in N / M items.
     """
     batch, to, at = len(z0_BND), z0_BND.device, generator.device
     point_B = torch.randint(grid.points, (batch,), generator=generator, device=at)
     u_B, v_B = torch.rand((2, batch), generator=generator, device=at, dtype=torch.float64)
     noises = torch.randn((3, *z0_BND.shape), generator=generator, device=at, dtype=z0_BND.dtype).to(to)
+    if sampled_share:
+        raised_B = torch.rand(batch, generator=generator, device=at) < sampled_share
+        point_B = torch.where(raised_B, grid.highest(point_B), point_B)
     low_B, high_B = grid.lower(point_B), grid.upper(point_B)
     judged_B = low_B + (u_B * (high_B - low_B + 1)).long()
     w_B = (w_range[0] + v_B * (w_range[1] - w_range[0])).to(z0_BND.dtype)

@@ -24,9 +24,21 @@ def huber(difference: Tensor, c: float) -> Tensor:
     return square / (torch.sqrt(square + c * c) + c)
 
 
-def hinge_discriminator(real_logits: Tensor, fake_logits: Tensor) -> Tensor:
-    """What the discriminator minimises: mean ReLU(1 - D(real)) + mean ReLU(1 + D(fake))."""
-    return relu(1 - real_logits).mean() + relu(1 + fake_logits).mean()
+def hinge_discriminator(
+    real_logits: Tensor, fake_logits: Tensor, mismatched_logits: Tensor | None = None, mismatched: float = 0.5
+) -> Tensor:
+    """What the discriminator minimises: mean ReLU(1 - D(real)) + mean ReLU(1 + D(fake)).
+
+    Args:
+        mismatched_logits: of real latents with the text of others, which are to be called fake too (Reed et al. 2016,
+            arXiv 1605.05396, Section 4.1).
+        mismatched: their share of what fakes weigh; both kinds together must weigh what real latents do, or to call
+            everything fake is the best answer for all that cannot be told.
+    """
+    fakes = relu(1 + fake_logits).mean()
+    if mismatched_logits is not None:
+        fakes = (1 - mismatched) * fakes + mismatched * relu(1 + mismatched_logits).mean()
+    return relu(1 - real_logits).mean() + fakes
 
 
 def hinge_generator(fake_logits: Tensor) -> Tensor:

@@ -48,6 +48,9 @@ class DistillationConfig:
         guidance: range of the guidance scale w that the student is trained for.
         huber: c of the pseudo-Huber distance.
         adversarial: weight of the discriminator's verdict; 0 leaves the discriminator out.
+        sampled_share: share of a batch that is moved to the points which sampling evaluates; 0 as published.
+        mismatched: share of real latents with another item's text in what the discriminator is to call fake, so that
+            it judges what is said too; 0 as published.
         ema: decay of the target network.
         model: the student's architecture; filled in from the teacher's.
     """
@@ -57,6 +60,8 @@ class DistillationConfig:
     guidance: tuple[float, float] = (5.0, 15.0)
     huber: float = 0.5
     adversarial: float = 0.1
+    sampled_share: float = 0.0
+    mismatched: float = 0.0
     ema: float = 0.95
     batch: int = 128
     lr: float = 2e-4
@@ -139,7 +144,7 @@ class LCMTask(_DistillationTask):
         batch = self.data.batch(self.config.batch, step)
         text, draws = (
             self.data.read(batch.captions, self.draws),
-            draw(self.grid, batch.z0, self.config.guidance, self.draws),
+            draw(self.grid, batch.z0, self.config.guidance, self.draws, self.config.sampled_share),
         )
         t = self.grid.time(draws.point_B)
         z = add_noise(self.schedule, batch.z0, draws.noise_BND, t)
@@ -185,7 +190,8 @@ class PCMTask(_DistillationTask):
     def training_step(self, step: int, loop: Loop) -> dict[str, Tensor]:
         config = self.config
         batch = self.data.batch(config.batch, step)
-        text, draws = self.data.read(batch.captions, self.draws), draw(self.grid, batch.z0, config.guidance, self.draws)
+        text = self.data.read(batch.captions, self.draws)
+        draws = draw(self.grid, batch.z0, config.guidance, self.draws, config.sampled_share)
         z = add_noise(self.schedule, batch.z0, draws.noise_BND, self.grid.time(draws.point_B))
         student, ema = _bound(self.student, text, batch.frames), _bound(self.ema.module, text, batch.frames)
         teacher = self._bound_teacher(text, batch.frames)
@@ -199,7 +205,14 @@ class PCMTask(_DistillationTask):
             with torch.no_grad():
                 real_seen = self._features(real, draws.judged_B, text, batch.frames)
             real_logits, fake_logits = self.judge.heads(real_seen), self.judge.heads([x.detach() for x in seen])
-            verdict = hinge_discriminator(real_logits, fake_logits)
+            misread_logits = None
+            if config.mismatched:
+                with torch.no_grad():
+                    others = text[torch.arange(len(text), device=real.device).roll(1)]
+                    misread_seen = self._features(real, draws.judged_B, others, batch.frames)
+                misread_logits = self.judge.heads(misread_seen)
+                report["misread_logit"] = misread_logits.mean().detach()
+            verdict = hinge_discriminator(real_logits, fake_logits, misread_logits, config.mismatched)
             loop.minimise(verdict, "discriminator")
             fooled = hinge_generator(self.judge.heads(seen))
             loss = loss + config.adversarial * fooled
