@@ -49,6 +49,8 @@ def test_every_point_lies_in_the_phase_it_is_assigned_to(points, data):
     assert (low <= previous).all()
     assert (previous < t).all()
     assert (t <= high).all()
+    assert torch.equal(grid.phase(grid.highest(i)), grid.phase(i))
+    assert torch.equal(grid.time(grid.highest(i)), high)
     # the teacher's step reaches the edge exactly at the first point of each phase
     assert torch.equal(previous == low, torch.isin(i, starts))
     assert len(grid.jumps) == phases

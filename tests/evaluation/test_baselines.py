@@ -129,7 +129,7 @@ def test_a_clip_of_two_parts_is_told_both(folders):
 def test_a_job_opens_a_folder(folders):
     made = open_generator(Job(model=str(folders["light"]), steps=2, settings=(("guidance", 2.0),), device="cpu"))
     assert (made.slug, made.steps, made.describe()["guidance"]) == ("light-2-steps-guidance2", 2, 2.0)
-    assert set(made.weights()) == {"denoiser.safetensors", "normalizer.safetensors"}
+    assert set(made.weights()) == {"denoiser.safetensors", "normalizer.safetensors", "denoiser in config.json"}
 
 
 @pytest.mark.parametrize(

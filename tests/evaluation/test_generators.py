@@ -121,7 +121,8 @@ def test_networks_that_are_not_there(bundle, network, steps, message):
 
 
 def test_weights_name_all_that_takes_part(bundle):
-    assert set(clips(bundle).weights()) == {"vae.safetensors", "pcm-1.safetensors", "normalizer.safetensors"}
+    files = {"vae.safetensors", "pcm-1.safetensors", "normalizer.safetensors"}
+    assert set(clips(bundle).weights()) == {*files, "vae in config.json", "pcm-1 in config.json"}
     assert Given("real").weights() == {}
 
 

@@ -249,6 +249,23 @@ def test_draws_stay_in_range_and_cover_it(grid):
 
 
 @pytest.mark.parametrize("grid", GRIDS, ids=lambda g: f"M={g.phases}")
+def test_draws_may_dwell_where_students_are_used_and_where_the_discriminator_sees(grid):
+    z0, plain = torch.zeros(40_000, 1, 1), torch.Generator().manual_seed(2)
+    uniform = draw(grid, z0, (5.0, 15.0), plain)
+    dwelt = draw(grid, z0, (5.0, 15.0), torch.Generator().manual_seed(2), sampled_share=0.5, judged_span=0.4)
+    used = torch.tensor([edge for edge, _ in grid.jumps])
+    share = torch.isin(grid.time(uniform.point_B), used).double().mean()
+    assert abs(torch.isin(grid.time(dwelt.point_B), used).double().mean() - (share + (1 - share) * 0.5)) < 0.01
+    # How often a phase is drawn stays as it was.
+    assert torch.equal(grid.phase(dwelt.point_B), grid.phase(uniform.point_B))
+    low, high = grid.lower(dwelt.point_B), grid.upper(dwelt.point_B)
+    where = (dwelt.judged_B - low) / (high - low)
+    assert where.min() >= 0
+    assert 0.39 < where.max() <= 0.4
+    assert abs(where.mean() - 0.2) < 0.01
+
+
+@pytest.mark.parametrize("grid", GRIDS, ids=lambda g: f"M={g.phases}")
 def test_a_perfect_students_fakes_are_distributed_like_the_real_ones(grid):
     z0 = MU.double() + V.double().sqrt() * normal(60_000, 1, 3, dtype=torch.float64)
     d = draw(grid, z0, (0.0, 0.0), torch.Generator().manual_seed(3))

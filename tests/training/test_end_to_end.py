@@ -1,5 +1,7 @@
 """All of it at the tiny size: corpus, autoencoder, teacher, students, model folder, and a motion from a sentence."""
 
+import json
+import shutil
 import subprocess
 import sys
 from dataclasses import replace
@@ -9,8 +11,10 @@ import pytest
 import torch
 
 from moveset.data.synthetic import synthetic_corpus
+from moveset.errors import InputError
 from moveset.recipes import tiny
 from moveset.training import checkpoint
+from moveset.training.distill import DistillationConfig
 from moveset.training.engine import run
 from moveset.training.pack import pack
 from moveset.training.tasks import Sources, task_maker
@@ -62,6 +66,27 @@ def test_a_resumed_distillation_equals_one_that_never_stopped(trained: Path, tmp
             one = checkpoint.read_tensors(trained / "pcm" / "step_4", name)
             two = checkpoint.read_tensors(tmp_path / "copy" / "step_4", name)
             assert all(torch.equal(one[key], two[key]) for key in one)
+
+
+def test_a_student_goes_on_with_a_discriminator_that_reads(trained: Path, tmp_path: Path) -> None:
+    recipe = tiny.TRAINING["pcm"]()
+    task = replace(recipe.task, sampled_share=0.5, mismatched=0.5, judged_span=0.4)
+    shutil.copytree(trained / "pcm", tmp_path / "pcm")
+    last = checkpoint.resolve(trained / "pcm")
+    steps = int(last.name.removeprefix("step_")) + 2
+    with pytest.warns(UserWarning, match="mismatched 0.0 -> 0.5"):
+        run(task_maker("pcm", task, sources(trained)), replace(recipe.engine, steps=steps), tmp_path / "pcm", True)
+    rows = [json.loads(line) for line in (tmp_path / "pcm" / "metrics.jsonl").read_text().splitlines()]
+    assert all("misread_logit" in row for row in rows if row["split"] == "train" and row["step"] > steps - 2)
+    before = checkpoint.read_tensors(last, "discriminator")
+    after = checkpoint.read_tensors(tmp_path / "pcm" / f"step_{steps}", "discriminator")
+    assert any(not torch.equal(before[name], after[name]) for name in before)
+
+
+@pytest.mark.parametrize("wrong", [{"sampled_share": 1.5}, {"mismatched": -0.1}, {"judged_span": 2.0}])
+def test_shares_beyond_one_are_refused(wrong: dict[str, float]) -> None:
+    with pytest.raises(InputError, match="is outside 0"):
+        DistillationConfig(**wrong)
 
 
 def test_a_packed_model_generates_by_every_method(trained: Path, tmp_path: Path) -> None:

@@ -109,8 +109,10 @@ def test_students_can_be_whole_and_their_last_weights(quick, trained, tmp_path, 
     assert all(torch.equal(held[key], value.half()) for key, value in last.items())
 
 
-def test_smoothing_of_students_can_be_chosen_afterwards(quick, trained, tmp_path, monkeypatch):
-    config = command(monkeypatch, trained, tmp_path / "smooth", "--networks", "pcm-1", "--smoothing", "0.6").config
+def test_smoothing_of_a_network_can_be_chosen_afterwards(quick, trained, tmp_path, monkeypatch):
+    config = command(
+        monkeypatch, trained, tmp_path / "smooth", "--networks", "pcm-1", "--smoothing", "pcm-1=0.6"
+    ).config
     assert config.models["pcm-1"].config["smoothing"] == 0.6
     assert config.models["rdm"].config["smoothing"] != 0.6
 

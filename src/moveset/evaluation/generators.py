@@ -5,9 +5,11 @@ All give joint positions in metres at the evaluator's frame rate; ``streams`` ha
 Shapes: F frames, J joints, D features, B clips.
 """
 
+import hashlib
+import json
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any, Protocol
 
 import torch
@@ -271,10 +273,16 @@ def resampled(joints: Tensor, fps: float, rate: float) -> Tensor:
 
 
 def weights_of(folder: ModelFolder[Any], names: Sequence[str]) -> dict[str, str]:
-    """sha256 of the files of these networks, of those they are stored as differences from, and of the statistics."""
-    bases = [folder.config.models[name].base for name in names if name in folder.config.models]
+    """sha256 of the files of these networks, of those they are stored as differences from, and of the statistics.
+
+    And of what config.json says of each network, smoothing among it.
+    """
+    specs = {name: folder.config.models[name] for name in names if name in folder.config.models}
+    said = {name: json.dumps(asdict(spec), sort_keys=True).encode() for name, spec in specs.items()}
+    bases = [spec.base for spec in specs.values()]
     files = [f"{name}.safetensors" for name in dict.fromkeys([*names, *filter(None, bases), "normalizer"])]
-    return {file: folder.files[file][0] for file in files if file in folder.files}
+    found = {file: folder.files[file][0] for file in files if file in folder.files}
+    return found | {f"{name} in config.json": hashlib.sha256(text).hexdigest() for name, text in said.items()}
 
 
 def check_made(made: Sequence[Tensor], asked: Sequence[Draw], who: str, shape: tuple[int, int]) -> None:

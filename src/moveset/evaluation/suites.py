@@ -163,11 +163,10 @@ def rdm() -> Suite:
         Row(key="real", label="Real", group="Reference", model=REAL, ranked=False),
         replace(stream, key="md-7", label="MD-7", group="Autoregressive", network="md", shipped=True, against=()),
         replace(stream, key="rdm-7", label="RDM-7", settings=entangled, shipped=True),
-        *(
-            replace(stream, key=f"rdm-pcm-{n}", label=f"RDM-7's student, {_steps(n)}", network=f"pcm-{n}", steps=n,
-                    repeats=None, shipped=True, against=("md-7", "rdm-7"))
-            for n in (1, 2)
-        ),
+        replace(stream, key="rdm-pcm-1", label="RDM-7's student, 1 step", network="pcm-1", steps=1, repeats=None,
+                shipped=True, against=("md-7", "rdm-7")),
+        replace(stream, key="rdm-pcm-2", label="RDM-7's student, 2 steps", model="rdm-2-steps-small", network="pcm-2",
+                steps=2, repeats=None, against=("md-7", "rdm-7", "rdm-pcm-1")),
         replace(stream, key="whole-sentences", label="RDM-7's student, 1 step, whole sentences", network="pcm-1",
                 steps=1, settings={"stages": False}, against=("rdm-pcm-1",)),
         overlapping("disentangled", "R = 0 (the flow alone)", 0, "parallelogram"),

@@ -55,6 +55,7 @@ def draw(
     w_range: tuple[float, float],
     generator: torch.Generator,
     sampled_share: float = 0.0,
+    judged_span: float = 1.0,
 ) -> Draws:
     """Uniform solver points, guidance scales and judged times, and three independent noises.
 
@@ -63,6 +64,8 @@ def draw(
     Args:
         sampled_share: this share of the items is moved up to the highest point of its phase. These are the points that
             sampling evaluates; the published method leaves them one in N / M items.
+        judged_span: the lower part of each phase in which judged times lie; 1 as published. Of what is noised far
+            nothing can be told.
     """
     batch, to, at = len(z0_BND), z0_BND.device, generator.device
     point_B = torch.randint(grid.points, (batch,), generator=generator, device=at)
@@ -72,7 +75,7 @@ def draw(
         raised_B = torch.rand(batch, generator=generator, device=at) < sampled_share
         point_B = torch.where(raised_B, grid.highest(point_B), point_B)
     low_B, high_B = grid.lower(point_B), grid.upper(point_B)
-    judged_B = low_B + (u_B * (high_B - low_B + 1)).long()
+    judged_B = low_B + (u_B * judged_span * (high_B - low_B + 1)).long()
     w_B = (w_range[0] + v_B * (w_range[1] - w_range[0])).to(z0_BND.dtype)
     return Draws(point_B.to(to), w_B.to(to), noises[0], judged_B.to(to), noises[1], noises[2])
 

@@ -14,7 +14,7 @@ from moveset.diffusion.schedule import scaled_linear
 from moveset.diffusion.steps import add_noise, ddim_timesteps
 from moveset.models.discriminator import DiscriminatorConfig, LatentDiscriminator
 from moveset.models.latent_denoiser import LatentDenoiserConfig
-from moveset.models.registry import describe, parse_config
+from moveset.models.registry import describe, parse_config, require_range
 from moveset.models.token_denoiser import TokenDenoiserConfig
 from moveset.pcm.consistency import (
     Student,
@@ -51,6 +51,7 @@ class DistillationConfig:
         sampled_share: share of a batch that is moved to the points which sampling evaluates; 0 as published.
         mismatched: share of real latents with another item's text in what the discriminator is to call fake, so that
             it judges what is said too; 0 as published.
+        judged_span: the lower part of a phase in which the discriminator looks; 1 as published.
         ema: decay of the target network.
         model: the student's architecture; filled in from the teacher's.
     """
@@ -62,6 +63,7 @@ class DistillationConfig:
     adversarial: float = 0.1
     sampled_share: float = 0.0
     mismatched: float = 0.0
+    judged_span: float = 1.0
     ema: float = 0.95
     batch: int = 128
     lr: float = 2e-4
@@ -73,6 +75,9 @@ class DistillationConfig:
     kind: str = field(init=False, default="")
 
     def __post_init__(self) -> None:
+        require_range("share of sampled points", self.sampled_share, 0.0, 1.0)
+        require_range("share of mismatched text", self.mismatched, 0.0, 1.0)
+        require_range("judged span", self.judged_span, 0.0, 1.0)
         if self.model is not None:
             object.__setattr__(self, "kind", describe(self.model)[0])
 
@@ -191,7 +196,7 @@ class PCMTask(_DistillationTask):
         config = self.config
         batch = self.data.batch(config.batch, step)
         text = self.data.read(batch.captions, self.draws)
-        draws = draw(self.grid, batch.z0, config.guidance, self.draws, config.sampled_share)
+        draws = draw(self.grid, batch.z0, config.guidance, self.draws, config.sampled_share, config.judged_span)
         z = add_noise(self.schedule, batch.z0, draws.noise_BND, self.grid.time(draws.point_B))
         student, ema = _bound(self.student, text, batch.frames), _bound(self.ema.module, text, batch.frames)
         teacher = self._bound_teacher(text, batch.frames)

@@ -44,7 +44,7 @@ def pack_stream(
     sampling: Sampling | None = None,
     averaged: bool = True,
     differences: bool = True,
-    smoothing: float | None = None,
+    smoothing: Mapping[str, float] | None = None,
 ) -> Path:
     """Write the model folder ``out``.
 
@@ -59,7 +59,7 @@ def pack_stream(
         sampling: what a stream does by default.
         averaged: ship the students' averaged weights instead of the last ones; the others are always averaged.
         differences: store the students as 8-bit differences from "rdm", which they were started from.
-        smoothing: of the students' output, instead of that of their training; one evaluation trembles more than ten.
+        smoothing: of a network's output by its name, instead of that of its training; guidance makes it tremble.
 
     Raises:
         InputError: no "rdm", or networks for other features, other segments or another number of steps.
@@ -74,9 +74,9 @@ def pack_stream(
         loaded[MD] = frozen.load(runs[MD], "denoiser_ema")
     for network, found in loaded.items():
         _check(network, found, rdm)
-        if smoothing is not None and network in students:
-            found.module.config = replace(found.module.config, smoothing=smoothing)
         modules[network] = found.module
+    for network, value in (smoothing or {}).items():
+        modules[network].config = replace(modules[network].config, smoothing=value)  # type: ignore[assignment,type-var]
     if rdm.task["flow"] is not None:
         modules[FLOW] = frozen.load(rdm.path, "flow_ema", part="coupling_flow").module
     points = {loaded[k].task["points"] for k in students} or {StreamConfig(name="", network="").points}
@@ -136,7 +136,9 @@ def main() -> None:
     parser.add_argument("--lag", type=int, default=Sampling.lag)
     parser.add_argument("--eta", type=float, default=Sampling.eta)
     parser.add_argument("--idle", default=Sampling.idle, help="the prompt of a stream that was given none")
-    parser.add_argument("--smoothing", type=float, help="of the students' output; as trained by default")
+    parser.add_argument(
+        "--smoothing", nargs="*", default=[], metavar="[NETWORK=]C", help="of their output; as trained by default"
+    )
     parser.add_argument("--last", action="store_true", help="the students' last weights instead of the averaged ones")
     parser.add_argument("--whole", action="store_true", help="the students' weights, not differences from rdm's")
     parser.add_argument("--symmetric", nargs="*", default=[], help="guided networks to be sampled with mirror images")
@@ -154,26 +156,26 @@ def main() -> None:
         idle=given.idle,
         symmetric=tuple(given.symmetric),
     )
-    scales = guidance_of(given.guidance, tuple(runs))
+    scales, smoothing = (by_network(chosen, tuple(runs)) for chosen in (given.guidance, given.smoothing))
     cache = given.runs / "cache"
     averaged, differences = not given.last, not given.whole
     made = pack_stream(
-        given.corpus, cache, runs, scales, given.name, given.out, sampling, averaged, differences, given.smoothing
+        given.corpus, cache, runs, scales, given.name, given.out, sampling, averaged, differences, smoothing
     )
     print(made)
 
 
-def guidance_of(given: list[str], networks: tuple[str, ...]) -> dict[str, float]:
-    """Scales by network, from "W" for all of them and "NETWORK=W" for one.
+def by_network(given: list[str], networks: tuple[str, ...]) -> dict[str, float]:
+    """Numbers by network, from "X" for all of them and "NETWORK=X" for one.
 
-    >>> guidance_of(["1.5", "pcm-1=2"], ("rdm", "pcm-1"))
+    >>> by_network(["1.5", "pcm-1=2"], ("rdm", "pcm-1"))
     {'rdm': 1.5, 'pcm-1': 2.0}
     """
-    scales: dict[str, float] = {}
+    numbers: dict[str, float] = {}
     for item in given:
-        network, equals, w = item.rpartition("=")
-        scales |= {network: float(w)} if equals else dict.fromkeys(networks, float(w))
-    return scales
+        network, equals, number = item.rpartition("=")
+        numbers |= {network: float(number)} if equals else dict.fromkeys(networks, float(number))
+    return numbers
 
 
 if __name__ == "__main__":
