@@ -263,7 +263,9 @@ def test_rows_may_be_added_one_by_one_and_stay_in_order(folder: Path):
     rows = {row.key: row for row in get_suite("motionpcm").rows}
     before = [entry.row.key for entry in load_table(folder).rows]
     (folder / "k20.json").write_text(json.dumps(RESULTS["pcm-1"]))
-    given = replace(rows["pcm-1"], key="mine", label="Mine")
+    given = replace(rows["pcm-1"], key="mine", label="Mine", model="my-model")
+    gone = replace(rows["pcm-1"], key="pcm-3", label="PCM, 3 steps")
+    save_rows("motionpcm", [(gone, "pcm-1.json", "")], folder)  # by an older version, whose suite had it
     save_rows("motionpcm", [(given, "pcm-1.json", ""), (rows["k20"], "k20.json", "")], folder)
     table = load_table(folder)
     assert [entry.row.key for entry in table.rows] == [*before, "mine"]

@@ -169,18 +169,21 @@ def save_rows(name: str, rows: Sequence[tuple[Row, str, str]], out: Path) -> Non
     """Writes ``rows.json``: every row with its result file's path below OUT, or with what is missing.
 
     Rows that are there already and not among these stay, in the suite's order: a suite may be run a row at a time.
+    Those of its models that the suite has no more go.
 
     Raises:
         FormatError: there is a ``rows.json`` that cannot be read, or one of another suite.
     """
     new = {row.key: {**asdict(row), "result": result or None, "missing": missing} for row, result, missing in rows}
-    index = out / ROWS
+    index, suite = out / ROWS, get_suite(name)
     if index.is_file():
         raw = json_object(index.read_bytes(), index)
         if raw.get("suite") != name:
             raise FormatError(f"{index} is of the suite {raw.get('suite')!r}; write {name!r} to another folder")
-        new = {entry["key"]: entry for entry in raw["rows"]} | new
-    order = [row.key for row in get_suite(name).rows if row.key in new]
+        known, models = {row.key for row in suite.rows}, {row.model for row in suite.rows}
+        stay = {entry["key"]: entry for entry in raw["rows"] if entry["key"] in known or entry["model"] not in models}
+        new = stay | new
+    order = [row.key for row in suite.rows if row.key in new]
     entries = [new[key] for key in dict.fromkeys([*order, *new])]
     with atomic_write(index) as file:
         file.write(json.dumps({"suite": name, "rows": entries}, indent=1, ensure_ascii=False).encode() + b"\n")
