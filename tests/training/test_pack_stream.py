@@ -138,6 +138,7 @@ def test_what_does_not_fit_is_refused(quick, trained, tmp_path, monkeypatch):
     cases = {
         ("pcm-1", "--folder", "pcm-1=rdm-pcm-2"): "student of 2 phases",
         ("pcm-4",): "no usable checkpoint",
+        ("pcm-1", "--smoothing", "md=0.4"): "no network .md. to smooth",
     }
     for more, said in cases.items():
         with pytest.raises(InputError, match=said):

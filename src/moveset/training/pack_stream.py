@@ -62,7 +62,8 @@ def pack_stream(
         smoothing: of a network's output by its name, instead of that of its training; guidance makes it tremble.
 
     Raises:
-        InputError: no "rdm", or networks for other features, other segments or another number of steps.
+        InputError: no "rdm", networks for other features, other segments or another number of steps, or smoothing of
+            a network that is not there.
     """
     if RDM not in runs:
         raise InputError(f"a stream needs the network {RDM!r}, got {', '.join(runs) or 'none'}; give its run folder")
@@ -76,6 +77,8 @@ def pack_stream(
         _check(network, found, rdm)
         modules[network] = found.module
     for network, value in (smoothing or {}).items():
+        if network not in modules:
+            raise InputError(f"there is no network {network!r} to smooth; choose {', '.join(modules)}")
         modules[network].config = replace(modules[network].config, smoothing=value)  # type: ignore[assignment,type-var]
     if rdm.task["flow"] is not None:
         modules[FLOW] = frozen.load(rdm.path, "flow_ema", part="coupling_flow").module
