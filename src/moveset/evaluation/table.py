@@ -5,10 +5,10 @@
 
 import json
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from moveset.errors import FormatError, InputError
 from moveset.evaluation.columns import Column, Place, places
@@ -20,6 +20,8 @@ from moveset.pipelines.verified_folder import json_object
 
 ROWS = "rows.json"
 OWN = ("result", "missing")  # of an entry of that file, beside the row itself
+
+Value = TypeVar("Value")
 
 
 @dataclass(frozen=True)
@@ -147,15 +149,14 @@ class Table:
     @property
     def odd(self) -> list[str]:
         """Labels of the rows that were measured by other code than most, or made by other code than most of a kind."""
-        rows = list(self.measured.items())
-        measures = Counter(found.measures for _, found in rows)
-        made = {kind: Counter(x.made[1] for _, x in rows if x.made[0] == kind) for kind in {x.made[0] for _, x in rows}}
+        found = self.measured
+        measures = _usual(row.measures for row in found.values())
+        kinds = {row.made[0] for row in found.values()}
+        made = {kind: _usual(row.made for row in found.values() if row.made[0] == kind) for kind in kinds}
         return [
             self.labels[key]
-            for key, found in rows
-            if found.measures != measures.most_common(1)[0][0]
-            or not found.made[0]
-            or found.made[1] != made[found.made[0]].most_common(1)[0][0]
+            for key, row in found.items()
+            if row.measures != measures or not row.made[0] or row.made != made[row.made[0]]
         ]
 
     def _unlike(self, name: str) -> list[str]:
@@ -163,6 +164,11 @@ class Table:
         found = {self.labels[key]: getattr(result, name) for key, result in self.measured.items()}
         first = next(iter(found.values()))
         return [label for label, value in found.items() if value != first]
+
+
+def _usual(values: Iterable[Value]) -> Value | None:
+    """The most frequent one, the first of several; None of none."""
+    return next((value for value, _ in Counter(values).most_common(1)), None)
 
 
 def save_rows(name: str, rows: Sequence[tuple[Row, str, str]], out: Path) -> None:
