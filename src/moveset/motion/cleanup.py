@@ -10,7 +10,7 @@ from moveset.errors import InputError
 from moveset.motion import rotations
 from moveset.motion.clip import Motion
 from moveset.motion.contacts import stances
-from moveset.motion.hover import set_down
+from moveset.motion.hover import SOLE, set_down
 from moveset.motion.inertia import settle
 from moveset.motion.kinematics import global_to_local
 from moveset.motion.positions import HINGES
@@ -23,6 +23,7 @@ _HEEL = 0.35  # radians by which a heel rises at most to let its toe stay
 _STRIDE = 0.3  # metres that the body may carry a standing foot before it takes a step
 _CLEARANCE = 0.07  # metres that such a step rises
 ALONE = 1.5  # times as far it is carried while the other foot is in the air, and then it slides
+LANDING = 0.1  # seconds in which a planted foot that is above the floor comes down to it
 _GENTLE = 0.1  # seconds before and after a foot is under the floor in which it rises and falls
 
 
@@ -30,9 +31,9 @@ def lock_feet(motion: Motion, strength: float = 1.0, contacts: Tensor | None = N
     """Feet that stay where they stand: planted toes (or ankles) are pinned in place and legs follow by two-bone IK.
 
     Each stance is pinned to where its foot moves least; on the way into and out of it the shift dies away smoothly. A
-    foot that the body carries far off takes a step instead of sliding. Feet keep their height otherwise, except that
-    those below the floor y = 0 are lifted onto it, and their orientation as long as legs reach (``move_feet``). A body
-    that hovers is set down (``hover.set_down``); otherwise nothing above the hips moves.
+    foot that the body carries far off takes a step instead of sliding. Planted feet above the floor y = 0 come down to
+    it, and feet below it are lifted onto it; otherwise they keep their height, and their orientation as long as legs
+    reach (``move_feet``). A body that hovers is set down (``hover.set_down``); else nothing above the hips moves.
 
     Args:
         motion: on a skeleton with feet and known knees (hml22, kit21).
@@ -63,8 +64,10 @@ def lock_feet(motion: Motion, strength: float = 1.0, contacts: Tensor | None = N
         own = slice(2 * side, 2 * side + 2)
         others = planted[:, 2 - 2 * side : 4 - 2 * side].any(dim=1)
         planted[:, own], height = _take_steps(joints[:, pair], planted[:, own], others, blend)
-        shift = _pinned(joints[:, pair], planted[:, own], blend) + _upward(height)
-        shifts.append(strength * (shift + _upward(_lift(joints[:, pair, 1].amin(dim=1), motion.fps))))
+        lowest = joints[:, pair, 1].amin(dim=1)
+        down = _touch_down(lowest, planted[:, own].any(dim=1), motion.fps)
+        up = height - down + _lift(lowest - down, motion.fps)
+        shifts.append(strength * (_pinned(joints[:, pair], planted[:, own], blend) + _upward(up)))
     locked = move_feet(motion, torch.stack(shifts, dim=1))
     return Motion(locked.rotations.float(), motion.root, motion.fps, motion.skeleton)
 
@@ -242,6 +245,11 @@ def _lift(lowest: Tensor, fps: float) -> Tensor:
     reach = max(round(_GENTLE * fps), 1)
     depth = torch.nn.functional.max_pool1d((-lowest).clamp_min(0.0)[None], 2 * reach + 1, stride=1, padding=reach)
     return gaussian_smooth(depth.T, 0.5 * reach)[:, 0]
+
+
+def _touch_down(lowest: Tensor, planted: Tensor, fps: float) -> Tensor:
+    """How far (F,) a foot with its lowest point at ``lowest`` (F,) comes down, to stand on the floor where planted."""
+    return gaussian_smooth(((lowest - SOLE).clamp_min(0.0) * planted)[:, None], LANDING * fps)[:, 0]
 
 
 def _upward(height: Tensor) -> Tensor:

@@ -2,7 +2,8 @@
 
 A foot is pinned where it lands, with whatever shift it still has from its last stance, so that nothing jumps; when it
 leaves, its shift dies away. A foot that stays planted while the body drifts off is let go before its leg is stretched,
-and takes a step to where it should be if the other foot stands. A body that hovers sinks (``hover``).
+and takes a step to where it should be if the other foot stands. A planted foot above the floor comes down to it, and a
+body that hovers sinks (``hover``).
 F frames of a piece.
 """
 
@@ -15,15 +16,14 @@ import torch
 from torch import Tensor
 
 from moveset.errors import InputError
-from moveset.motion.cleanup import ALONE, move_feet, step_heights
+from moveset.motion.cleanup import ALONE, LANDING, move_feet, step_heights
 from moveset.motion.clip import Motion
 from moveset.motion.contacts import stances
-from moveset.motion.hover import Hovering, lowered
+from moveset.motion.hover import SOLE, Hovering, lowered
 from moveset.motion.inertia import decay
 from moveset.motion.skeleton import Skeleton
 
-_BLEND = 0.35  # seconds in which a foot leaves its locked place
-_RISE = 0.1  # seconds in which a foot that was lifted onto the floor comes down to where it should be
+_BLEND = 0.3  # seconds in which a foot leaves its locked place
 _SLACK = 0.2  # metres from its locked place at which a foot is let go
 _HISTORY = 4  # frames of contacts that decide with the next ones whether a foot stands
 
@@ -41,7 +41,8 @@ class _Foot:
     fading: list[_Point] = field(default_factory=list)  # shifts of the next frames of a free foot
     rising: list[float] = field(default_factory=list)  # how high it is raised in these frames
     joints: tuple[_Point, _Point] = ((0.0, 0.0), (0.0, 0.0))  # ankle and toe, unshifted, in the last frame
-    lift: float = 0.0
+    drop: float = 0.0  # how far it is drawn down to the floor
+    lift: float = 0.0  # how far it is raised onto it
 
 
 class FootLock:
@@ -54,7 +55,7 @@ class FootLock:
 
     def __init__(self, skeleton: Skeleton, fps: float) -> None:
         self.skeleton, self.fps = skeleton, fps
-        self._blend = max(round(_BLEND * fps), 2)
+        self._blend, self._kept = max(round(_BLEND * fps), 2), exp(-1.0 / (LANDING * fps))
         self._feet = [_Foot(), _Foot()]
         self._contacts: list[list[bool]] = []
         self._hovering = Hovering(fps)
@@ -70,25 +71,27 @@ class FootLock:
         """
         if tuple(contacts.shape) != (len(piece), 4):
             raise InputError(f"contacts must be (F, 4) = ({len(piece)}, 4), got {tuple(contacts.shape)}")
-        height = self._hovering(piece.joints)
-        if bool(height.any()):
-            piece = lowered(piece, height)
         joints = piece.joints.double()
         known = self._contacts + contacts.tolist()
-        standing = stances(joints, self.fps, self.skeleton, torch.tensor(known))[len(self._contacts) :].tolist()
+        standing = stances(joints, self.fps, self.skeleton, torch.tensor(known))[len(self._contacts) :]
         self._contacts = known[-_HISTORY:]
         feet = joints[:, list(self.skeleton.feet)].unflatten(1, (2, 2))
-        places, lowest = feet[..., [0, 2]].tolist(), feet[..., 1].amin(dim=2).tolist()
+        lowest = feet[..., 1].amin(dim=2)
+        height = self._hovering(joints[..., 1].amin(dim=1), lowest, standing.unflatten(1, (2, 2)).any(dim=2))
+        if bool(height.any()):
+            piece, lowest = lowered(piece, height), lowest - height[:, None]
         shifts = []
-        for place, low, planted in zip(places, lowest, standing, strict=True):
+        for place, low, planted in zip(feet[..., [0, 2]].tolist(), lowest.tolist(), standing.tolist(), strict=True):
             for side, foot in enumerate(self._feet):
                 ankle, toe = planted[2 * side : 2 * side + 2]
                 other = self._feet[1 - side]
                 alone = bool(other.rising) or other.pivot < 0
                 shift = self._step(foot, place[side], 1 if toe else 0 if ankle else -1, alone)
-                foot.lift = max(-low[side], foot.lift * exp(-1.0 / (_RISE * self.fps)))
+                above = max(low[side] - SOLE, 0.0) if foot.pivot >= 0 else 0.0
+                foot.drop = above + self._kept * (foot.drop - above)
+                foot.lift = max(foot.drop - low[side], self._kept * foot.lift)
                 step = foot.rising.pop(0) if foot.rising else 0.0
-                shifts.append((shift[0], foot.lift + step, shift[1]))
+                shifts.append((shift[0], foot.lift - foot.drop + step, shift[1]))
         return move_feet(piece, torch.tensor(shifts, dtype=torch.float64).reshape(-1, 2, 3))
 
     def state(self) -> dict[str, Any]:

@@ -2,12 +2,11 @@
 
 Networks that have seen few jumps make people who rise and stay up there. A body's clearance is how far its lowest joint
 is above the floor; of a clip's clearance no jump explains the morphological opening, the highest curve below it that is
-nowhere narrower than the longest jump. A stream, which does not know what comes, takes the least clearance of the time
-that a jump takes, eased: the body rises as it was to, and then sinks.
+nowhere narrower than the longest jump. A stream, which does not know what comes, has a floor that rises: the body goes
+up as it was to, and then sinks.
 Shapes: F frames, J joints.
 """
 
-from collections.abc import Sequence
 from dataclasses import replace
 from math import exp
 
@@ -18,10 +17,12 @@ from torch.nn.functional import max_pool1d, pad
 from moveset.motion.clip import Motion
 from moveset.motion.smoothing import gaussian_smooth
 
+SOLE = 0.02  # metres over the floor, below which the lowest joint of a standing foot is
 LONGEST = 0.6  # seconds in the air: a jump of 0.44 m
 _STANDING = 0.05  # metres over the floor, below which the lowest joint of a body on the floor is
 _SMOOTH = 0.05  # seconds
-_EASE = 0.1  # seconds, of a stream
+_EASE = 0.1  # seconds in which a stream's floor comes up or goes down
+_SETTLE = 0.6  # the same where feet are planted above it
 
 
 def clearance(joints: Tensor) -> Tensor:
@@ -53,33 +54,47 @@ def lowered(motion: Motion, height_F: Tensor) -> Motion:
 
 
 class Hovering:
-    """``hovering`` of motion that never ends, piece by piece.
+    """``hovering`` of motion that never ends, piece by piece, with planted feet to go by.
+
+    The floor comes up to a body that has been in the air for longer than a jump takes, and slowly to one whose planted
+    feet are far above it; the rest is for the legs (``foot_lock``). It goes down again with the body.
 
     Args:
         fps: frames per second.
-        recent: clearances of the frames before the first piece.
-        height: how much the frame before it was set down.
+        height: how much the frame before the first piece was set down, metres.
+        aloft: for how many frames the body had been in the air.
     """
 
-    def __init__(self, fps: float, recent: Sequence[float] = (), height: float = 0.0) -> None:
-        self._frames, self._kept = _frames(fps), exp(-1.0 / (_EASE * fps))
-        self._recent, self._height = list(recent), height
+    def __init__(self, fps: float, height: float = 0.0, aloft: int = 0) -> None:
+        self._frames = _frames(fps)
+        self._ease, self._settle = (1.0 - exp(-1.0 / (seconds * fps)) for seconds in (_EASE, _SETTLE))
+        self._height, self._aloft = height, aloft
 
-    def __call__(self, joints: Tensor) -> Tensor:
-        """How much (F,) of the next frames (F, J, 3) is to be taken off, metres, float64."""
+    def __call__(self, lowest: Tensor, feet: Tensor, planted: Tensor) -> Tensor:
+        """How much (F,) of the next frames is to be taken off, metres, float64.
+
+        Args:
+            lowest: (F,) height of the body's lowest joint.
+            feet: (F, 2) that of the lowest joint of each foot.
+            planted: (F, 2) bool, which of them stand.
+        """
         heights = []
-        for now in clearance(joints).tolist():
-            self._recent = [*self._recent[1 - self._frames :], now]
-            least = min(self._recent) if len(self._recent) == self._frames else 0.0
-            self._height = least + self._kept * (self._height - least)
+        for low, at, stands in zip(lowest.tolist(), feet.tolist(), planted.tolist(), strict=True):
+            standing = [height for height, stand in zip(at, stands, strict=True) if stand]
+            self._aloft = 0 if standing or low - self._height < _STANDING else self._aloft + 1
+            if standing:
+                self._height += self._settle * max(min(standing) - _STANDING - self._height, 0.0)
+            elif self._aloft >= self._frames:
+                self._height += self._ease * max(low - SOLE - self._height, 0.0)
+            self._height -= self._ease * max(self._height - max(low - SOLE, 0.0), 0.0)
             # It dies away; what is left of it after a while is nothing.
             self._height = self._height if self._height > 1e-6 else 0.0
             heights.append(self._height)
         return torch.tensor(heights, dtype=torch.float64)
 
-    def state(self) -> dict[str, list[float] | float]:
+    def state(self) -> dict[str, float | int]:
         """The arguments of one that goes on here."""
-        return {"recent": self._recent, "height": self._height}
+        return {"height": self._height, "aloft": self._aloft}
 
 
 def _frames(fps: float) -> int:
