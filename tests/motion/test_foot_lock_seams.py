@@ -105,6 +105,23 @@ def test_a_foot_is_let_go_before_its_leg_is_dragged_along():
     assert jerks(stream)[1].max() < 900.0
 
 
+def test_a_foot_rises_on_its_way_back_the_higher_the_further():
+    def rise(factor: float) -> float:
+        motion = slid(gait(280), factor)
+        raised = locked(motion, raw_contacts(motion)).joints - motion.joints
+        return raised[:, FEET, 1].amax().item()
+
+    assert rise(1.0) < 0.01 < rise(1.05) < rise(1.1) < rise(1.15) < 0.08
+
+
+def test_nobody_steps_on_one_leg():
+    motion = slid(gait(280), 1.15)
+    contacts = raw_contacts(motion)
+    contacts[:, 2:] = False  # as if the right foot never stood
+    raised = locked(motion, contacts).joints - motion.joints
+    assert raised[:, FEET[1], 1].amax() < 1e-4  # the toe; its heel rises where the leg is too short
+
+
 def test_only_legs_move():
     motion = CASES["shaken"]
     stream = locked(motion, raw_contacts(motion))

@@ -1,15 +1,15 @@
 """Foot locking for motion that never ends: ``cleanup.lock_feet`` without a look ahead, piece by piece.
 
 A foot is pinned where it lands, with whatever shift it still has from its last stance, so that nothing jumps; when it
-leaves, its shift dies away. A foot that stays planted while the body drifts off is let go before its leg is stretched,
-and takes a step to where it should be if the other foot stands. A planted foot above the floor comes down to it, and a
-body that hovers sinks (``hover``).
+leaves, its shift dies away. A foot that stays planted while the body drifts off is let go before its leg is stretched.
+On its way to where it should be a foot rises, the higher the further, if the other one stands. A planted foot above the
+floor comes down to it, and a body that hovers sinks (``hover``).
 F frames of a piece.
 """
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
-from math import exp
+from math import exp, hypot
 from typing import Any
 
 import torch
@@ -24,7 +24,7 @@ from moveset.motion.inertia import decay
 from moveset.motion.skeleton import Skeleton
 
 _BLEND = 0.3  # seconds in which a foot leaves its locked place
-_SLACK = 0.2  # metres from its locked place at which a foot is let go
+_SLACK = 0.17  # metres from its locked place at which a foot is let go
 _HISTORY = 4  # frames of contacts that decide with the next ones whether a foot stands
 
 _Point = tuple[float, float]
@@ -115,10 +115,9 @@ class FootLock:
                 foot.pin = _plus(foot.joints[pivot], foot.shift)
             shift = _minus(foot.pin, joints[pivot])
             if shift[0] ** 2 + shift[1] ** 2 > (_SLACK * (ALONE if alone else 1)) ** 2:
-                pivot, shift = -1, self._let_go(foot)
-                foot.rising = [] if alone else step_heights(self._blend - 1).tolist()
+                pivot, shift = -1, self._let_go(foot, 0.0 if alone else 1.0)
         elif foot.pivot >= 0:
-            shift = self._let_go(foot)
+            shift = self._let_go(foot, 0.0 if alone else min(hypot(*foot.shift) / _SLACK, 1.0))
         else:
             shift = foot.fading.pop(0) if foot.fading else (0.0, 0.0)
             # One that was let go for slack is not pinned again before it is back in place.
@@ -129,7 +128,9 @@ class FootLock:
         foot.pivot, foot.before, foot.shift, foot.joints = pivot, foot.shift, shift, joints
         return shift
 
-    def _let_go(self, foot: _Foot) -> _Point:
+    def _let_go(self, foot: _Foot, step: float) -> _Point:
+        """The first shift of a foot on its way to where it should be, with this share of a step's height."""
+        foot.rising = (step * step_heights(self._blend - 1)).tolist() if step else []
         at = torch.arange(1, self._blend, dtype=torch.float64)
         offset = torch.tensor(foot.shift, dtype=torch.float64)
         speed = torch.tensor(_minus(foot.shift, foot.before), dtype=torch.float64)
