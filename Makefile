@@ -40,11 +40,11 @@ format: .venv/.dev
 viewer:
 	cd viewer && npm ci --no-audit --no-fund && npm test && npm run build
 
-# Hours: repeats that are in results/ already are kept, so it can be stopped and called again.
+# Hours: repeats that are there already are kept, so it can be stopped and called again; so are rows without weights.
 tables: .venv/.dev
-	$(BIN)/moveset evaluate $(MODELS) --suite motionpcm > /dev/null
-	$(BIN)/moveset evaluate $(MODELS) --suite rdm > /dev/null
-	$(BIN)/python -m moveset.evaluation.report results/motionpcm results/rdm --page docs/results.md
+	$(BIN)/moveset evaluate $(MODELS) --suite motionpcm --out docs/results > /dev/null
+	$(BIN)/moveset evaluate $(MODELS) --suite rdm --out docs/results > /dev/null
+	$(BIN)/python -m moveset.evaluation.report docs/results/motionpcm docs/results/rdm --page docs/results.md
 
 clean:
 	rm -rf .venv out build *.egg-info src/*.egg-info .pytest_cache .ruff_cache .mypy_cache .hypothesis .import_linter_cache

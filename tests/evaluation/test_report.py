@@ -19,6 +19,8 @@ from moveset.evaluation.table import Measured, Table, load_table, save_rows
 from moveset.evaluation.targets import at_least, checks, differences, outside, physical, within
 from tests.evaluation.results import result_json, suite_folder
 
+DOCS = Path(__file__).resolve().parents[2] / "docs"
+
 REAL = {"r1": (0.6, 0.01), "fid": (0.01, 0.001), "diversity": (9.0, 0.1), "skating": (0.1, 0.0), "jerk": (60.0, 0.1)}
 RESULTS = {
     "real": result_json(REAL, model="real", weights_sha256=None),
@@ -274,6 +276,23 @@ def test_rows_may_be_added_one_by_one_and_stay_in_order(folder: Path):
         save_rows("rdm", [], folder)
 
 
+def test_rows_that_were_taken_from_elsewhere_are_named_and_say_so(tmp_path: Path):
+    old = {**RESULTS["teacher"], "source": "an older page", "generator_sha256": "0" * 64}
+    table = load_table(suite_folder(tmp_path, "motionpcm", {**RESULTS, "teacher": old}))
+    assert table.taken == {"an older page": ["Teacher, 50 guided steps"]}
+    assert not table.odd
+    said = "**Not measured with the rest, but taken from an older page:** Teacher, 50 guided steps."
+    assert said in markdown(table, [])
+
+
+def test_a_row_whose_weights_are_not_at_hand_keeps_its_result(folder: Path):
+    rows = {row.key: row for row in get_suite("motionpcm").rows}
+    save_rows("motionpcm", [(rows["pcm-1"], "", "no weights given"), (rows["k20"], "", "no weights given")], folder)
+    entries = {entry.row.key: entry for entry in load_table(folder).rows}
+    assert entries["pcm-1"].result is not None
+    assert (entries["k20"].result, entries["k20"].missing) == (None, "no weights given")
+
+
 def test_a_page_of_both_suites(folder: Path, tmp_path: Path):
     other = suite_folder(tmp_path / "rdm", "rdm", {"real": RESULTS["real"]})
     page([folder, other], tmp_path / "results.md")
@@ -282,6 +301,11 @@ def test_a_page_of_both_suites(folder: Path, tmp_path: Path):
     assert re.findall(r"^## (.*)$", text, re.M) == ["MotionPCM: text to clips", "RDM: motion without end"]
     for name in re.findall(r"!\[.*?\]\((.*?)\)", text):
         assert (tmp_path / name).is_file()
+
+
+def test_the_published_page_says_what_the_kept_results_say(tmp_path: Path):
+    page([DOCS / "results" / suite for suite in ("motionpcm", "rdm")], tmp_path / "results.md")
+    assert (tmp_path / "results.md").read_text() == (DOCS / "results.md").read_text()
 
 
 def test_a_suite_without_results_still_has_a_table(tmp_path: Path):

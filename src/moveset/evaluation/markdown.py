@@ -71,6 +71,8 @@ def about(table: Table) -> str:
         lines.append(
             f"**Made or measured by other code than the rest, so evaluate these again:** {'; '.join(table.odd)}."
         )
+    for source, taken in table.taken.items():
+        lines.append(f"**Not measured with the rest, but taken from {source}:** {'; '.join(taken)}.")
     if rough:
         lines.append(f"Rows that cost much have fewer repeats; fewer than {ROUGH} make a rough interval.")
     return "\n\n".join(lines)

@@ -40,6 +40,7 @@ class Measured:
         measures: sha256 of the code that measured.
         made: what made the motion, and the sha256 of its code; "" where a result does not say.
         seconds: what an item took to generate, in batches, on average; None if nothing was generated.
+        source: where it was taken from, if it was not measured with the others; "" if it was.
     """
 
     metrics: Mapping[str, Interval]
@@ -56,6 +57,7 @@ class Measured:
     measures: str
     made: tuple[str, str]
     seconds: float | None
+    source: str = ""
 
     @classmethod
     def of(cls, raw: Mapping[str, Any], where: str) -> "Measured":
@@ -81,6 +83,7 @@ class Measured:
                 measures=str(raw["measures_sha256"]),
                 made=(str(raw.get("generator", "")), str(raw["generator_sha256"])),
                 seconds=float(raw["seconds_per_item"]) if raw["weights_sha256"] else None,
+                source=str(raw.get("source", "")),
             )
         except (KeyError, TypeError, ValueError, AttributeError, InputError) as error:
             raise FormatError(f"{where} is no result of an evaluation: {error}; evaluate that row again") from error
@@ -148,8 +151,11 @@ class Table:
 
     @property
     def odd(self) -> list[str]:
-        """Labels of the rows that were measured by other code than most, or made by other code than most of a kind."""
-        found = self.measured
+        """Labels of the rows that were measured by other code than most, or made by other code than most of a kind.
+
+        Those that say that they were taken from elsewhere (``taken``) are not among them.
+        """
+        found = {key: row for key, row in self.measured.items() if not row.source}
         measures = _usual(row.measures for row in found.values())
         kinds = {row.made[0] for row in found.values()}
         made = {kind: _usual(row.made for row in found.values() if row.made[0] == kind) for kind in kinds}
@@ -158,6 +164,15 @@ class Table:
             for key, row in found.items()
             if row.measures != measures or not row.made[0] or row.made != made[row.made[0]]
         ]
+
+    @property
+    def taken(self) -> dict[str, list[str]]:
+        """Labels of the rows that were not measured with the others, by where they were taken from."""
+        found: dict[str, list[str]] = {}
+        for key, row in self.measured.items():
+            if row.source:
+                found.setdefault(row.source, []).append(self.labels[key])
+        return found
 
     def _unlike(self, name: str) -> list[str]:
         """Labels of the rows whose results differ in a field from the first."""
@@ -174,8 +189,9 @@ def _usual(values: Iterable[Value]) -> Value | None:
 def save_rows(name: str, rows: Sequence[tuple[Row, str, str]], out: Path) -> None:
     """Writes ``rows.json``: every row with its result file's path below OUT, or with what is missing.
 
-    Rows that are there already and not among these stay, in the suite's order: a suite may be run a row at a time.
-    Those of its models that the suite has no more go.
+    Rows that are there already and not among these stay, in the suite's order: a suite may be run a row at a time. So
+    does the result of a row that has none now, for whoever runs the suite may not have all weights. Rows of its models
+    that the suite has no more go.
 
     Raises:
         FormatError: there is a ``rows.json`` that cannot be read, or one of another suite.
@@ -188,7 +204,8 @@ def save_rows(name: str, rows: Sequence[tuple[Row, str, str]], out: Path) -> Non
             raise FormatError(f"{index} is of the suite {raw.get('suite')!r}; write {name!r} to another folder")
         known, models = {row.key for row in suite.rows}, {row.model for row in suite.rows}
         stay = {entry["key"]: entry for entry in raw["rows"] if entry["key"] in known or entry["model"] not in models}
-        new = stay | new
+        measured = {key for key, entry in stay.items() if entry["result"]}
+        new = stay | {key: entry for key, entry in new.items() if entry["result"] or key not in measured}
     order = [row.key for row in suite.rows if row.key in new]
     entries = [new[key] for key in dict.fromkeys([*order, *new])]
     with atomic_write(index) as file:
