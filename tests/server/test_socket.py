@@ -1,5 +1,6 @@
 """Streams by WebSocket: what arrives is what a stream gives alone, as far ahead as was agreed, and never more."""
 
+import asyncio
 import itertools
 import json
 import time
@@ -9,6 +10,7 @@ import pytest
 from starlette.websockets import WebSocketDisconnect
 
 from moveset.pipelines.motion_stream import MotionStream
+from moveset.server.socket import stream
 from moveset.server.wire import skeleton_json, unpack_packets
 
 WALK, BOW = "a person walks forward", "a person bows"
@@ -314,6 +316,45 @@ def test_connections_and_streams_are_limited(serving):
             two.begin()
         with client.websocket_connect(URL) as d:  # there is room again
             assert Talk(d).hello
+
+
+def test_of_connections_that_come_at_once_as_many_stay_as_there_is_room_for(serving):
+    class Socket:
+        """As far as the server sees one: told what is sent, and silent until it is hung up."""
+
+        def __init__(self, app, hung_up):
+            self.app, self.told, self._hung_up = app, [], hung_up
+
+        async def accept(self):
+            pass
+
+        async def receive(self):
+            await self._hung_up.wait()
+            return {"type": "websocket.disconnect"}
+
+        async def send_text(self, text):
+            self.told.append(json.loads(text))
+
+        async def close(self, code, reason):
+            self.told.append(code)
+
+    async def burst(app):
+        hung_up = asyncio.Event()
+        sockets = [Socket(app, hung_up) for _ in range(9)]
+        tasks = [asyncio.create_task(stream(socket)) for socket in sockets]
+        while not all(socket.told for socket in sockets):
+            await asyncio.sleep(0.01)
+        hung_up.set()
+        await asyncio.gather(*tasks)
+        return [socket.told for socket in sockets]
+
+    with serving(connections=4) as client:
+        told = client.portal.call(burst, client.app)
+        assert [one[0]["type"] for one in told] == ["hello"] * 4 + ["error"] * 5
+        assert all(one[0]["code"] == "busy" and one[-1] == 1013 for one in told[4:])
+        metrics = client.get("/metrics").text
+        assert 'moveset_refused_total{code="busy"} 5.0' in metrics
+        assert "moveset_connections 0.0" in metrics
 
 
 def test_stopping_tells_streams(serving):

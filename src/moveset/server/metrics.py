@@ -14,7 +14,7 @@ class Metrics:
     def __init__(self) -> None:
         r = self._registry = CollectorRegistry()
         self.streams = Gauge("moveset_streams", "Streams that are open.", registry=r)
-        self.connections = Gauge("moveset_connections", "WebSockets that are open.", registry=r)
+        self.connections = Gauge("moveset_connections", "WebSockets that are open and were not refused.", registry=r)
         self.requests = Counter("moveset_requests", "Answered HTTP requests.", ["status"], registry=r)
         self.refused = Counter("moveset_refused", "Requests and messages that were refused.", ["code"], registry=r)
         self.segments = Counter("moveset_segments", "Segments made.", registry=r)

@@ -34,23 +34,25 @@ async def stream(socket: WebSocket, model: str | None = None) -> None:
     """A connection, on which one stream at a time may run."""
     the: Service = socket.app.state.service
     await socket.accept()
-    the.connections += 1
+    # Decided by those who came before: of a burst that arrives at once, as many stay as there is room for.
+    admitted = the.connections < the.limits.connections
+    the.connections += admitted
     the.metrics.connections.set(the.connections)
-    connection = _Connection(socket, the, model)
+    connection = _Connection(socket, the, model, admitted)
     the.farewells.add(connection.farewell)
     try:
         await connection.run()
     finally:
         the.farewells.discard(connection.farewell)
-        the.connections -= 1
+        the.connections -= admitted
         the.metrics.connections.set(the.connections)
 
 
 class _Connection:
     """One client. Its sender is the only one that writes to it; its reader stops while much is waiting to be sent."""
 
-    def __init__(self, socket: WebSocket, the: Service, model: str | None) -> None:
-        self._socket, self._the, self._model = socket, the, model
+    def __init__(self, socket: WebSocket, the: Service, model: str | None, admitted: bool) -> None:
+        self._socket, self._the, self._model, self._admitted = socket, the, model, admitted
         self._loop = asyncio.get_running_loop()
         self._outbox: asyncio.Queue[tuple[Session | None, Message] | _Closed] = asyncio.Queue()
         self._room = asyncio.Event()
@@ -96,8 +98,7 @@ class _Connection:
         limits = self._the.limits
         if self._the.stopping:
             raise _Closed(1013, "stopping", "the server is stopping; try again when it is back")
-        if self._the.connections > limits.connections:
-            self._the.metrics.refused.labels("busy").inc()
+        if not self._admitted:
             raise _Closed(
                 1013, "busy", f"{limits.connections} connections are open, which is the limit; try again later"
             )
