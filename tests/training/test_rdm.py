@@ -16,9 +16,10 @@ from moveset.errors import InputError
 from moveset.models.registry import build_model, parse_config
 from moveset.rdm.grid import GridConfig
 from moveset.recipes import paper, small, tiny
-from moveset.training import checkpoint, frozen
+from moveset.training import checkpoint, frozen, rdm_student
 from moveset.training.engine import run
 from moveset.training.rdm import RDMConfig, RDMTask, feature_weights
+from moveset.training.rdm_student import RDMStudentConfig
 from moveset.training.tasks import TASKS, Sources, task_maker, with_settings
 from tests.training.hml_folder import write_folder
 from tests.training.segment_corpus import use_words, write_corpus
@@ -164,6 +165,23 @@ def test_every_kind_of_training_learns_and_can_be_loaded(what, folder, rdm7, tmp
     trained_now = task.modules()[name].state_dict()
     assert any(not torch.equal(value, trained_now[key]) for key, value in loaded.module.state_dict().items())
     assert build_model(loaded.kind, loaded.config).config == parse_config(loaded.kind, loaded.config)
+
+
+def test_a_students_discriminator_may_be_shown_the_text_of_others(folder, rdm7, tmp_path, monkeypatch):
+    asked, hinge = [], rdm_student.hinge_discriminator
+    monkeypatch.setattr(rdm_student, "hinge_discriminator", lambda *given: asked.append(given) or hinge(*given))
+    settings = ("mismatched=0.5", "sampled_share=1.0", "judged_span=0.0")
+    trained(folder, "rdm-student", tmp_path / "run", *settings)
+    log = [json.loads(line) for line in (tmp_path / "run" / "metrics.jsonl").read_text().splitlines()]
+    assert all("misread_logit" in line for line in log)
+    for real, _, misread, share in asked:
+        assert share == 0.5
+        assert real.shape == misread.shape
+        assert not torch.equal(real, misread)
+    trained(folder, "rdm-student", tmp_path / "plain")
+    assert all(misread is None for _, _, misread, _ in asked[3:])
+    with pytest.raises(InputError, match="mismatched text = 2"):
+        RDMStudentConfig(mismatched=2.0)
 
 
 def test_a_course_is_learned_from_a_bent_past(folder, tmp_path):

@@ -25,6 +25,7 @@ def train(
     *,
     recipe: Literal["small", "paper", "tiny"] = "small",
     resume: tyro.conf.FlagCreatePairsOff[bool] = False,
+    init: Path | None = None,
     folder: Path | None = None,
     corpus: Path = Path("data/corpus.safetensors"),
     vae: Path | None = None,
@@ -56,6 +57,8 @@ def train(
             all, in two stages.
         recipe: small: what ships. paper: the published sizes. tiny: seconds, to try the machinery.
         resume: Continue from the latest checkpoint in the folder, or start if there is none.
+        init: Checkpoint or run folder whose weights to start with; `python -m moveset.training.unpack` makes such
+            folders of a model.
         folder: Where checkpoints and logs go; by default runs/RECIPE/WHAT.
         corpus: What `moveset data build` wrote, or a HumanML3D or KIT-ML folder.
         vae: Checkpoint or run folder of the autoencoder; by default runs/RECIPE/vae.
@@ -92,7 +95,7 @@ def train(
 
     with warnings.catch_warnings():
         warnings.showwarning = _say
-        result = run(task_maker(what, config, sources), engine, folder, resume)
+        result = run(task_maker(what, config, sources), engine, folder, resume, init)
     if int(os.environ.get("RANK", "0")) == 0:
         print(_summary(what, result, engine.steps), file=sys.stderr)
     return 130 if result.stopped_by == "SIGINT" else 0

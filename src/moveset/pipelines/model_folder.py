@@ -185,15 +185,10 @@ class ModelFolder(VerifiedFolder, Generic[Config]):
             FormatError: the model has no such network, or its file is damaged.
         """
         if name not in self._modules:
-            spec = self.config.models.get(name)
-            if spec is None:
-                raise FormatError(
-                    f"model {self.config.name!r} has no network {name!r}; it has {', '.join(self.config.models)}"
-                )
+            spec = self.spec(name)
             module = _build(spec)
-            stored, base = self.tensors(f"{name}.safetensors"), self._base(name, spec)
             try:
-                module.load_state_dict(restored(stored, base), strict=True)
+                module.load_state_dict(self.weights(name), strict=True)
             except (RuntimeError, ValueError) as error:
                 raise FormatError(
                     f"{self.path / name}.safetensors does not fit the architecture in config.json; copy the model again"
@@ -201,6 +196,24 @@ class ModelFolder(VerifiedFolder, Generic[Config]):
             module = module.eval().requires_grad_(False).to(device)
             self._modules[name] = pack(module) if spec.kind in PACKABLE and can_pack(device) else module
         return self._modules[name]
+
+    def spec(self, name: str) -> ModelSpec:
+        """What the network of that name is built from. Raises FormatError if the model has none."""
+        spec = self.config.models.get(name)
+        if spec is None:
+            raise FormatError(
+                f"model {self.config.name!r} has no network {name!r}; it has {', '.join(self.config.models)}"
+            )
+        return spec
+
+    def weights(self, name: str) -> dict[str, Tensor]:
+        """The tensors of a network in single precision, whole.
+
+        Raises:
+            FormatError: the model has no such network, or its file is damaged.
+            ValueError: differences that do not fit what they were taken from.
+        """
+        return restored(self.tensors(f"{name}.safetensors"), self._base(name, self.spec(name)))
 
     def _base(self, name: str, spec: ModelSpec) -> dict[str, Tensor] | None:
         """The tensors of the network that this one is stored as differences from."""

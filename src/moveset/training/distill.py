@@ -75,11 +75,16 @@ class DistillationConfig:
     kind: str = field(init=False, default="")
 
     def __post_init__(self) -> None:
-        require_range("share of sampled points", self.sampled_share, 0.0, 1.0)
-        require_range("share of mismatched text", self.mismatched, 0.0, 1.0)
-        require_range("judged span", self.judged_span, 0.0, 1.0)
+        require_shares(self.sampled_share, self.mismatched, self.judged_span)
         if self.model is not None:
             object.__setattr__(self, "kind", describe(self.model)[0])
+
+
+def require_shares(sampled_share: float, mismatched: float, judged_span: float) -> None:
+    """Raises InputError for what is not between 0 and 1."""
+    require_range("share of sampled points", sampled_share, 0.0, 1.0)
+    require_range("share of mismatched text", mismatched, 0.0, 1.0)
+    require_range("judged span", judged_span, 0.0, 1.0)
 
 
 class _DistillationTask(Task):

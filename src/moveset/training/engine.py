@@ -206,7 +206,11 @@ class Loop:
 
 
 def run(
-    make_task: Callable[[Loop], Task], config: EngineConfig, folder: Path, resume_from_latest: bool = False
+    make_task: Callable[[Loop], Task],
+    config: EngineConfig,
+    folder: Path,
+    resume_from_latest: bool = False,
+    init: Path | None = None,
 ) -> TrainResult:
     """Trains a task until ``config.steps`` or a signal.
 
@@ -215,9 +219,10 @@ def run(
         config: how to run.
         folder: gets ``step_N/`` and ``metrics.jsonl``.
         resume_from_latest: continue from the latest valid checkpoint in ``folder``, or start if there is none.
+        init: run folder or checkpoint whose weights a training starts with, at step 0 and with fresh optimisers.
 
     Raises:
-        InputError: the folder holds another run, is in use, or its checkpoint does not fit the task.
+        InputError: the folder holds another run, is in use, or its checkpoint or ``init`` does not fit the task.
         MovesetError: a metric or parameter is no longer finite, or a checkpoint could not be written.
     """
     if config.threads:
@@ -236,7 +241,7 @@ def run(
         task = make_task(loop)
         loop._optimizers = task.optimizers()
         torch.manual_seed(stream_seed(config.seed, "dropout", loop.rank))  # the ranks were alike so far
-        start = _start(task, loop, folder, resume_from_latest)
+        start = _start(task, loop, folder, resume_from_latest, init)
         if loop.world_size > 1:
             for tensor in resume.shared_tensors(task):
                 torch.distributed.broadcast(tensor, src=0)
@@ -285,7 +290,7 @@ def _train(task: Task, loop: Loop, folder: Path, start: int, signals: list[int],
     return TrainResult(step, saved, signal.Signals(stopped).name if stopped else None, validation)
 
 
-def _start(task: Task, loop: Loop, folder: Path, resume_from_latest: bool) -> int:
+def _start(task: Task, loop: Loop, folder: Path, resume_from_latest: bool, init: Path | None) -> int:
     """Loads the latest checkpoint if asked; returns the number of finished steps."""
     if not resume_from_latest:
         if existing := checkpoint.steps(folder):
@@ -293,11 +298,15 @@ def _start(task: Task, loop: Loop, folder: Path, resume_from_latest: bool) -> in
                 f"{folder} already holds a training up to step {existing[-1]}; continue it with --resume or give "
                 "another folder"
             )
+        if init is not None:
+            resume.begin(task, checkpoint.resolve(init))
         return 0
     # One process looks, so that all agree on what they find.
     found = checkpoint.latest(folder) if loop.rank == 0 else None
     found = loop.fabric.broadcast(found)
     start = resume.load(task, loop, found) if found else 0
+    if init is not None and not found:
+        resume.begin(task, checkpoint.resolve(init))
     if loop.rank == 0:
         checkpoint.set_aside(folder, after=start)
         checkpoint.prune(folder, loop.config.keep_last, loop.config.keep_every)

@@ -26,6 +26,7 @@ from moveset.rdm.staircase import levels
 from moveset.rdm.transport import Transport
 from moveset.text.encoder import TextEmbedding, stack
 from moveset.training import frozen
+from moveset.training.distill import require_shares
 from moveset.training.ema import Ema
 from moveset.training.engine import Loop, Task
 from moveset.training.heading import bend, heading_error
@@ -48,6 +49,7 @@ class RDMStudentConfig:
         guidance: range of the guidance scale w that the student is trained for.
         huber: c of the pseudo-Huber distance.
         adversarial: weight of the discriminator's verdict; 0 leaves the discriminator out.
+        sampled_share, mismatched, judged_span: as for clips (``training.distill.DistillationConfig``).
         ema: decay of the target network.
         root: weight of the four root features, as in the teacher's training.
         tremor: of the student's network, see ``SegmentTransformerConfig``; one evaluation trembles more than ten.
@@ -63,6 +65,9 @@ class RDMStudentConfig:
     guidance: tuple[float, float] = (0.0, 3.0)
     huber: float = 0.5
     adversarial: float = 0.1
+    sampled_share: float = 0.0
+    mismatched: float = 0.0
+    judged_span: float = 1.0
     ema: float = 0.95
     batch: int = 64
     lr: float = 3e-4
@@ -82,6 +87,7 @@ class RDMStudentConfig:
     kind: str = field(init=False, default="")
 
     def __post_init__(self) -> None:
+        require_shares(self.sampled_share, self.mismatched, self.judged_span)
         if self.model is not None:
             object.__setattr__(self, "kind", describe(self.model)[0])
 
@@ -144,7 +150,9 @@ class RDMStudentTask(Task):
             batch = replace(batch, previous=bent)
         # The student reads a roughened sentence and should say what is said to the sentence as it is.
         rough, text = self.data.read(batch.captions, self.draws), self.data.read(batch.captions)
-        draws = self._coloured(draw(self.grid, batch.clean, config.guidance, self.draws))
+        draws = self._coloured(
+            draw(self.grid, batch.clean, config.guidance, self.draws, config.sampled_share, config.judged_span)
+        )
         bound = _Bound(batch, text, self.data.read([""] * config.batch), self.transport, self.teacher)
         t_B, edge_B = self.grid.time(draws.point_B), self.grid.lower(draws.point_B)
         z = add_noise(SCHEDULE, bound.pull(batch.clean), draws.noise_BND, t_B)
@@ -223,14 +231,18 @@ class RDMStudentTask(Task):
         with torch.no_grad():
             real = bound.push(add_noise(SCHEDULE, bound.pull(batch.clean), draws.real_noise_BND, draws.judged_B))
             real_seen = bound.features(real, draws.judged_B)
+            misread_seen = bound.misread().features(real, draws.judged_B) if self.config.mismatched else None
         real_logits, fake_logits = self.heads(real_seen), self.heads([x.detach() for x in seen])
-        verdict = hinge_discriminator(real_logits, fake_logits)
+        misread_logits = None if misread_seen is None else self.heads(misread_seen)
+        verdict = hinge_discriminator(real_logits, fake_logits, misread_logits, self.config.mismatched)
         loop.minimise(verdict, "discriminator")
         report = {
             "discriminator": verdict.detach(),
             "real_logit": real_logits.mean().detach(),
             "fake_logit": fake_logits.mean().detach(),
         }
+        if misread_logits is not None:
+            report["misread_logit"] = misread_logits.mean().detach()
         return hinge_generator(self.heads(seen)), report
 
 
@@ -240,9 +252,14 @@ class _Bound:
     def __init__(
         self, batch: SegmentBatch, text: TextEmbedding, empty: TextEmbedding, transport: Transport, teacher: nn.Module
     ) -> None:
-        self.batch, self.text, self.transport, self.teacher = batch, text, transport, teacher
+        self.batch, self.text, self.empty, self.transport, self.teacher = batch, text, empty, transport, teacher
         self.both = stack([text, empty])
         self.clean_level = torch.zeros_like(batch.index)
+
+    def misread(self) -> "_Bound":
+        """The same with every segment's text moved on to the next one."""
+        others = self.text[torch.arange(len(self.text), device=self.batch.index.device).roll(1)]
+        return _Bound(self.batch, others, self.empty, self.transport, self.teacher)
 
     def push(self, y: Tensor) -> Tensor:
         """x of y."""

@@ -91,6 +91,25 @@ def load(task: "Task", loop: "Loop", path: Path) -> int:
     return int(state["step"])
 
 
+def begin(task: "Task", path: Path) -> None:
+    """Loads the weights of a verified checkpoint into a freshly built task, and nothing else of it.
+
+    Warns of modules that the checkpoint lacks, such as a discriminator: they start as they were built.
+
+    Raises:
+        InputError: it has none of the task's modules, or one of other sizes.
+        FormatError: a file is damaged.
+    """
+    modules = {**task.modules(), **task.averages()}
+    found = [name for name in modules if (path / f"{name}.safetensors").is_file()]
+    if not found:
+        raise InputError(f"{path} has none of {', '.join(modules)}; give a checkpoint of {task.name!r} or the like")
+    for name in found:
+        checkpoint.load_module(modules[name], path, name)
+    if missing := [name for name in modules if name not in found]:
+        warnings.warn(f"{path} has no {', '.join(missing)}: that starts anew", stacklevel=4)
+
+
 def shared_tensors(task: "Task") -> Iterator[Tensor]:
     """Parameters and buffers that all processes hold alike."""
     for module in {**task.modules(), **task.averages()}.values():

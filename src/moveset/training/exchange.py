@@ -1,0 +1,108 @@
+"""A model folder with one or more students trained anew; every other file stays as it is, to the byte."""
+
+import argparse
+import hashlib
+from collections.abc import Mapping
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+from safetensors.torch import save as save_safetensors
+
+from moveset.errors import InputError
+from moveset.models.registry import describe
+from moveset.pipelines.bundle import Bundle
+from moveset.pipelines.model_folder import FORMAT, TEXT_TO_MOTION, ModelSpec, find_folder, task_of
+from moveset.pipelines.stored_weights import subtracted
+from moveset.pipelines.stream_bundle import StreamBundle
+from moveset.pipelines.verified_folder import json_bytes, write_whole
+from moveset.training import checkpoint, frozen
+from moveset.training.pack_stream import by_network
+
+
+def exchange(
+    model: str | Path,
+    students: Mapping[str, Path],
+    out: Path,
+    guidance: Mapping[str, float] | None = None,
+    averaged: bool = True,
+    **changes: Any,
+) -> Path:
+    """Write ``out``: the model with these students, stored as differences from what they were distilled from.
+
+    Args:
+        model: name of a shipped model, or a folder.
+        students: run folder or checkpoint by name of the network ("pcm-1", "lcm-1" …), new ones too.
+        out: the folder to write; may be the model's own.
+        guidance: default guidance scale by name, where it changes.
+        averaged: the students' averaged weights instead of the last ones.
+        changes: other fields of the model's configuration, such as ``symmetric``.
+
+    Raises:
+        InputError: a network that is no student, or one of other sizes or phases.
+        FormatError: the model is damaged.
+    """
+    folder = find_folder(model)
+    is_clips = task_of(folder) == TEXT_TO_MOTION
+    opened: Any = Bundle(folder) if is_clips else StreamBundle(folder)
+    base = "teacher" if is_clips else "rdm"
+    blobs = {name: opened.read(name) for name in opened.files}
+    stored = opened.tensors(f"{base}.safetensors")
+    specs, provenance = dict(opened.config.models), dict(opened.config.provenance)
+    for name, path in students.items():
+        phases = _phases(name)
+        found = frozen.load(path, "student_ema" if averaged else "student")
+        _check(name, found, phases, specs[base])
+        kind, settings = describe(found.module.config)
+        sha256 = hashlib.sha256(blobs[f"{base}.safetensors"]).hexdigest()
+        specs[name] = ModelSpec(kind=kind, config=settings, base=base, base_sha256=sha256)
+        provenance[name] = checkpoint.resolve(path).name.replace("_", " ")
+        blobs[f"{name}.safetensors"] = save_safetensors(subtracted(found.module.state_dict(), stored))
+    config = replace(
+        opened.config,
+        models=specs,
+        provenance=provenance,
+        guidance={**opened.config.guidance, **(guidance or {})},
+        **changes,
+    )
+    blobs["config.json"] = json_bytes({"format": FORMAT, "task": config.task, **asdict(config)})
+    type(config).parse(blobs["config.json"], out / "config.json")
+    write_whole(out, blobs)
+    return out
+
+
+def _phases(name: str) -> int:
+    method, _, phases = name.partition("-")
+    if method not in ("pcm", "lcm") or not phases.isdigit():
+        raise InputError(f"{name!r} is no student; exchange pcm-1, pcm-2, pcm-4 or lcm-1, and pack the others")
+    return int(phases)
+
+
+def _check(name: str, found: frozen.Frozen, phases: int, base: ModelSpec) -> None:
+    if name.startswith("pcm") and found.task["phases"] != phases:
+        raise InputError(f"{name!r} would be a student of {found.task['phases']} phases; give it its own run folder")
+    for size, ours in base.config.items():
+        if size in ("features", "frames", "tokens", "token_dim", "text_dim") and found.config.get(size) != ours:
+            raise InputError(f"{name!r} has {size} {found.config.get(size)}, the model {ours}; they do not fit")
+
+
+def main() -> None:
+    """Command line: ``python -m moveset.training.exchange motionpcm-small pcm-1=runs/small/pcm-1 --out FOLDER``."""
+    parser = argparse.ArgumentParser(description=main.__doc__)
+    parser.add_argument("model", help="name of a shipped model, or a folder")
+    parser.add_argument("students", nargs="+", metavar="NETWORK=RUN", help="run folder or checkpoint of a student")
+    parser.add_argument("--guidance", nargs="*", default=[], metavar="NETWORK=W", help="where it changes")
+    parser.add_argument("--symmetric", nargs="*", help="of a stream: networks to be sampled with mirror images")
+    parser.add_argument("--name", help="what the model is called from now on")
+    parser.add_argument("--last", action="store_true", help="the students' last weights instead of the averaged ones")
+    parser.add_argument("--out", type=Path, required=True)
+    given = parser.parse_args()
+    students = {name: Path(path) for name, _, path in (pair.partition("=") for pair in given.students)}
+    changes: dict[str, Any] = {} if given.symmetric is None else {"symmetric": tuple(given.symmetric)}
+    changes |= {} if given.name is None else {"name": given.name}
+    scales = by_network(given.guidance, tuple(students))
+    print(exchange(given.model, students, given.out, scales, not given.last, **changes))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,136 @@
+"""From a model folder to run folders and back: weights survive, trainings start from them, other files stay."""
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+import torch
+
+from moveset.data.synthetic import synthetic_corpus
+from moveset.errors import InputError
+from moveset.pipelines.bundle import Bundle
+from moveset.pipelines.motion_stream import MotionStream
+from moveset.pipelines.stream_bundle import StreamBundle
+from moveset.recipes import tiny
+from moveset.training import checkpoint, exchange, frozen, resume, unpack
+from moveset.training.engine import run
+from moveset.training.tasks import Sources, task_maker
+from tests.bundles import tiny_bundle
+from tests.streams import tiny_stream
+
+
+@pytest.fixture(scope="module")
+def models(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    root = tmp_path_factory.mktemp("models")
+    return tiny_bundle(root / "clips"), tiny_stream(root / "streams")
+
+
+@pytest.fixture(scope="module")
+def runs(models: tuple[Path, Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("runs")
+    for model in models:
+        unpack.unpack(model, out, "tiny")
+    return out
+
+
+def test_networks_come_back_as_they_were_stored(models, runs):
+    clips, streams = Bundle(models[0]), StreamBundle(models[1])
+    kept = {
+        "vae": (clips, "vae", "vae_ema"),
+        "teacher": (clips, "teacher", "teacher_ema"),
+        "lcm-1": (clips, "lcm-1", "student_ema"),
+        "pcm-4": (clips, "pcm-4", "student"),
+        "rdm-7": (streams, "rdm", "denoiser_ema"),
+        "md-7": (streams, "md", "denoiser"),
+        "rdm-pcm-2": (streams, "pcm-2", "student_ema"),
+    }
+    for folder, (model, name, saved) in kept.items():
+        found = frozen.load(runs / folder, saved)
+        stored = model.weights(name)
+        assert found.module.state_dict().keys() == stored.keys()
+        assert all(torch.equal(value, stored[key]) for key, value in found.module.state_dict().items())
+    assert frozen.load(runs / "pcm-4", "student").task["phases"] == 4
+    rdm = frozen.load(runs / "rdm-7", "denoiser_ema").task
+    assert (rdm["grid"]["frames"], rdm["depth_cap"]) == (streams.config.segment, streams.config.depth_cap)
+    flow = frozen.load(runs / "rdm-7", "flow_ema", part="coupling_flow").module.state_dict()
+    assert all(torch.equal(flow[key], value) for key, value in streams.weights("flow").items())
+    assert frozen.load(runs / "md-7", "denoiser").task["flow"] is None
+
+
+def test_nothing_is_written_over(models, runs):
+    before = {path: path.stat().st_mtime_ns for path in runs.rglob("*")}
+    with pytest.raises(InputError, match="already holds a training"):
+        unpack.unpack(models[0], runs, "tiny")
+    assert {path: path.stat().st_mtime_ns for path in runs.rglob("*")} == before
+
+
+@pytest.fixture(scope="module")
+def sources(runs: Path) -> Sources:
+    synthetic_corpus(runs / "corpus.safetensors", clips=24, seed=0)
+    return Sources(corpus=runs / "corpus.safetensors", vae=runs / "vae", teacher=runs / "teacher", cache=runs / "cache")
+
+
+def test_a_training_starts_with_the_weights_it_is_given(models, runs, sources, tmp_path):
+    recipe, given = tiny.TRAINING["lcm"](), Bundle(models[0]).weights("pcm-1")
+    maker = task_maker("lcm", replace(recipe.task, lr=1e-9), sources)
+    run(maker, replace(recipe.engine, steps=1), tmp_path / "run", init=runs / "pcm-1")
+    learned = checkpoint.read_tensors(tmp_path / "run" / "step_1", "student")
+    assert all((learned[name] - given[name]).abs().max() < 1e-6 for name in given)
+    assert any(not torch.equal(learned[name], given[name]) for name in given)
+    # A resumed training goes on from its own checkpoint, whatever it once began with.
+    run(maker, replace(recipe.engine, steps=2), tmp_path / "run", True, init=runs / "pcm-2")
+    later = checkpoint.read_tensors(tmp_path / "run" / "step_2", "student")
+    assert all((later[name] - given[name]).abs().max() < 1e-6 for name in given)
+
+
+def test_weights_that_do_not_fit_are_refused(runs, sources, tmp_path):
+    recipe = tiny.TRAINING["lcm"]()
+    for wrong, message in (("vae", "has none of student"), ("rdm-pcm-1", "does not fit"), ("nothing", "no usable")):
+        with pytest.raises(InputError, match=message):
+            run(task_maker("lcm", recipe.task, sources), recipe.engine, tmp_path / "run", init=runs / wrong)
+        assert not checkpoint.steps(tmp_path / "run")
+
+
+def test_what_a_checkpoint_lacks_starts_anew(models, runs):
+    student, judge = frozen.load(runs / "pcm-2", "student").module, torch.nn.Linear(2, 1)
+    before = judge.weight.clone()
+    parts = {"student": student, "discriminator": judge}
+    task = SimpleNamespace(name="pcm", modules=lambda: parts, averages=lambda: {})
+    with pytest.warns(UserWarning, match="has no discriminator: that starts anew"):
+        resume.begin(task, checkpoint.resolve(runs / "pcm-4"))
+    assert torch.equal(judge.weight, before)
+    wanted = Bundle(models[0]).weights("pcm-4")
+    assert all(torch.equal(value, wanted[name]) for name, value in student.state_dict().items())
+
+
+def test_exchanging_a_student_leaves_everything_else(models, runs, tmp_path, monkeypatch):
+    model = Bundle(models[0])
+    arguments = ["exchange", str(models[0]), f"pcm-1={runs / 'pcm-2'}", "--guidance", "pcm-1=2.5", "--name", "mine"]
+    monkeypatch.setattr(sys, "argv", [*arguments, "--out", str(tmp_path / "out")])
+    with pytest.raises(InputError, match="a student of 2 phases"):
+        exchange.main()
+    arguments[2] = f"pcm-1={runs / 'lcm-1'}"
+    monkeypatch.setattr(sys, "argv", [*arguments, "--out", str(tmp_path / "out")])
+    exchange.main()
+    out = Bundle(tmp_path / "out")
+    changed = {name for name in model.files if model.files[name] != out.files[name]}
+    assert changed == {"config.json", "pcm-1.safetensors"}
+    assert out.config.name == "mine"
+    assert (out.config.guidance["pcm-1"], out.config.guidance["pcm-2"]) == (2.5, 3.0)
+    wanted, got = model.weights("lcm-1"), out.weights("pcm-1")
+    for name, value in wanted.items():
+        assert torch.linalg.vector_norm(got[name] - value) <= 5e-3 * torch.linalg.vector_norm(value), name
+    with pytest.raises(InputError, match="is no student"):
+        exchange.exchange(models[0], {"teacher": runs / "teacher"}, tmp_path / "other")
+    with pytest.raises(InputError, match="they do not fit"):
+        exchange.exchange(models[0], {"pcm-1": runs / "rdm-pcm-1"}, tmp_path / "other")
+    assert not (tmp_path / "other").exists()
+
+
+def test_a_stream_with_another_student_plays(models, runs, tmp_path):
+    out = exchange.exchange(models[1], {"pcm-1": runs / "rdm-pcm-1"}, tmp_path / "out", symmetric=())
+    config = StreamBundle(out).config
+    assert (config.symmetric, config.models["pcm-1"].base) == ((), "rdm")
+    assert len(next(MotionStream.from_pretrained(out, device="cpu")).motion) == 28
