@@ -142,13 +142,16 @@ def events(socket, until):
     return seen
 
 
-def until_quiet(socket):
-    """Messages until none comes for three seconds."""
+def packets_until_quiet(socket, count):
+    """As many packets, however slowly they come, and what comes in the three seconds after them."""
+    packets = []
     while True:
         try:
-            yield socket.recv(timeout=3)
+            message = socket.recv(timeout=60 if len(packets) < count else 3)
         except TimeoutError:
-            return
+            return packets
+        if isinstance(message, bytes):
+            packets.append(unpack_packets(message))
 
 
 def test_what_the_page_says_about_acknowledgements_and_frames_taken_back(served):
@@ -156,7 +159,7 @@ def test_what_the_page_says_about_acknowledgements_and_frames_taken_back(served)
         start = {"type": "start", "prompt": PROMPTS[0], "seed": 1, "buffer": 4.0, "commit": 10}
         socket.send(json.dumps(start))
         # Without acknowledgements: what the buffer holds, rounded up to whole segments, and no more.
-        packets = [unpack_packets(message) for message in until_quiet(socket) if isinstance(message, bytes)]
+        packets = packets_until_quiet(socket, 3)
         assert [(take.first_frame, len(take.motion)) for take in packets] == [(0, 28), (28, 28), (56, 28)]
         # Twenty frames played and ten committed: the third segment, sent long ago, is free to change.
         socket.send(json.dumps({"type": "played", "frame": 20}))

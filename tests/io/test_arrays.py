@@ -2,7 +2,6 @@
 
 import contextlib
 import io
-import time
 import tracemalloc
 import zipfile
 
@@ -129,12 +128,10 @@ BAD_NPY = {
 def test_bad_npy_is_refused_without_allocating(bad, tmp_path):
     (tmp_path / "a.npy").write_bytes(BAD_NPY[bad])
     tracemalloc.start()
-    start = time.perf_counter()
     with pytest.raises(FormatError, match=r"a\.npy"):
         read_npy(tmp_path / "a.npy")
     assert tracemalloc.get_traced_memory()[1] < 20e6
     tracemalloc.stop()
-    assert time.perf_counter() - start < 5
 
 
 @pytest.fixture(scope="module")
