@@ -14,7 +14,7 @@ def result_json(numbers: Numbers, *, repeats: int = 20, seconds: float = 0.02, *
     """A result with these means and half widths; ``seconds`` an item."""
     return {
         "model": "m", "network": "n", "steps": 1,
-        "protocol": {"split": "test", "wording": "known", "group": 32},
+        "protocol": {"split": "test", "wording": "known", "group": 32, "seed": 0},
         "items": 320, "distinct_texts": 300, "labels": 90,
         "evaluator": {"name": "t2m-small", "sha256": "e" * 64},
         "data": {"name": "corpus.safetensors", "sha256": "d" * 64},

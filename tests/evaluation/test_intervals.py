@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from moveset.errors import InputError
-from moveset.evaluation.intervals import Comparison, Interval, clear, compare, statement
+from moveset.evaluation.intervals import Interval, clear
 
 
 def test_the_formula_of_the_papers():
@@ -49,41 +49,3 @@ def test_disjoint_or_not():
     assert clear(Interval(2.1, 1.0), Interval(0.0, 1.0))
     assert not clear(Interval(0.0, 1.0), Interval(2.0, 1.0))  # touching is not apart
     assert not clear(Interval(0.0, 5.0), Interval(0.5, 0.1))
-
-
-def test_rows_against_a_reference_know_which_way_is_better():
-    rows = {"PCM-1": [0.50, 0.52], "LCM-1": [0.30, 0.32], "teacher": [0.70, 0.72], "PCM-2": [0.51, 0.53]}
-    higher = {c.row: c.verdict for c in compare(rows, "PCM-1", higher_is_better=True)}
-    assert higher == {"LCM-1": "worse", "teacher": "better", "PCM-2": "not apart"}
-    lower = {c.row: c.verdict for c in compare(rows, "PCM-1", higher_is_better=False)}
-    assert lower == {"LCM-1": "better", "teacher": "worse", "PCM-2": "not apart"}
-
-
-def test_equal_repeats_are_paired():
-    """What both rows were given alike cancels: a small difference that is always there shows."""
-    noise = [0.0, 0.2, -0.3, 0.1, 0.4]
-    rows = {"a": noise, "b": [v + 0.01 for v in noise]}
-    (found,) = compare(rows, "a", higher_is_better=True)
-    assert found.verdict == "not apart"
-    assert found.difference.mean == pytest.approx(0.01)
-    assert found.paired_clear
-    (unpaired,) = compare({name: Interval.of(row) for name, row in rows.items()}, "a", higher_is_better=True)
-    assert unpaired.difference.mean == pytest.approx(0.01)
-    assert not unpaired.paired_clear
-
-
-def test_the_sentence_below_a_table():
-    rows = {"PCM-1": Interval(0.2, 0.01), "LCM-1": Interval(0.5, 0.01), "PCM-2": Interval(0.205, 0.01)}
-    said = statement("FID", compare(rows, "PCM-1", higher_is_better=False))
-    assert said == "FID against PCM-1: LCM-1 (worse, outside the intervals); PCM-2 (within the interval)."
-
-
-def test_nonsense_is_refused():
-    with pytest.raises(InputError, match="'x'"):
-        compare({"a": [1.0], "b": [2.0]}, "x", higher_is_better=True)
-    with pytest.raises(InputError, match="3 repeats"):
-        compare({"a": [1.0, 2.0], "b": [2.0, 1.0, 2.0]}, "a", higher_is_better=True)
-    with pytest.raises(InputError, match="one reference"):
-        statement("FID", [])
-    with pytest.raises(InputError, match="one reference"):
-        statement("FID", [Comparison("a", r, Interval(0.0, 0.0), "better") for r in "bc"])

@@ -1,19 +1,16 @@
-"""Repeats to intervals, and which rows of a table really differ from one of them.
+"""Repeats to intervals, and whether two of them are apart.
 
 An interval over repeats says how much a number moves when captions, crops, noise and groups are drawn again. It does
-not say what another set of test items would give; ``evaluation.paired`` resamples items for that.
+not say what another set of test items would give. ``evaluation.repeat_pairs`` compares rows repeat by repeat.
 """
 
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 import torch
 
 from moveset.errors import InputError
-
-Verdict = Literal["better", "worse", "not apart"]
 
 
 @dataclass(frozen=True)
@@ -82,81 +79,3 @@ def clear(a: Interval, b: Interval) -> bool:
     (True, False)
     """
     return a.high < b.low or b.high < a.low
-
-
-@dataclass(frozen=True)
-class Comparison:
-    """A row of a table against the reference row, in one metric.
-
-    Args:
-        difference: row minus reference. From the differences of equal repeats where both rows give them (the same
-            items and groups were drawn in both, which cancels), else of the means with the half widths added.
-        verdict: "better" or "worse" where the two rows' intervals are disjoint, "not apart" elsewhere.
-    """
-
-    row: str
-    reference: str
-    difference: Interval
-    verdict: Verdict
-
-    @property
-    def paired_clear(self) -> bool:
-        """Whether the interval of the difference leaves out zero: a finer test than disjoint intervals."""
-        return abs(self.difference.mean) > self.difference.half_width
-
-
-def compare(
-    rows: Mapping[str, Interval | Sequence[float]], reference: str, *, higher_is_better: bool
-) -> list[Comparison]:
-    """Every other row of a table against one of them.
-
-    Args:
-        rows: by name, the repeats' values in their order, or only their interval.
-
-    Raises:
-        InputError: there is no such reference row, or two rows have different numbers of repeats.
-    """
-    if reference not in rows:
-        raise InputError(f"there is no row {reference!r} to compare with; rows are {', '.join(map(repr, rows))}")
-    against = rows[reference]
-    found = []
-    for name, row in rows.items():
-        if name == reference:
-            continue
-        one, other = _interval(row), _interval(against)
-        if isinstance(row, Interval) or isinstance(against, Interval):
-            difference = Interval(one.mean - other.mean, one.half_width + other.half_width)
-        elif len(row) != len(against):
-            raise InputError(
-                f"row {name!r} has {len(row)} repeats and {reference!r} {len(against)}; run both as often, or compare "
-                "their intervals"
-            )
-        else:
-            difference = Interval.of([a - b for a, b in zip(row, against, strict=True)])
-        verdict: Verdict = "not apart"
-        if clear(one, other):
-            verdict = "better" if (one.mean > other.mean) == higher_is_better else "worse"
-        found.append(Comparison(name, reference, difference, verdict))
-    return found
-
-
-def statement(metric: str, comparisons: Sequence[Comparison]) -> str:
-    """One sentence for below a table: which rows are outside the reference's interval.
-
-    Raises:
-        InputError: nothing to state, or different reference rows.
-    """
-    references = {c.reference for c in comparisons}
-    if len(references) != 1:
-        raise InputError(f"a statement needs comparisons with one reference row, not with {sorted(references)}")
-    verdicts: tuple[Verdict, ...] = ("better", "worse", "not apart")
-    parts = []
-    for verdict in verdicts:
-        if names := [c.row for c in comparisons if c.verdict == verdict]:
-            said = "within the interval" if verdict == "not apart" else f"{verdict}, outside the intervals"
-            parts.append(f"{', '.join(names)} ({said})")
-    return f"{metric} against {references.pop()}: {'; '.join(parts)}."
-
-
-def _interval(row: Interval | Sequence[float]) -> Interval:
-    return row if isinstance(row, Interval) else Interval.of(row)

@@ -10,6 +10,7 @@ from pathlib import Path
 from moveset.evaluation.columns import PHYSICAL, QUALITY, Column, Place
 from moveset.evaluation.intervals import Interval
 from moveset.evaluation.published import PublishedTable, tables
+from moveset.evaluation.repeat_pairs import LEAST, verdict
 from moveset.evaluation.suites import REAL
 from moveset.evaluation.table import Table
 
@@ -40,6 +41,8 @@ def markdown(table: Table, pictures: Sequence[str] = (), level: int = 1) -> str:
         labels = table.labels
         lines = [f"- {difference.sentence(labels)}" for difference in found]
         parts += [f"{sharp} What differs outside the intervals", "\n".join(lines)]
+    if paired := pairs(table):
+        parts += [f"{sharp} What differs repeat by repeat", paired]
     parts += [f"{sharp} Targets", targets(table)]
     parts += [f"{sharp} How the rows were made", settings(table)]
     parts += [published(printed, level + 1) for printed in tables(table.suite.name)]
@@ -122,6 +125,24 @@ def physical_grid(table: Table) -> str:
     return "In parentheses: times the value of real motion.\n\n" + lined(["", *(c.head for c in columns)], body)
 
 
+def pairs(table: Table) -> str:
+    """Differences of equal repeats; "" if no two rows to compare have enough of them."""
+    found, labels = table.pairs(), table.labels
+    if not found:
+        return ""
+    columns = [column for column in QUALITY if any(column.name in row.differences for row in found)]
+    body = []
+    for row in found:
+        cells = [_difference(column, row.differences.get(column.name)) for column in columns]
+        body.append([f"{labels[row.row]} − {labels[row.reference]}", str(row.repeats), *cells])
+    return (
+        "Equal repeats of two rows have the same captions, lengths and groups, which cancel in their difference: mean "
+        f"± 95 % interval (Student's t) over the repeats that both have, if these are {LEAST} at least. **Better** and "
+        "<u>worse</u> where the interval leaves out zero, which one in twenty does by chance. These are differences "
+        "on the same items; the targets below go by the rows' own intervals.\n\n"
+    ) + lined(["", "repeats", *(column.head for column in columns)], body)
+
+
 def targets(table: Table) -> str:
     """How many targets are met, and each with its numbers."""
     found = table.checks()
@@ -177,6 +198,14 @@ def _cell(column: Column, value: Interval | None, place: Place) -> str:
     mean, half = column.format(value)
     text = f"{mean} ± {half}" if half else mean
     return {"best": f"**{text}**", "second": f"<u>{text}</u>", "": text}[place]
+
+
+def _difference(column: Column, value: Interval | None) -> str:
+    if value is None:
+        return "–"
+    mean, half = column.format(value)
+    text = f"{'−' if value.mean < 0 else '+'}{mean.lstrip('-')} ± {half}"
+    return {"better": f"**{text}**", "worse": f"<u>{text}</u>", "": text}[verdict(column, value)]
 
 
 def _ms(seconds: float | None) -> str:

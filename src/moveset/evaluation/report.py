@@ -56,6 +56,10 @@ def to_json(table: Table) -> dict[str, Any]:
         ],
         "places": {column.name: table.places(column) for column in table.columns(QUALITY)},
         "differences": [asdict(found) for found in table.differences()],
+        "repeat_pairs": [
+            {**asdict(found), "differences": {k: v.to_json() for k, v in found.differences.items()}}
+            for found in table.pairs()
+        ],
         "targets": [asdict(check) for check in table.checks()],
     }
 

@@ -13,6 +13,7 @@ from typing import Any, TypeVar
 from moveset.errors import FormatError, InputError
 from moveset.evaluation.columns import Column, Place, places
 from moveset.evaluation.intervals import Interval
+from moveset.evaluation.repeat_pairs import RepeatPairs, Values, repeat_pairs
 from moveset.evaluation.suites import REAL, Row, RowResult, Suite, get_suite
 from moveset.evaluation.targets import Check, Difference, checks, differences
 from moveset.io.limits import atomic_write
@@ -31,6 +32,8 @@ class Measured:
     Args:
         metrics: by name.
         repeats: how many there were.
+        values: every repeat's value by metric; none where they are not known.
+        seed: what all repeats were drawn from.
         items, texts, labels: how many test items, distinct texts and distinct label combinations; None if unlabelled.
         evaluator, data: name and sha256.
         weights: sha256 of all files that take part, "" where there are none.
@@ -45,6 +48,8 @@ class Measured:
 
     metrics: Mapping[str, Interval]
     repeats: int
+    values: Values
+    seed: int
     items: int
     texts: int
     labels: int | None
@@ -71,6 +76,8 @@ class Measured:
             return cls(
                 metrics={k: Interval.from_json(v) for k, v in raw["metrics"].items()},
                 repeats=len(raw["repeats"]),
+                values={k: [float(repeat[k]) for repeat in raw["repeats"] if repeat] for k in raw["metrics"]},
+                seed=int(protocol["seed"]),
                 items=int(raw["items"]),
                 texts=int(raw["distinct_texts"]),
                 labels=None if raw["labels"] is None else int(raw["labels"]),
@@ -124,6 +131,12 @@ class Table:
     def differences(self) -> list[Difference]:
         """Of every row against those it is compared with."""
         return differences(self.metrics, {entry.row.key: entry.row.against for entry in self.rows})
+
+    def pairs(self) -> list[RepeatPairs]:
+        """Of every row against those it is compared with, repeat by repeat, if both were drawn from one seed."""
+        seed = _usual(found.seed for found in self.measured.values())
+        values = {key: found.values for key, found in self.measured.items() if found.seed == seed}
+        return repeat_pairs(values, {entry.row.key: entry.row.against for entry in self.rows})
 
     def checks(self) -> list[Check]:
         """Of the targets; of rows that are in the table."""
