@@ -1,7 +1,8 @@
 """Repeats to intervals, and whether two of them are apart.
 
 An interval over repeats says how much a number moves when captions, crops, noise and groups are drawn again. It does
-not say what another set of test items would give. ``evaluation.repeat_pairs`` compares rows repeat by repeat.
+not say what another set of test items would give; ``evaluation.paired`` resamples items for that, and
+``evaluation.repeat_pairs`` compares rows repeat by repeat.
 """
 
 import math
