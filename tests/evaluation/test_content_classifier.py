@@ -15,6 +15,7 @@ from moveset.evaluation.content_training import (
     clip_features,
     confusion,
     labelled_clips,
+    main,
     pad,
     train_classifier,
 )
@@ -188,3 +189,12 @@ def test_confusion_counts():
 def test_a_corpus_too_small_is_refused(corpus):
     with pytest.raises(InputError, match="min_takes"):
         train_classifier(corpus, min_takes=1000)
+
+
+def test_the_command_line_trains_one_that_benchmarks_can_load(tmp_path, monkeypatch, capsys):
+    corpus = synthetic_corpus(tmp_path / "synthetic.safetensors", 60, seed=1)
+    words = ["--corpus", str(corpus), "--out", str(tmp_path / "made"), "--epochs", "1", "--min-takes", "2"]
+    monkeypatch.setattr("sys.argv", ["content_training", *words])
+    main()
+    assert "test: " in capsys.readouterr().out
+    assert len(ContentClassifier.load(tmp_path / "made").labels) > 1

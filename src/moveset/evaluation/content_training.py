@@ -1,13 +1,18 @@
 """Train the content classifier on the real takes of a corpus, and tell how far it can be trusted.
 
+``python -m moveset.evaluation.content_training`` writes the one that ``benchmarks/content.py``, ``stream_quality.py``
+and ``rollout.py`` judge by.
+
 Shapes: N clips, B batch, F frames, J joints, K classes.
 """
 
+import argparse
 import copy
 import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import torch
 from torch import Tensor
@@ -302,3 +307,23 @@ def _augment(clip: LabelledClip, labels: Sequence[str], generator: torch.Generat
     kept = min(max(round(frames * (0.7 + 0.3 * share)), _MIN_FRAMES), frames, _MAX_FRAMES)
     start = int(where * (frames - kept + 1))
     return LabelledClip(clip.joints[start : start + kept], clip.label, clip.take)
+
+
+def main() -> None:
+    """Command line: ``python -m moveset.evaluation.content_training --out runs/classifier``."""
+    parser = argparse.ArgumentParser(description=main.__doc__)
+    parser.add_argument("--corpus", type=Path, default=Path("data/corpus.safetensors"))
+    parser.add_argument("--out", type=Path, default=Path("runs/classifier"))
+    parser.add_argument("--epochs", type=int, default=24)
+    parser.add_argument("--min-takes", type=int, default=8, help="contents with fewer train takes are not learned")
+    given = parser.parse_args()
+    corpus = Corpus.open(given.corpus)
+    model, _ = train_classifier(corpus, min_takes=given.min_takes, epochs=given.epochs, report=print)
+    for split in ("val", "test"):
+        found = confusion(model, labelled_clips(corpus, split))
+        print(f"{split}: {found.accuracy:.1%} of {found.clips} clips, {len(model.labels)} contents")
+    print(model.save(given.out))
+
+
+if __name__ == "__main__":
+    main()
