@@ -130,7 +130,22 @@ def test_exchanging_a_student_leaves_everything_else(models, runs, tmp_path, mon
 
 
 def test_a_stream_with_another_student_plays(models, runs, tmp_path):
-    out = exchange.exchange(models[1], {"pcm-1": runs / "rdm-pcm-1"}, tmp_path / "out", symmetric=())
+    student = {"pcm-1": runs / "rdm-pcm-1"}
+    out = exchange.exchange(models[1], student, tmp_path / "out", tremor={"pcm-1": 7.0}, symmetric=())
     config = StreamBundle(out).config
     assert (config.symmetric, config.models["pcm-1"].base) == ((), "rdm")
+    assert config.models["pcm-1"].config["tremor"] == 7.0
     assert len(next(MotionStream.from_pretrained(out, device="cpu")).motion) == 28
+    trembling = exchange.exchange(models[1], student, tmp_path / "trembling", tremor={"pcm-1": 0.0}, symmetric=())
+    jerk = [quickest(MotionStream.from_pretrained(folder, device="cpu")) for folder in (out, trembling)]
+    assert jerk[0] < jerk[1]
+    with pytest.raises(InputError, match="tremor"):
+        exchange.exchange(models[1], student, tmp_path / "other", tremor={"pcm-1": -1.0})
+    with pytest.raises(InputError, match="has no tremor to damp"):
+        exchange.exchange(models[0], {"pcm-1": runs / "lcm-1"}, tmp_path / "other", tremor={"pcm-1": 2.0})
+    assert not (tmp_path / "other").exists()
+
+
+def quickest(stream: MotionStream) -> float:
+    """Mean third difference of the joints of a first segment."""
+    return float(next(stream).motion.joints.diff(n=3, dim=0).norm(dim=-1).mean())

@@ -25,6 +25,7 @@ def exchange(
     students: Mapping[str, Path],
     out: Path,
     guidance: Mapping[str, float] | None = None,
+    tremor: Mapping[str, float] | None = None,
     averaged: bool = True,
     **changes: Any,
 ) -> Path:
@@ -35,11 +36,13 @@ def exchange(
         students: run folder or checkpoint by name of the network ("pcm-1", "lcm-1" …), new ones too.
         out: the folder to write; may be the model's own.
         guidance: default guidance scale by name, where it changes.
+        tremor: of a stream's student by name, instead of that of its training; guidance makes it tremble
+            (``SegmentTransformerConfig``).
         averaged: the students' averaged weights instead of the last ones.
         changes: other fields of the model's configuration, such as ``symmetric``.
 
     Raises:
-        InputError: a network that is no student, or one of other sizes or phases.
+        InputError: a network that is no student, one of other sizes or phases, or tremor of a network that has none.
         FormatError: the model is damaged.
     """
     folder = find_folder(model)
@@ -53,7 +56,7 @@ def exchange(
         phases = _phases(name)
         found = frozen.load(path, "student_ema" if averaged else "student")
         _check(name, found, phases, specs[base])
-        kind, settings = describe(found.module.config)
+        kind, settings = describe(_damped(found.module.config, name, tremor or {}))
         sha256 = hashlib.sha256(blobs[f"{base}.safetensors"]).hexdigest()
         specs[name] = ModelSpec(kind=kind, config=settings, base=base, base_sha256=sha256)
         provenance[name] = checkpoint.resolve(path).name.replace("_", " ")
@@ -69,6 +72,14 @@ def exchange(
     type(config).parse(blobs["config.json"], out / "config.json")
     write_whole(out, blobs)
     return out
+
+
+def _damped(config: Any, name: str, tremor: Mapping[str, float]) -> Any:
+    if name not in tremor:
+        return config
+    if not hasattr(config, "tremor"):
+        raise InputError(f"{name!r} has no tremor to damp; that is of a stream's students")
+    return replace(config, tremor=tremor[name])
 
 
 def _phases(name: str) -> int:
@@ -92,6 +103,7 @@ def main() -> None:
     parser.add_argument("model", help="name of a shipped model, or a folder")
     parser.add_argument("students", nargs="+", metavar="NETWORK=RUN", help="run folder or checkpoint of a student")
     parser.add_argument("--guidance", nargs="*", default=[], metavar="NETWORK=W", help="where it changes")
+    parser.add_argument("--tremor", nargs="*", default=[], metavar="NETWORK=C", help="of a stream's students")
     parser.add_argument("--symmetric", nargs="*", help="of a stream: networks to be sampled with mirror images")
     parser.add_argument("--name", help="what the model is called from now on")
     parser.add_argument("--last", action="store_true", help="the students' last weights instead of the averaged ones")
@@ -100,8 +112,8 @@ def main() -> None:
     students = {name: Path(path) for name, _, path in (pair.partition("=") for pair in given.students)}
     changes: dict[str, Any] = {} if given.symmetric is None else {"symmetric": tuple(given.symmetric)}
     changes |= {} if given.name is None else {"name": given.name}
-    scales = by_network(given.guidance, tuple(students))
-    print(exchange(given.model, students, given.out, scales, not given.last, **changes))
+    scales, tremor = (by_network(chosen, tuple(students)) for chosen in (given.guidance, given.tremor))
+    print(exchange(given.model, students, given.out, scales, tremor, not given.last, **changes))
 
 
 if __name__ == "__main__":
