@@ -58,12 +58,12 @@ def measured(clips: list[Tensor]) -> dict[str, float]:
     }
 
 
-def streams(bundle: StreamBundle, network: str, sentence: str, copies: int) -> list[Tensor]:
+def streams(bundle: StreamBundle, network: str, sentence: str, copies: int, seconds: float = SECONDS) -> list[Tensor]:
     """Joints of so many streams of one sentence."""
     settings = check_stream(bundle.config, sentence, network=network).settings
     group = StreamGroup(bundle, settings, device="cpu")
     lanes = [group.open(sentence, seed) for seed in range(copies)]
-    pieces = [group.advance(lanes) for _ in range(round(SECONDS * FPS / bundle.config.segment))]
+    pieces = [group.advance(lanes) for _ in range(round(seconds * FPS / bundle.config.segment))]
     return [torch.cat([piece[k].segment.motion.joints for piece in pieces]) for k in range(copies)]
 
 

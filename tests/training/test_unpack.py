@@ -129,6 +129,16 @@ def test_exchanging_a_student_leaves_everything_else(models, runs, tmp_path, mon
     assert not (tmp_path / "other").exists()
 
 
+def test_several_runs_make_their_mean(models, runs, tmp_path):
+    both = [runs / "pcm-1", runs / "lcm-1"]
+    out = Bundle(exchange.exchange(models[0], {"pcm-1": both}, tmp_path / "out"))
+    parts = [frozen.load(path, "student_ema").module.state_dict() for path in both]
+    for name, value in out.weights("pcm-1").items():
+        mean = (parts[0][name] + parts[1][name]) / 2
+        assert torch.linalg.vector_norm(value - mean) <= 5e-3 * torch.linalg.vector_norm(mean), name
+    assert " and " in out.config.provenance["pcm-1"]
+
+
 def test_a_stream_with_another_student_plays(models, runs, tmp_path):
     student = {"pcm-1": runs / "rdm-pcm-1"}
     out = exchange.exchange(models[1], student, tmp_path / "out", tremor={"pcm-1": 7.0}, symmetric=())

@@ -2,12 +2,14 @@
 
 import argparse
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
+import torch
 from safetensors.torch import save as save_safetensors
+from torch import Tensor
 
 from moveset.errors import InputError
 from moveset.models.registry import describe
@@ -22,7 +24,7 @@ from moveset.training.pack_stream import by_network
 
 def exchange(
     model: str | Path,
-    students: Mapping[str, Path],
+    students: Mapping[str, Path | Sequence[Path]],
     out: Path,
     guidance: Mapping[str, float] | None = None,
     tremor: Mapping[str, float] | None = None,
@@ -33,7 +35,8 @@ def exchange(
 
     Args:
         model: name of a shipped model, or a folder.
-        students: run folder or checkpoint by name of the network ("pcm-1", "lcm-1" …), new ones too.
+        students: run folder or checkpoint by name of the network ("pcm-1", "lcm-1" …), new ones too; of several the
+            mean of their weights is taken, which suits runs that went on from one another (arXiv 2203.05482).
         out: the folder to write; may be the model's own.
         guidance: default guidance scale by name, where it changes.
         tremor: of a stream's student by name, instead of that of its training; guidance makes it tremble
@@ -52,15 +55,16 @@ def exchange(
     blobs = {name: opened.read(name) for name in opened.files}
     stored = opened.tensors(f"{base}.safetensors")
     specs, provenance = dict(opened.config.models), dict(opened.config.provenance)
-    for name, path in students.items():
-        phases = _phases(name)
-        found = frozen.load(path, "student_ema" if averaged else "student")
-        _check(name, found, phases, specs[base])
-        kind, settings = describe(_damped(found.module.config, name, tremor or {}))
+    for name, given in students.items():
+        phases, paths = _phases(name), [given] if isinstance(given, Path) else [*given]
+        loaded = [frozen.load(path, "student_ema" if averaged else "student") for path in paths]
+        for found in loaded:
+            _check(name, found, phases, specs[base])
+        kind, settings = describe(_damped(loaded[0].module.config, name, tremor or {}))
         sha256 = hashlib.sha256(blobs[f"{base}.safetensors"]).hexdigest()
         specs[name] = ModelSpec(kind=kind, config=settings, base=base, base_sha256=sha256)
-        provenance[name] = checkpoint.resolve(path).name.replace("_", " ")
-        blobs[f"{name}.safetensors"] = save_safetensors(subtracted(found.module.state_dict(), stored))
+        provenance[name] = " and ".join(checkpoint.resolve(path).name.replace("_", " ") for path in paths)
+        blobs[f"{name}.safetensors"] = save_safetensors(subtracted(_mean(name, loaded), stored))
     config = replace(
         opened.config,
         models=specs,
@@ -72,6 +76,13 @@ def exchange(
     type(config).parse(blobs["config.json"], out / "config.json")
     write_whole(out, blobs)
     return out
+
+
+def _mean(name: str, loaded: Sequence[frozen.Frozen]) -> dict[str, Tensor]:
+    parts = [found.module.state_dict() for found in loaded]
+    if any({k: v.shape for k, v in part.items()} != {k: v.shape for k, v in parts[0].items()} for part in parts):
+        raise InputError(f"{name!r} is to be the mean of networks of different sizes; give runs of one architecture")
+    return {key: torch.stack([part[key].float() for part in parts]).mean(0) for key in parts[0]}
 
 
 def _damped(config: Any, name: str, tremor: Mapping[str, float]) -> Any:
@@ -101,7 +112,12 @@ def main() -> None:
     """Command line: ``python -m moveset.training.exchange motionpcm-small pcm-1=runs/small/pcm-1 --out FOLDER``."""
     parser = argparse.ArgumentParser(description=main.__doc__)
     parser.add_argument("model", help="name of a shipped model, or a folder")
-    parser.add_argument("students", nargs="+", metavar="NETWORK=RUN", help="run folder or checkpoint of a student")
+    parser.add_argument(
+        "students",
+        nargs="+",
+        metavar="NETWORK=RUN[,RUN]",
+        help="run folder or checkpoint of a student; the mean of several",
+    )
     parser.add_argument("--guidance", nargs="*", default=[], metavar="NETWORK=W", help="where it changes")
     parser.add_argument("--tremor", nargs="*", default=[], metavar="NETWORK=C", help="of a stream's students")
     parser.add_argument("--symmetric", nargs="*", help="of a stream: networks to be sampled with mirror images")
@@ -109,7 +125,8 @@ def main() -> None:
     parser.add_argument("--last", action="store_true", help="the students' last weights instead of the averaged ones")
     parser.add_argument("--out", type=Path, required=True)
     given = parser.parse_args()
-    students = {name: Path(path) for name, _, path in (pair.partition("=") for pair in given.students)}
+    pairs = (pair.partition("=") for pair in given.students)
+    students = {name: [Path(path) for path in paths.split(",")] for name, _, paths in pairs}
     changes: dict[str, Any] = {} if given.symmetric is None else {"symmetric": tuple(given.symmetric)}
     changes |= {} if given.name is None else {"name": given.name}
     scales, tremor = (by_network(chosen, tuple(students)) for chosen in (given.guidance, given.tremor))

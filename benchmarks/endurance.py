@@ -1,0 +1,75 @@
+"""Does who walks go on walking? Many streams of a sentence, half minute by half minute.
+
+    python benchmarks/endurance.py --out docs/streaming/endurance.json
+
+A stream is told its own past, so it may slide into another manner of what it was told and stay there: a walk that
+becomes a shuffle after two minutes. One stream of a sentence (``rollout.py``) may miss that, and so do distances of
+short sequences. Of every sentence ``--copies`` streams of ``--minutes``, as users get them. Pace is what the root
+travels over the ground within a second, in a straight line; "flagging" is the share of streams whose last half minute
+has less than 60 % of the median pace of the sentence's first half minute.
+"""
+
+import argparse
+import json
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from course import FPS, streams
+from moveset.pipelines.stream_bundle import DEFAULT_STREAM, StreamBundle
+
+SENTENCES = ("a person walks", "a person walks forward", "someone walks at a normal pace", "a person runs")
+HALF_MINUTE = int(30 * FPS)
+FLAGGING = 0.6
+
+
+def paces(joints_FJ3: Tensor) -> Tensor:
+    """Metres a second by half minute; what is left of less than half of one does not count."""
+    root = joints_FJ3[:, 0, [0, 2]]
+    travelled = (root[int(FPS) :] - root[: -int(FPS)]).norm(dim=-1)
+    parts = travelled.split(HALF_MINUTE)
+    return torch.stack([part.mean() for part in parts if len(part) >= HALF_MINUTE // 2])
+
+
+def measured(clips: list[Tensor]) -> dict[str, object]:
+    """Of joints (F, J, 3) of streams of one sentence."""
+    pace = torch.stack([paces(joints) for joints in clips])
+    fresh = pace[:, 0].median()
+    quartiles = torch.quantile(pace, torch.tensor([0.25, 0.5, 0.75], dtype=pace.dtype), dim=0)
+    return {
+        "streams": len(clips),
+        "pace": {
+            name: [round(float(value), 2) for value in row]
+            for name, row in zip(("lower quartile", "median", "upper quartile"), quartiles, strict=True)
+        },
+        "last": sorted(round(float(value), 2) for value in pace[:, -1]),
+        "flagging": round(float((pace[:, -1] < FLAGGING * fresh).double().mean()), 3),
+    }
+
+
+def main() -> None:
+    """See the module."""
+    parser = argparse.ArgumentParser(description=main.__doc__)
+    parser.add_argument("--model", default=DEFAULT_STREAM, help="a shipped stream, or a folder")
+    parser.add_argument("--networks", nargs="*", default=["pcm-1"])
+    parser.add_argument("--sentences", nargs="*", default=list(SENTENCES))
+    parser.add_argument("--copies", type=int, default=24)
+    parser.add_argument("--minutes", type=float, default=5.0)
+    parser.add_argument("--out", type=Path)
+    given = parser.parse_args()
+    torch.set_num_threads(1)
+    bundle, rows = StreamBundle.find(given.model), {}
+    for network in given.networks:
+        for sentence in given.sentences:
+            clips = streams(bundle, network, sentence, given.copies, 60 * given.minutes)
+            rows[f"{network}: {sentence}"] = found = measured(clips)
+            print(f"{network}: {sentence}", json.dumps(found), flush=True)
+    if given.out:
+        given.out.parent.mkdir(parents=True, exist_ok=True)
+        report = {"model": bundle.config.name, "minutes": given.minutes, "rows": rows}
+        given.out.write_text(json.dumps(report, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()
