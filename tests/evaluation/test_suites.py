@@ -118,7 +118,7 @@ def test_a_given_folder_takes_the_place_of_a_shipped_one_of_its_name(tmp_path: P
     mine = folder(tmp_path / "a", STREAMS, ("rdm", "md"))
     results = run_suite("rdm", SuiteSettings((mine,), only=("rdm-7", "rdm-pcm-1")), found)
     assert [(entry.row.key, entry.missing) for entry in results] == [("rdm-7", ""), ("rdm-pcm-1", f"not in {STREAMS}")]
-    assert found.calls == [("rdm-7", mine, 5)]
+    assert found.calls == [("rdm-7", mine, 10)]
 
 
 def test_folders_that_no_row_asks_for_become_rows(tmp_path: Path):
