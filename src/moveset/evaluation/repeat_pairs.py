@@ -64,7 +64,7 @@ def repeat_pairs(rows: Mapping[str, Values], against: Mapping[str, Sequence[str]
 def student_interval(values: Sequence[float]) -> Interval:
     """Mean and 95 % interval by Student's t, which the papers' interval is too narrow for: of five values, by a third.
 
-    The quantile is Hill's expansion (Abramowitz & Stegun, 26.7.5), within .3 % from four degrees of freedom on.
+    The quantile is an asymptotic expansion (Abramowitz & Stegun, 26.7.5), within .3 % from four degrees of freedom on.
 
     >>> student_interval([1.0, 2.0, 3.0, 4.0, 5.0]).format(2)
     '3.00 ± 1.96'
