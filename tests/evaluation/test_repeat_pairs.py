@@ -15,14 +15,11 @@ from tests.evaluation.results import result_json, suite_folder
 SHARED = [0.31, 0.18, 0.27, 0.22, 0.35, 0.25]
 
 
-def repeats(fid: list[float], **more: list[float]) -> list[dict[str, float]]:
-    columns = {"fid": fid, **more}
-    return [dict(zip(columns, values, strict=True)) for values in zip(*columns.values(), strict=True)]
-
-
 def row(fid: list[float], **changed: object) -> dict:
     found = Interval.of(fid)
-    return result_json({"fid": (found.mean, found.half_width)}) | {"repeats": repeats(fid)} | changed
+    return (
+        result_json({"fid": (found.mean, found.half_width)}) | {"repeats": [{"fid": value} for value in fid]} | changed
+    )
 
 
 def test_a_small_difference_that_is_always_there_shows():
