@@ -137,6 +137,8 @@ def test_several_runs_make_their_mean(models, runs, tmp_path):
         mean = (parts[0][name] + parts[1][name]) / 2
         assert torch.linalg.vector_norm(value - mean) <= 5e-3 * torch.linalg.vector_norm(mean), name
     assert " and " in out.config.provenance["pcm-1"]
+    again = unpack.unpack(tmp_path / "out", tmp_path / "again", "tiny")["pcm-1"]
+    assert again.name in {next(path.glob("step_*")).name for path in both}
 
 
 def test_a_stream_with_another_student_plays(models, runs, tmp_path):

@@ -2,6 +2,7 @@
 
 import argparse
 import dataclasses
+import re
 from pathlib import Path
 from typing import Any
 
@@ -62,7 +63,8 @@ def _write(model: Any, name: str, run: Path, recipe: str) -> Path:
         tensors[_SAVED[what] + suffix] = model.weights(name)
         if task.get("flow"):
             tensors["flow" + suffix] = model.weights(FLOW)
-    step = int(str(model.config.provenance.get(name, "step 0")).removeprefix("step "))
+    # A mean of several runs is as far as the last of them.
+    step = max(int(number) for number in re.findall(r"\d+", str(model.config.provenance.get(name, "step 0"))))
     origin = f"{model.config.name}: {name}"
     documents = {"config": {"task": what, "config": task, "engine": {}}, "origin": {"model": origin}}
     return checkpoint.write(run, step, tensors, documents)
