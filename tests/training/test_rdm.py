@@ -1,6 +1,7 @@
 """Recurrent models and what they are compared with, trained for a few steps on motions from formulas."""
 
 import json
+import shutil
 import subprocess
 import sys
 import typing
@@ -182,6 +183,16 @@ def test_a_students_discriminator_may_be_shown_the_text_of_others(folder, rdm7, 
     assert all(misread is None for _, _, misread, _ in asked[3:])
     with pytest.raises(InputError, match="mismatched text = 2"):
         RDMStudentConfig(mismatched=2.0)
+
+
+def test_a_student_that_is_told_its_own_past_resumes_exactly(folder, rdm7, tmp_path):
+    settings = ("own_past=0.5", "sampled_share=0.5")
+    whole, _ = trained(folder, "rdm-student", tmp_path / "whole", *settings, steps=6, save_every=3)
+    shutil.copytree(tmp_path / "whole" / "step_3", tmp_path / "half" / "step_3")
+    half, _ = trained(folder, "rdm-student", tmp_path / "half", *settings, steps=6, resume=True)
+    one, other = tensors(whole), tensors(half)
+    assert all(torch.equal(one[name], other[name]) for name in one)
+    assert torch.equal(whole.state()["previous"], half.state()["previous"])
 
 
 def test_a_course_is_learned_from_a_bent_past(folder, tmp_path):

@@ -4,9 +4,10 @@ Segments are denoised one after the other, each told its finished predecessor. T
 discriminator are as in ``training.distill``; the mathematics is in ``rdm.distillation``.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -14,6 +15,7 @@ from torch import Tensor, nn
 from moveset.diffusion.guidance import cfg
 from moveset.diffusion.phases import PhaseGrid
 from moveset.diffusion.steps import add_noise, denoise_step, over, renoise
+from moveset.errors import InputError
 from moveset.models.discriminator import DiscriminatorConfig
 from moveset.models.registry import describe
 from moveset.models.segment_transformer import SegmentTransformerConfig
@@ -31,6 +33,7 @@ from moveset.training.ema import Ema
 from moveset.training.engine import Loop, Task
 from moveset.training.heading import bend, heading_error
 from moveset.training.optim import cosine_lr
+from moveset.training.own_past import OwnPast
 from moveset.training.rdm import SCHEDULE, RDMConfig, SegmentData, feature_weights
 from moveset.training.reading import Disturbance
 from moveset.training.segments import CuttingConfig, SegmentBatch
@@ -56,6 +59,9 @@ class RDMStudentConfig:
         rehearsed: rows of a batch that are, besides, asked at the top of a phase for what all of the teacher's steps
             come to (``rdm.distillation.whole_target``).
         heading, bent: as in the teacher's training (``RDMConfig``); the teacher is told the bent past too.
+        own_past: share of a batch's rows that are told what the student made itself (``training.own_past``). They are
+            asked at the top of the highest phase, and judged without their past: not whether a segment goes on as
+            takes do, but whether it shows what is said as takes do.
         codec, frames: filled in from the teacher's.
         model: the student's architecture; filled in from the teacher's.
     """
@@ -78,6 +84,7 @@ class RDMStudentConfig:
     rehearsed: int = 0
     heading: float = 0.0
     bent: float = 0.0
+    own_past: float = 0.0
     text_encoder: str = "minilm"
     cutting: CuttingConfig = field(default_factory=CuttingConfig)
     disturbance: Disturbance = field(default_factory=Disturbance)
@@ -88,6 +95,11 @@ class RDMStudentConfig:
 
     def __post_init__(self) -> None:
         require_shares(self.sampled_share, self.mismatched, self.judged_span)
+        if not 0.0 <= self.own_past <= 1.0 or (self.own_past and self.phases != 1):
+            raise InputError(
+                f"own_past is {self.own_past} with {self.phases} phase(s); give a share from 0 to 1, and 0 unless a "
+                "segment is one evaluation"
+            )
         if self.model is not None:
             object.__setattr__(self, "kind", describe(self.model)[0])
 
@@ -118,6 +130,8 @@ class RDMStudentTask(Task):
         self.config = replace(config, model=self.student.config, codec=shared.codec, frames=shared.grid.frames)
         self.ema = Ema(self.student, config.ema)
         self.grid = PhaseGrid(config.points, config.phases)
+        self.own = OwnPast(config.own_past, config.batch)
+        self.alone = torch.zeros(config.batch, dtype=torch.bool).index_fill(0, self.own.rows, True).to(loop.device)
         self.draws = loop.generator("draws")
         self.optimizer = torch.optim.AdamW(self.student.parameters(), config.lr, betas=(0.9, 0.999), weight_decay=0.0)
         sizes = DiscriminatorConfig(width=self.student.config.width, taps=self.student.config.blocks)
@@ -139,6 +153,12 @@ class RDMStudentTask(Task):
         both: dict[str, torch.optim.Optimizer] = {"student": self.optimizer, "discriminator": self.heads_optimizer}
         return both if self.config.adversarial else {"student": self.optimizer}
 
+    def state(self) -> dict[str, Any]:
+        return self.own.state()
+
+    def load_state(self, state: Mapping[str, Any]) -> None:
+        self.own.load_state(state, self.scale.device)
+
     def learning_rates(self, step: int) -> dict[str, float]:
         return {"student": cosine_lr(step, self.config.lr, self.config.warmup, self.steps)}
 
@@ -148,11 +168,14 @@ class RDMStudentTask(Task):
         if config.bent:
             bent = bend(batch.previous, batch.index, config.bent, self.data.codec, self.normalizer, self.draws)
             batch = replace(batch, previous=bent)
-        # The student reads a roughened sentence and should say what is said to the sentence as it is.
-        rough, text = self.data.read(batch.captions, self.draws), self.data.read(batch.captions)
         draws = self._coloured(
             draw(self.grid, batch.clean, config.guidance, self.draws, config.sampled_share, config.judged_span)
         )
+        if config.own_past:
+            batch, w_B = self.own.tell(batch, draws.w_B, self.draws)
+            draws = replace(draws, w_B=w_B, point_B=draws.point_B.masked_fill(self.alone, self.grid.points - 1))
+        # The student reads a roughened sentence and should say what is said to the sentence as it is.
+        rough, text = self.data.read(batch.captions, self.draws), self.data.read(batch.captions)
         bound = _Bound(batch, text, self.data.read([""] * config.batch), self.transport, self.teacher)
         t_B, edge_B = self.grid.time(draws.point_B), self.grid.lower(draws.point_B)
         z = add_noise(SCHEDULE, bound.pull(batch.clean), draws.noise_BND, t_B)
@@ -175,6 +198,8 @@ class RDMStudentTask(Task):
             fooled, seen = self._judge(bound, batch, draws, z, made, t_B, edge_B, loop)
             loss = loss + config.adversarial * fooled
             report |= seen
+        if config.own_past:
+            self.own.go_on(made)
         report["gradient_norm"] = loop.minimise(loss, "student")
         self.ema.update(self.student)
         return report | {"loss": loss.detach()}
@@ -225,7 +250,11 @@ class RDMStudentTask(Task):
         loop: Loop,
     ) -> tuple[Tensor, dict[str, Tensor]]:  # fmt: skip
         """How little the discriminator is fooled, after its own step; fake and real are noised to the judged time."""
-        landed = denoise_step(SCHEDULE, z, bound.pull(made), t_B, edge_B)
+        if self.config.own_past:
+            bound = bound.alone(self.alone)
+            landed = bound.pull(made)
+        else:
+            landed = denoise_step(SCHEDULE, z, bound.pull(made), t_B, edge_B)
         fake = bound.push(renoise(SCHEDULE, landed, edge_B, draws.judged_B, draws.fake_noise_BND))
         seen = bound.features(fake, draws.judged_B)
         with torch.no_grad():
@@ -260,6 +289,11 @@ class _Bound:
         """The same with every segment's text moved on to the next one."""
         others = self.text[torch.arange(len(self.text), device=self.batch.index.device).roll(1)]
         return _Bound(self.batch, others, self.empty, self.transport, self.teacher)
+
+    def alone(self, rows_B: Tensor) -> "_Bound":
+        """The same with some segments as first ones: without a past, and in the coordinates of such."""
+        batch = replace(self.batch, index=self.batch.index.masked_fill(rows_B, 0))
+        return _Bound(batch, self.text, self.empty, self.transport, self.teacher)
 
     def push(self, y: Tensor) -> Tensor:
         """x of y."""

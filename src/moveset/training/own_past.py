@@ -1,0 +1,122 @@
+"""Streams that run beside a student's training, so that it is told what it is told in use: its own past.
+
+A student of segments learns with predecessors from takes. In use it goes on from what it made itself, and what no take
+has (a slower step, a lower hip) becomes the next segment's past. Some rows of a batch are therefore running streams:
+each is told what the student made there a step ago, and what it makes now is what it is told next. Streams give way now
+and then: something else is said, either to the stream or where another one begins.
+Source: scheduled sampling (Bengio et al. 2015, arXiv 1506.03099) and self forcing (Huang et al. 2025, arXiv
+2506.08009), here across training steps, so that a stream's length costs nothing.
+
+Shapes: B rows, S of them streams, n frames of a segment, D features.
+"""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from moveset.errors import InputError
+from moveset.training.segments import SegmentBatch
+
+SEGMENTS = 32
+"""Segments for which a stream goes on with one sentence, on average."""
+STAYING = 0.5
+"""Share of new sentences that are said to a running stream; with the others another one begins."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Streams:
+    """What streams are told (S, …): past, segment number, guidance scale, sentence; and an example of the sentence."""
+
+    previous: Tensor
+    index: Tensor
+    w: Tensor
+    clean: Tensor
+    captions: list[str]
+
+
+class OwnPast:
+    """The streams of a training.
+
+    Args:
+        share: of a batch's rows, spread evenly over it.
+        batch: rows of a batch.
+
+    Raises:
+        InputError: a share that comes to no row.
+    """
+
+    def __init__(self, share: float, batch: int) -> None:
+        self.count = round(share * batch)
+        if share and not self.count:
+            raise InputError(f"own_past = {share} of a batch of {batch} is not one row; give a larger share or batch")
+        self.rows = torch.arange(self.count) * batch // max(self.count, 1)
+        self._streams: _Streams | None = None
+
+    def tell(self, batch: SegmentBatch, w_B: Tensor, generator: torch.Generator) -> tuple[SegmentBatch, Tensor]:
+        """A batch of takes with streams instead of some rows, and guidance scales (B,): a stream keeps its own.
+
+        ``clean`` of a stream is what a take shows for its sentence, not what follows on its past.
+
+        Args:
+            generator: decides which streams give way, on the CPU.
+        """
+        to = batch.index.device
+        ends, stays = torch.rand((2, self.count), generator=generator).to(to)
+        offered = self._offered(batch, w_B)
+        if self._streams is None:
+            self._streams = offered
+        old, ends_S = self._streams, ends < 1 / SEGMENTS
+        begins_S = ends_S & (stays >= STAYING)
+        new_captions = zip(ends_S.tolist(), offered.captions, old.captions, strict=True)
+        now = self._streams = _Streams(
+            _mixed(begins_S, offered.previous, old.previous),
+            _mixed(begins_S, offered.index, old.index),
+            _mixed(begins_S, offered.w, old.w),
+            _mixed(ends_S, offered.clean, old.clean),
+            [new if end else kept for end, new, kept in new_captions],
+        )
+        rows, captions = self.rows.to(to), list(batch.captions)
+        for row, caption in zip(self.rows.tolist(), now.captions, strict=True):
+            captions[row] = caption
+        told = replace(
+            batch,
+            clean=batch.clean.index_copy(0, rows, now.clean),
+            valid=batch.valid.index_fill(0, rows, True),
+            previous=batch.previous.index_copy(0, rows, now.previous),
+            index=batch.index.index_copy(0, rows, now.index),
+            captions=captions,
+        )
+        return told, w_B.index_copy(0, rows, now.w)
+
+    def go_on(self, made_BnD: Tensor) -> None:
+        """What the student made of the batch that ``tell`` gave becomes the streams' past."""
+        assert self._streams is not None
+        made = made_BnD.detach()[self.rows.to(made_BnD.device)].to(self._streams.previous.dtype)
+        self._streams = replace(self._streams, previous=made, index=self._streams.index + 1)
+
+    def state(self) -> dict[str, Any]:
+        """For a checkpoint; empty before the first step."""
+        return {} if self._streams is None else vars(self._streams) | {"captions": json.dumps(self._streams.captions)}
+
+    def load_state(self, state: Mapping[str, Any], device: torch.device) -> None:
+        """Takes back what ``state`` gave; of another number of streams nothing, they begin anew."""
+        if state and len(state["index"]) == self.count:
+            tensors = {name: value.to(device) for name, value in state.items() if isinstance(value, Tensor)}
+            self._streams = _Streams(**tensors, captions=json.loads(state["captions"]))
+
+    def _offered(self, batch: SegmentBatch, w_B: Tensor) -> _Streams:
+        """Takes' rows to begin with, for every stream one: those without frames missing, while there are any."""
+        whole = batch.valid.all(dim=1).nonzero()[:, 0]
+        if not len(whole):
+            whole = torch.arange(len(batch.index), device=whole.device)
+        rows = whole[torch.arange(self.count, device=whole.device) % len(whole)]
+        captions = [batch.captions[row] for row in rows.tolist()]
+        return _Streams(batch.previous[rows], batch.index[rows], w_B[rows], batch.clean[rows], captions)
+
+
+def _mixed(these_S: Tensor, new: Tensor, old: Tensor) -> Tensor:
+    return torch.where(these_S.view(-1, *[1] * (new.ndim - 1)), new, old)

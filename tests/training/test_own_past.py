@@ -1,0 +1,117 @@
+"""Streams that run beside a training: what their rows are told, and when they give way."""
+
+import pytest
+import torch
+
+from moveset.errors import InputError
+from moveset.training import own_past
+from moveset.training.own_past import OwnPast
+from moveset.training.segments import SegmentBatch
+
+BATCH, FRAMES, FEATURES = 6, 4, 3
+W = torch.arange(BATCH) / 10
+
+
+def takes(step, partial=()):
+    """Segments whose numbers tell step and row: clean 100 step + row, previous the same and a half."""
+    rows = 100.0 * step + torch.arange(BATCH)[:, None, None].expand(BATCH, FRAMES, FEATURES)
+    valid = torch.ones(BATCH, FRAMES, dtype=torch.bool)
+    valid[list(partial), -1] = False
+    captions = [f"take {step} {row}" for row in range(BATCH)]
+    index = torch.ones(BATCH, dtype=torch.long)
+    return SegmentBatch(rows, valid, rows + 0.5, rows, index, captions, list(captions))
+
+
+def lasting(monkeypatch, segments, staying=0.5):
+    monkeypatch.setattr(own_past, "SEGMENTS", segments)
+    monkeypatch.setattr(own_past, "STAYING", staying)
+
+
+def test_a_stream_is_told_what_was_made_of_it_and_takes_are_left_alone(monkeypatch):
+    lasting(monkeypatch, 1e9)
+    own, draws = OwnPast(1 / 3, BATCH), torch.Generator().manual_seed(0)
+    assert own.rows.tolist() == [0, 3]
+    first, w = own.tell(takes(1), W, draws)
+    assert first.captions[3] == "take 1 1"  # the second stream begins as the second take
+    kept = w[own.rows]
+    made = torch.randn(BATCH, FRAMES, FEATURES, generator=draws)
+    own.go_on(made)
+    batch, w = own.tell(takes(2), W + 1, draws)
+    plain = takes(2)
+    for row in range(BATCH):
+        if row in (0, 3):
+            assert torch.equal(batch.previous[row], made[row])
+            assert torch.equal(batch.clean[row], first.clean[row])
+            assert (batch.captions[row], int(batch.index[row])) == (first.captions[row], 2)
+        else:
+            assert torch.equal(batch.previous[row], plain.previous[row])
+            assert torch.equal(batch.clean[row], plain.clean[row])
+            assert (batch.captions[row], int(batch.index[row])) == (plain.captions[row], 1)
+            assert w[row] == W[row] + 1
+    assert torch.equal(w[own.rows], kept)
+
+
+def test_a_new_sentence_is_said_to_a_stream_or_begins_another(monkeypatch):
+    for staying in (0.0, 1.0):
+        lasting(monkeypatch, 1, staying)
+        own, draws = OwnPast(0.5, BATCH), torch.Generator().manual_seed(0)
+        own.tell(takes(1), W, draws)
+        own.go_on(torch.full((BATCH, FRAMES, FEATURES), -1.0))
+        batch, _ = own.tell(takes(2), W, draws)
+        assert [batch.captions[row] for row in own.rows] == ["take 2 0", "take 2 1", "take 2 2"]
+        assert torch.equal(batch.clean[own.rows], takes(2).clean[:3])
+        expected = torch.full((3, FRAMES, FEATURES), -1.0) if staying else takes(2).previous[:3]
+        assert torch.equal(batch.previous[own.rows], expected)
+
+
+def test_a_stream_lasts_as_long_as_it_says(monkeypatch):
+    lasting(monkeypatch, 8)
+    own, draws, ended = OwnPast(0.5, BATCH), torch.Generator().manual_seed(0), 0
+    own.tell(takes(0), W, draws)
+    for step in range(1, 2001):
+        own.go_on(torch.zeros(BATCH, FRAMES, FEATURES))
+        batch, _ = own.tell(takes(step), W, draws)
+        ended += sum(batch.captions[row].startswith(f"take {step} ") for row in own.rows)
+    assert abs(ended / 6000 - 1 / 8) < 0.015
+
+
+def test_examples_are_whole_segments_and_what_a_stream_makes_is_judged_whole():
+    own, draws = OwnPast(0.5, BATCH), torch.Generator().manual_seed(0)
+    batch, _ = own.tell(takes(1, partial=(0, 2, 3)), W, draws)
+    assert [batch.captions[row] for row in own.rows] == ["take 1 1", "take 1 4", "take 1 5"]
+    assert batch.valid[own.rows].all()
+    assert not batch.valid[3].all()
+    # Nothing but fragments: they have to do.
+    OwnPast(0.5, BATCH).tell(takes(1, partial=range(BATCH)), W, draws)
+
+
+def test_no_share_is_no_stream_and_a_share_of_none_is_refused():
+    own = OwnPast(0.0, BATCH)
+    assert own.count == len(own.rows) == 0
+    assert own.state() == {}
+    with pytest.raises(InputError, match="not one row"):
+        OwnPast(0.01, BATCH)
+
+
+def test_other_streams_than_those_saved_begin_anew():
+    one, draws = OwnPast(0.5, BATCH), torch.Generator().manual_seed(0)
+    one.tell(takes(1), W, draws)
+    for share in (0.0, 1.0):
+        other = OwnPast(share, BATCH)
+        other.load_state(one.state(), torch.device("cpu"))
+        assert other.state() == {}
+
+
+def test_state_comes_back_to_the_last_stream():
+    one, draws = OwnPast(0.5, BATCH), torch.Generator().manual_seed(0)
+    one.tell(takes(1), W, draws)
+    one.go_on(torch.randn(BATCH, FRAMES, FEATURES))
+    other = OwnPast(0.5, BATCH)
+    other.load_state(one.state(), torch.device("cpu"))
+    for step in (2, 3):
+        seeds = [torch.Generator().manual_seed(step) for _ in range(2)]
+        (a, wa), (b, wb) = (own.tell(takes(step), W, seed) for own, seed in zip((one, other), seeds, strict=True))
+        assert torch.equal(a.previous, b.previous)
+        assert torch.equal(a.clean, b.clean)
+        assert torch.equal(wa, wb)
+        assert a.captions == b.captions
