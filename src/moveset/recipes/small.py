@@ -86,7 +86,7 @@ def pcm() -> Recipe:
 
 
 def rdm(segments: int = 7) -> Recipe:
-    """RDM-N; RDM-7, segments of 28 frames, 5.0 M parameters and a flow of 0.9 M, is what ships."""
+    """RDM-N; RDM-7, segments of 28 frames, 5.0 M parameters and a flow of 0.2 M, is what ships."""
     if segments == 1:
         return _volume(RDMConfig(velocity=2.0, disturbance=DISTURBANCE))
     return Recipe(
