@@ -123,7 +123,9 @@ def test_a_report_is_whole(report, plan):
     # The default network comes first: ratios are to it.
     assert list(report["streams"]) == ["pcm-1", "rdm", "md", "pcm-2"]
     assert [row["evaluations"] for row in report["streams"].values()] == [2, 3, 6, 2]
-    assert report["streams"]["rdm"]["settings"] == {"start": 3, "lag": 1, "eta": 0.0}
+    said = report["streams"]["rdm"]["settings"]
+    assert [said[name] for name in ("start", "lag", "eta", "foot_lock", "shape")] == [3, 1, 0.0, True, "parallelogram"]
+    assert set(report["clips"]["pcm-1"]["settings"]) == {"guidance", "foot_lock"}
     assert {k: [p["seconds"] for p in v] for k, v in report["lengths"].items()} == {
         "pcm-1, one clip": [2.0, 9.8],
         "pcm-1, clips in a row": [19.6],
@@ -288,6 +290,30 @@ def test_quality_beside_time(report, results):
         read_results([results / "nothing"])
     with pytest.raises(FormatError, match="no report"):
         judged({}, [])
+
+
+@pytest.mark.parametrize("told", [True, False], ids=["settings in the report", "a report from before they were"])
+def test_quality_is_of_the_settings_that_were_timed(report, tmp_path, told):
+    rdm, pcm = (report[kind][name]["settings"] for kind, name in (("streams", "rdm"), ("clips", "pcm-1")))
+    made = [
+        result("clips", "pcm-1", 1, 0.01, settings={**pcm, "guidance": pcm["guidance"] + 1}),
+        result("clips", "pcm-1", 1, 0.02, settings={**pcm, "foot_lock": False}),
+        result("clips", "pcm-1", 1, 0.30, settings=pcm),
+        result("streams", "rdm", 6, 0.03, settings={**rdm, "shape": "triangle"}),
+        result("streams", "rdm", 6, 0.04, settings={**rdm, "guidance": rdm["guidance"] + 1}),
+        result("streams", "rdm", 6, 0.15, settings=rdm),
+    ]
+    for k, raw in enumerate(made):
+        (tmp_path / f"{k}.json").write_text(json.dumps(raw))
+    if not told:
+        report = json.loads(json.dumps(report))
+        del report["clips"]["pcm-1"]["settings"]
+        report["streams"]["rdm"]["settings"] = {name: rdm[name] for name in ("start", "lag", "eta")}
+    found = {row.name: row.metrics["fid"].mean for row in judged(report, read_results([tmp_path]))}
+    assert found == {"pcm-1": 0.30, "stream rdm": 0.15}
+    # Of a model that is not here (any more) nobody knows what an old row was.
+    gone = report | {"plan": {"clips": "gone", "streams": "gone"}}
+    assert bool(judged(gone, read_results([tmp_path]))) == told
 
 
 def test_the_front_is_what_no_other_beats_in_both():

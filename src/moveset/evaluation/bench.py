@@ -149,6 +149,7 @@ class Bench:
         for name, method in self.methods.items():
             calls = latency.evaluations(self.t2m, method, self.frames)
             rows[name] |= {"network": method.network, "steps": method.steps, "evaluations": calls}
+            rows[name]["settings"] = {"guidance": method.guidance, "foot_lock": True}
         return rows
 
     def _streams(self) -> dict[str, Any]:

@@ -176,7 +176,8 @@ def sentences(start: int = 0) -> Iterator[str]:
 def stream_row(stream: MotionStream) -> dict[str, Any]:
     """How a stream makes its segments, for JSON."""
     s = stream.settings
-    return {"network": s.network, "steps": s.steps, "settings": {"start": s.start, "lag": s.lag, "eta": s.eta}}
+    told = {name: getattr(s, name) for name in ("start", "lag", "eta", "guidance", "foot_lock", "stages")}
+    return {"network": s.network, "steps": s.steps, "settings": {**told, "shape": "parallelogram"}}
 
 
 def _told(stream: MotionStream, prompt: str) -> Segment:

@@ -13,9 +13,12 @@ from moveset.errors import FormatError, InputError
 from moveset.evaluation.intervals import Interval
 from moveset.evaluation.plots import front
 from moveset.io.limits import read_limited
+from moveset.pipelines.bundle import Bundle
+from moveset.pipelines.stream_bundle import StreamBundle
+from moveset.pipelines.stream_settings import check_stream
 from moveset.pipelines.verified_folder import json_object
 
-_SETTINGS = ("start", "lag", "eta")
+_SETTINGS = ("start", "lag", "eta", "guidance", "foot_lock", "stages", "shape")
 
 
 @dataclass(frozen=True)
@@ -98,13 +101,15 @@ def judged(report: Mapping[str, Any], results: Sequence[Result]) -> list[Judged]
     found: dict[tuple[str, str], Judged] = {}
     try:
         for kind, part in (("clips", "clips"), ("streams", "segment")):
-            model = report["models"][kind]
+            model, given = report["models"][kind], report["plan"][kind]
             seconds = model["frames"] / model["fps"]
+            theirs = [result for result in results if result.model == model["name"]]
             for name, row in report.get(kind, {}).items():
                 label = name if kind == "clips" else f"stream {name}"
                 time = row["median_ms"]["total" if kind == "clips" else part] / seconds
-                for result in results:
-                    if result.model == model["name"] and _same(row, result):
+                own = own_settings(kind, given, model["name"], row["network"], row["steps"]) if theirs else {}
+                for result in theirs:
+                    if _same(row, result, own):
                         found.setdefault((label, result.way), Judged(label, result.way, time, result.metrics))
     except (KeyError, TypeError, AttributeError) as error:
         raise FormatError(f"this is no report of `moveset bench`: {error!r}; measure again") from error
@@ -112,17 +117,38 @@ def judged(report: Mapping[str, Any], results: Sequence[Result]) -> list[Judged]
     return [judged for judged in found.values() if ways.count(judged.way) > 1]
 
 
+def own_settings(kind: str, given: str, name: str, network: str, steps: int) -> dict[str, Any]:
+    """The settings that a model has of its own: what a row or a result means that does not say others.
+
+    Args:
+        kind: "clips" or "streams".
+        given: name or folder of the model when it was measured.
+        name: of the model, as it says itself.
+        network, steps: of the row.
+
+    Returns:
+        Only what holds of every model, if this one is not here (any more).
+    """
+    own: dict[str, Any] = {"foot_lock": True, "stages": True, "shape": "parallelogram"}
+    try:
+        if kind == "clips":
+            config = Bundle.find(given).config
+            return own | ({"guidance": config.guidance[network]} if config.name == name else {})
+        stream = StreamBundle.find(given).config
+        said = vars(check_stream(stream, network=network, steps=steps).settings) if stream.name == name else {}
+        return own | {key: said[key] for key in _SETTINGS if key in said}
+    except (InputError, KeyError):
+        return own
+
+
 def pareto(rows: Sequence[Judged], metric: str = "fid") -> list[str]:
     """Names of the rows of one way that no other beats in both time and a metric (the smaller, the better)."""
     return front({row.name: (row.time, row.metrics[metric].mean) for row in rows if metric in row.metrics})
 
 
-def _same(row: Mapping[str, Any], result: Result) -> bool:
-    """Whether a result is of the network, steps and sampler of a row, told what users tell it."""
-    ours, theirs = row.get("settings", {}), result.settings
-    if not theirs.get("stages", True):
-        return False
-    shared = [name for name in _SETTINGS if name in ours and name in theirs]
+def _same(row: Mapping[str, Any], result: Result, own: Mapping[str, Any]) -> bool:
+    """Whether a result is of the network, steps and settings of a row."""
+    ours, theirs = ({**own, **said} for said in (row.get("settings", {}), result.settings))
     return (row["network"], row["steps"]) == (result.network, result.steps) and all(
-        ours[name] == theirs[name] for name in shared
+        ours.get(name) == theirs.get(name) for name in _SETTINGS
     )
