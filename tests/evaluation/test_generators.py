@@ -304,6 +304,10 @@ def test_jobs_open_what_they_name(bundle, streams):
         opened(model="nothing")
     with pytest.raises(InputError, match="unknown network"):
         opened(model=flow, network="teacher")
+    for network in ("pcm-1", "md"):
+        with pytest.raises(InputError, match=f"network '{network}' makes one segment after the other.*no triangle"):
+            opened(model=flow, network=network, settings=(("shape", "triangle"),))
+        assert opened(model=flow, network=network, settings=(("shape", "parallelogram"),)).network == network
 
 
 def test_motion_that_cannot_be_judged(items):

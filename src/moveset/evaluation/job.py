@@ -167,6 +167,11 @@ def _stream(job: Job, folder: Path, network: str | None, settings: dict[str, Any
             f"unknown setting {sorted(unknown)[0]!r}; there are guidance, start, lag, eta, shape and stages"
         )
     request = check_stream(bundle.config, network=network, steps=job.steps, foot_lock=job.foot_lock, **settings)
+    if shape != "parallelogram" and request.settings.network != "rdm":
+        raise InputError(
+            f"network {request.settings.network!r} makes one segment after the other, so there is no {shape}; "
+            "leave --shape out or choose --network rdm"
+        )
     extras = [f"{job.steps}-steps"] if job.steps and not request.settings.network.startswith("pcm-") else []
     extras += settings_slug({**settings, **({} if shape == "parallelogram" else {"shape": shape})})
     extras += [] if job.foot_lock else ["raw"]
