@@ -62,9 +62,15 @@ def test_the_judge_itself_is_checked(evaluate, tmp_path):
     assert not report["passed"]
     assert (report["evaluator"], report["items"]) == ("judge", 80)
     assert json.loads((tmp_path / "results/sanity-judge-test.json").read_text())["checks"] == report["checks"]
-    code, _, err = evaluate("real", "--sanity")
-    assert code == 2
-    assert "leave models" in err
+    assert json.loads(evaluate("--sanity", "--json", "--items", "70")[1])["items"] == 70
+    for wrong, message in (
+        (["real"], "leave models"),
+        (["--split", "rollout"], "--split test or val"),
+        (["--device", "abacus"], "unknown device"),
+        (["--items", "0"], "0 items are fewer than 1"),
+    ):
+        code, _, err = evaluate("--sanity", *wrong)
+        assert (code, message in err) == (2, True), err
 
 
 def test_json_for_programs(evaluate):
@@ -114,6 +120,7 @@ def spoiled(folder, name, array):
         (["real", "--split", "train"], "train"),
         (["real", "--split", "val"], "no val clips"),
         (["real", "--wording", "loud"], "loud"),
+        (["real", "--items", "-5"], "-5 items are fewer than 1"),
         (["real", "--items", "31"], "31 items, and R-precision needs 32"),
         (["real", "--items", "36"], "groups of 32 items of different labels"),
         (["real", "--data", "nowhere"], "no corpus at nowhere"),

@@ -126,14 +126,16 @@ def _sanity(models: Sequence[str], job: "Job", out: Path, json: bool) -> int:
     import torch
 
     from moveset.evaluation.evaluator import Evaluator
-    from moveset.evaluation.items import open_items
+    from moveset.evaluation.job import open_set
     from moveset.evaluation.sanity import sanity
     from moveset.io.limits import atomic_write
+    from moveset.pipelines.device import pick_device
 
     if models or job.motions is not None:
         raise InputError("--sanity checks the evaluator itself; leave models and --motions out")
-    judge = Evaluator.open(job.evaluator)
-    items = open_items(job.data, job.protocol.split, composed=job.composed, mirrored=job.mirrored).items
+    if job.protocol.split == "rollout":
+        raise InputError("--sanity checks the evaluator on single motions; take --split test or val")
+    judge, items = Evaluator.open(job.evaluator, pick_device(job.device)), open_set(job).items
     report = sanity(judge, items, torch.Generator().manual_seed(job.protocol.seed))
     out.mkdir(parents=True, exist_ok=True)
     path = out / f"sanity-{judge.card.name}-{job.protocol.split}.json"

@@ -93,15 +93,25 @@ def open_session(job: Job) -> Session:
     """
     if not 1 <= job.batch <= 4096:
         raise InputError(f"batch {job.batch} is not in 1 to 4096; give 64 on a CPU, more on a GPU")
-    generator = open_generator(job)
-    split = job.protocol.split
-    long = split == "rollout"
-    of = cast(Split, "test" if long else split)
-    items = open_items(job.data, of, long=long, composed=job.composed, mirrored=job.mirrored)
-    items = items if job.items is None else items.limited(job.items)
+    generator, items = open_generator(job), open_set(job)
     evaluator = Evaluator.open(job.evaluator, pick_device(job.device))
     judged: ItemSet = (generator.items if isinstance(generator, Given) else None) or items
     return Session(job.protocol.fitted(judged, generator.random), items, generator, evaluator)
+
+
+def open_set(job: Job) -> ItemSet:
+    """The real motion that a job judges by, no more items of it than were asked for.
+
+    Raises:
+        InputError: there is none of this split, or a number of items below 1.
+        FormatError: damaged data.
+    """
+    if job.items is not None and job.items < 1:
+        raise InputError(f"{job.items} items are fewer than 1; leave --items out for all of them")
+    long = job.protocol.split == "rollout"
+    of = cast(Split, "test" if long else job.protocol.split)
+    items = open_items(job.data, of, long=long, composed=job.composed, mirrored=job.mirrored)
+    return items if job.items is None else items.limited(job.items)
 
 
 def open_generator(job: Job) -> Generator:
