@@ -1,5 +1,6 @@
 """``moveset evaluate``: a table to paste, JSON for programs, and one sentence for whatever cannot be judged."""
 
+import importlib.util
 import json
 
 import numpy as np
@@ -172,6 +173,14 @@ def test_a_suite_writes_its_tables(evaluate, tmp_path, suite, seams):
     # Jerk at the seams of streams needs real motion's, as far apart, beside it.
     result = json.loads((folder / "real-test.json").read_text())
     assert (result["protocol"]["seams"], "boundary_jerk" in result["metrics"]) == (seams, seams > 0)
+
+
+def test_what_draws_the_pictures_is_missed_before_anything_is_made(evaluate, tmp_path, monkeypatch):
+    found = importlib.util.find_spec
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name, *a: None if name == "matplotlib" else found(name, *a))
+    code, _, err = evaluate("--suite", "motionpcm", "--row", "real", "--repeats", "1")
+    assert (code, "pip install 'moveset[train]'" in err) == (2, True)
+    assert not (tmp_path / "results").exists()
 
 
 def test_notes_say_what_was_not_as_asked_for():

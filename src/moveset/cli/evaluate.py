@@ -1,5 +1,6 @@
 """``moveset evaluate``: how good is a model? The measures of the papers, with intervals."""
 
+import importlib.util
 import json as jsonlib
 import sys
 from collections.abc import Sequence
@@ -198,6 +199,8 @@ def _suite(
 
     if common.motions is not None or common.network or common.steps or common.settings:
         raise InputError("a suite says itself what is evaluated; leave --motions, --network, --steps and settings out")
+    if importlib.util.find_spec("matplotlib") is None:
+        raise InputError("the tables of a suite have pictures, which need matplotlib; `pip install 'moveset[train]'`")
 
     def evaluate_row(row: Row, folder: Path | None, repeats: int) -> str:
         protocol = replace(common.protocol, repeats=repeats)
