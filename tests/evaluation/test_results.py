@@ -2,6 +2,9 @@
 
 import json
 import os
+import signal
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -209,6 +212,32 @@ def test_a_process_that_dies_is_told_of(job, tmp_path, monkeypatch):
     monkeypatch.setattr(jobs, "work", lambda *_: None)
     with pytest.raises(MovesetError, match="process 1 of 2 ended with code -9; run again to resume"):
         run(job, tmp_path, processes=2)
+
+
+PARENT = """
+import multiprocessing, os, time
+from moveset.evaluation.job import end_with_parent
+
+def idle():
+    end_with_parent()
+    print("at work", flush=True)
+    time.sleep(60)
+
+if __name__ == "__main__":
+    helper = multiprocessing.get_context("spawn").Process(target=idle, daemon=True)
+    helper.start()
+    helper.join()
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
+def test_helpers_end_with_the_process_that_started_them(tmp_path, number):
+    (tmp_path / "parent.py").write_text(PARENT)
+    with subprocess.Popen([sys.executable, tmp_path / "parent.py"], stdout=subprocess.PIPE, text=True) as parent:
+        assert parent.stdout.readline() == "at work\n"
+        parent.send_signal(number)
+        # What it prints to is open for as long as either of them lives.
+        assert parent.communicate(timeout=30) == ("", None)
 
 
 def test_progress_is_told(job, tmp_path):

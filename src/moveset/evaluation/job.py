@@ -3,6 +3,7 @@
 import multiprocessing
 import os
 import sys
+import threading
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -281,8 +282,24 @@ def _start(job: Job, out: Path, rank: int, world: int) -> "SpawnProcess":
     return process
 
 
+def end_with_parent() -> None:
+    """Let this process, which another one started by ``multiprocessing``, end as soon as that one is gone.
+
+    Whoever is killed cannot stop its helpers any more.
+    """
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+
+    def follow() -> None:
+        parent.join()
+        os._exit(1)
+
+    threading.Thread(target=follow, daemon=True).start()
+
+
 def _help(job: Job, out: Path, rank: int, world: int) -> None:
     """What a process that was started does; what goes wrong is said in one line."""
+    end_with_parent()
     torch.set_num_threads(1)
     try:
         session = open_session(job)
