@@ -6,6 +6,7 @@ import pytest
 import torch
 
 from moveset.cli.__main__ import main
+from moveset.errors import MovesetError
 from tests.bundles import tiny_bundle
 from tests.streams import tiny_stream
 
@@ -51,11 +52,23 @@ def test_without_an_output_nothing_is_written(models, tmp_path, monkeypatch, cap
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_report_that_cannot_be_written_any_more_is_printed(models, tmp_path, monkeypatch, capsys):
+    def full(*_):
+        raise MovesetError("no space left")
+
+    monkeypatch.setattr("moveset.evaluation.bench_page.write_page", full)
+    command = ["bench", "--quick", "--parts", "streams", "--device", "cpu", "--json", *models]
+    assert main([*command, "-o", str(tmp_path / "costs.json")]) == 1
+    assert json.loads(capsys.readouterr().out)["streams"]
+
+
 @pytest.mark.parametrize(
     ("wrong", "match"),
     [
         (["-o", "costs.txt"], "a report is a .json file"),
-        (["-o", "nowhere/costs.json"], "there is no folder nowhere"),
+        (["-o", "nowhere/costs.json"], "folder 'nowhere' does not exist"),
+        (["-o", "/proc/costs.json"], "cannot write to folder '/proc'"),
+        (["-o", "taken.json"], "'taken.md': it is a folder"),
         (["--results", "nowhere"], "there is no folder nowhere"),
         (["--redraw", "nothing.json"], "cannot read nothing.json"),
         (["--threads", "0"], "0 threads"),
@@ -70,6 +83,7 @@ def test_without_an_output_nothing_is_written(models, tmp_path, monkeypatch, cap
 )
 def test_what_is_refused(wrong, match, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
+    (tmp_path / "taken.md").mkdir()
     assert main(["bench", "--quick", *wrong]) == 2
     said = capsys.readouterr().err
     assert match in said

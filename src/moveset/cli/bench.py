@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
+from moveset.cli.output import check_folder
 from moveset.errors import InputError
 
 if TYPE_CHECKING:
@@ -61,8 +62,10 @@ def bench(
         if path is not None and path.suffix != ".json":
             raise InputError(f"a report is a .json file, not {path.name!r}; choose such a name")
     output = output or redraw
-    if output is not None and not output.parent.is_dir():
-        raise InputError(f"there is no folder {output.parent}; make it, or choose another --output")
+    if output is not None:
+        check_folder(output.parent)
+        if taken := [path for path in map(output.with_suffix, (".json", ".md", ".png")) if path.is_dir()]:
+            raise InputError(f"cannot write {str(taken[0])!r}: it is a folder; choose another --output")
     if output is not None and importlib.util.find_spec("matplotlib") is None:
         raise InputError("a report with a picture needs matplotlib; `pip install 'moveset[train]'`, or leave --output")
     # Before anything is measured: a folder that cannot be read should not cost an hour.
@@ -77,10 +80,11 @@ def bench(
     rows = judged(report, found)
     if results and not rows:
         print(f"moveset: no two rows of the benchmark have results in {', '.join(map(str, results))}", file=sys.stderr)
-    files = write_page(report, rows, output) if output is not None else []
-    print(jsonlib.dumps(report) if json else markdown(report, rows, output.stem if output else "benchmarks"))
-    if files:
-        print(f"wrote {', '.join(map(str, files))}", file=sys.stderr)
+    # Printed first: what took an hour to measure must not be lost to a disk that has filled up meanwhile.
+    name = output.stem if output is not None else "benchmarks"
+    print(jsonlib.dumps(report) if json else markdown(report, rows, name), flush=True)
+    if output is not None:
+        print(f"wrote {', '.join(map(str, write_page(report, rows, output)))}", file=sys.stderr)
     return 0
 
 

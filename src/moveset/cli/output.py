@@ -27,7 +27,7 @@ def plan_outputs(outputs: Sequence[Path], names: Sequence[str]) -> list[list[Pat
         if path.is_dir():
             raise InputError(f"cannot write {str(path)!r}: it is a folder; give the path of a file")
     for folder in {path.parent for path in outputs}:
-        _check_folder(folder)
+        check_folder(folder)
     planned = [[path.with_stem(f"{path.stem}-{name}") if name else path for path in outputs] for name in names]
     everything = [path for paths in planned for path in paths]
     if twice := {path for path in everything if everything.count(path) > 1} if len(outputs) > 1 else ():
@@ -55,7 +55,12 @@ def write(
     return motion, round((time.perf_counter() - start) * 1e3, 3)
 
 
-def _check_folder(folder: Path) -> None:
+def check_folder(folder: Path) -> None:
+    """Refuse a folder that nothing can be written to.
+
+    Raises:
+        InputError: it is not there, or cannot be written to.
+    """
     if not folder.is_dir():
         raise InputError(f"folder {str(folder)!r} does not exist; create it first")
     try:
