@@ -137,10 +137,14 @@ def test_what_cannot_be_is_refused_before_anything_runs(tmp_path: Path):
     broken = tmp_path / "d"
     broken.mkdir()
     (broken / "config.json").write_text("{")
+    checkpoint = tmp_path / "step_3"
+    checkpoint.mkdir()
+    (checkpoint / "config.json").write_text('{"recipe": "tiny"}')
     for settings, error, message in (
         (SuiteSettings((a, b)), InputError, "both called 'same'"),
         (SuiteSettings((tmp_path / "c",)), InputError, "has no config.json"),
         (SuiteSettings((broken,)), FormatError, "is not JSON"),
+        (SuiteSettings((checkpoint,)), FormatError, r"step_3/config\.json names no models"),
         (SuiteSettings(only=("pcm-8",)), InputError, "has no row 'pcm-8'"),
     ):
         with pytest.raises(error, match=message):

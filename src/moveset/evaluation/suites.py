@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Generic, TypeVar
 
-from moveset.errors import InputError
+from moveset.errors import FormatError, InputError
 from moveset.pipelines.model_folder import shipped
 from moveset.pipelines.verified_folder import json_object
 
@@ -282,9 +282,12 @@ def networks(folder: Path) -> tuple[str, ...]:
     """Names of the networks of a model folder.
 
     Raises:
-        FormatError: a damaged configuration.
+        FormatError: a damaged configuration, or that of something else, such as a checkpoint of a training.
     """
-    return tuple(_config(folder)["models"])
+    models = _config(folder).get("models")
+    if not isinstance(models, dict):
+        raise FormatError(f"{folder / 'config.json'} names no models; give a folder that a packing wrote")
+    return tuple(models)
 
 
 def extra_rows(suite: Suite, folders: Mapping[str, Path]) -> list[Row]:
