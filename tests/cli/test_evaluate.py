@@ -175,6 +175,13 @@ def test_a_suite_writes_its_tables(evaluate, tmp_path, suite, seams):
     assert (result["protocol"]["seams"], "boundary_jerk" in result["metrics"]) == (seams, seams > 0)
 
 
+def test_a_suite_of_rows_without_weights(evaluate):
+    code, out, err = evaluate("--suite", "rdm", "--row", "md-4")
+    assert code == 0, err
+    assert "MD-4: no weights given" in err
+    assert "No row has been evaluated yet." in out
+
+
 def test_what_draws_the_pictures_is_missed_before_anything_is_made(evaluate, tmp_path, monkeypatch):
     found = importlib.util.find_spec
     monkeypatch.setattr(importlib.util, "find_spec", lambda name, *a: None if name == "matplotlib" else found(name, *a))

@@ -207,6 +207,7 @@ def save_rows(name: str, rows: Sequence[tuple[Row, str, str]], out: Path) -> Non
     that the suite has no more go.
 
     Raises:
+        InputError: the folder cannot be made or written to.
         FormatError: there is a ``rows.json`` that cannot be read, or one of another suite.
     """
     new = {row.key: {**asdict(row), "result": result or None, "missing": missing} for row, result, missing in rows}
@@ -221,6 +222,10 @@ def save_rows(name: str, rows: Sequence[tuple[Row, str, str]], out: Path) -> Non
         new = stay | {key: entry for key, entry in new.items() if entry["result"] or key not in measured}
     order = [row.key for row in suite.rows if row.key in new]
     entries = [new[key] for key in dict.fromkeys([*order, *new])]
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"cannot write to {str(out)!r}: {error.strerror or error}; choose another --out") from error
     with atomic_write(index) as file:
         file.write(json.dumps({"suite": name, "rows": entries}, indent=1, ensure_ascii=False).encode() + b"\n")
 
