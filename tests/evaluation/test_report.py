@@ -117,6 +117,22 @@ def test_differences_count_only_outside_the_intervals(table: Table):
     assert sentence in markdown(table)
 
 
+@pytest.mark.parametrize(
+    ("a", "b", "verdict"),
+    [
+        ((10.50, 0.1), (9.49, 0.1), "tied"),  # as far away, on either side
+        ((10.50, 0.1), (9.20, 0.1), "better"),
+        ((10.80, 0.1), (9.49, 0.1), "worse"),
+        ((10.05, 0.1), (10.30, 0.1), "better"),  # real motion lies within it
+        ((10.00, 0.4), (10.30, 0.1), "tied"),
+    ],
+)
+def test_what_is_to_be_near_real_motion_differs_by_its_distance(a, b, verdict):
+    rows = {name: {"diversity": Interval(*value)} for name, value in (("a", a), ("b", b), ("real", (10.0, 0.1)))}
+    (found,) = differences(rows, {"a": ["b"]})
+    assert getattr(found, verdict) == ("Diversity",)
+
+
 def test_one_repeat_has_no_interval_and_proves_nothing():
     alone = {"a": {"fid": Interval(0.1, float("inf"))}, "b": {"fid": Interval(9.0, 0.0)}}
     (found,) = differences(alone, {"a": ["b"]})

@@ -1,6 +1,7 @@
 """What the tables are expected to show, checked number by number; and which rows really differ from which.
 
-A difference counts where two rows' 95 % intervals do not touch. Everything else is a tie, in either direction.
+A difference counts where two rows' 95 % intervals do not touch; where nearer to real motion is better, those of the
+distance to it. Everything else is a tie, in either direction.
 """
 
 import math
@@ -181,10 +182,20 @@ def _pair(rows: Rows, key: str, reference: str, metric: str) -> tuple[Interval |
 def _against(column: Column, a: Interval, b: Interval, real: Metrics) -> Literal["better", "worse", "tied"]:
     value = real.get(column.name)
     nearest = None if value is None else value.mean
-    ours, theirs = column.distance(a.mean, nearest), column.distance(b.mean, nearest)
-    if not clear(a, b) or ours is None or theirs is None or ours == theirs:
+    ours, theirs = _reach(column, a, nearest), _reach(column, b, nearest)
+    if ours is None or theirs is None:
         return "tied"
-    return "better" if ours < theirs else "worse"
+    return "better" if ours[1] < theirs[0] else "worse" if theirs[1] < ours[0] else "tied"
+
+
+def _reach(column: Column, value: Interval, real: float | None) -> tuple[float, float] | None:
+    """The least and the greatest ``Column.distance`` in an interval."""
+    low, high = column.distance(value.low, real), column.distance(value.high, real)
+    if low is None or high is None:
+        return None
+    # On both sides of real motion the nearest is none of the ends.
+    inside = column.better == "real" and real is not None and value.low < real < value.high
+    return 0.0 if inside else min(low, high), max(low, high)
 
 
 def _numbers(column: Column, a: Interval, b: Interval) -> str:
