@@ -138,7 +138,9 @@ def test_one_repeat_has_no_interval_and_proves_nothing():
     (found,) = differences(alone, {"a": ["b"]})
     assert (found.open, found.tied) == (("FID",), ())
     assert found.sentence({"a": "A", "b": "B"}) == "A against B: undecided by a single repeat in FID."
-    assert outside(alone, "a", "b", "fid", "{}").verdict == "not met"
+    assert outside(alone, "a", "b", "fid", "{}").verdict == "undecided by a single repeat"
+    assert at_least(alone, "b", "a", "fid", "{}").verdict == "undecided by a single repeat"
+    assert at_least(alone, "a", "b", "fid", "{}").verdict == "met"
     raw = result_json({"fid": (0.1, None)}, repeats=1)
     assert Measured.of(raw, "x").metrics["fid"].half_width == float("inf")
 

@@ -12,7 +12,7 @@ from typing import Literal
 from moveset.evaluation.columns import ALL, PHYSICAL, QUALITY, Column
 from moveset.evaluation.intervals import Interval, clear
 
-Verdict = Literal["met", "met within the intervals", "not met", "not measured"]
+Verdict = Literal["met", "met within the intervals", "not met", "undecided by a single repeat", "not measured"]
 Metrics = Mapping[str, Interval]
 Rows = Mapping[str, Metrics]  # metrics by the row's key
 
@@ -74,8 +74,7 @@ def differences(rows: Rows, against: Mapping[str, Sequence[str]]) -> list[Differ
             for column in QUALITY:
                 if column.name in rows[key] and column.name in rows[reference]:
                     a, b = rows[key][column.name], rows[reference][column.name]
-                    known = math.isfinite(a.half_width) and math.isfinite(b.half_width)
-                    found[_against(column, a, b, real) if known else "open"].append(column.label)
+                    found[_against(column, a, b, real) if _decided(a, b) else "open"].append(column.label)
             if any(found.values()):
                 out.append(Difference(key, reference, **{verdict: tuple(names) for verdict, names in found.items()}))
     return out
@@ -136,6 +135,8 @@ def outside(rows: Rows, key: str, reference: str, metric: str, target: str) -> C
     a, b = _pair(rows, key, reference, metric)
     if a is None or b is None:
         return Check(target, "not measured", "")
+    if not _decided(a, b):
+        return Check(target, "undecided by a single repeat", _numbers(column, a, b))
     met = _against(column, a, b, {}) == "better"
     return Check(target, "met" if met else "not met", _numbers(column, a, b))
 
@@ -149,7 +150,7 @@ def at_least(rows: Rows, key: str, reference: str, metric: str, target: str) -> 
     no_worse = a.mean <= b.mean if column.better == "down" else a.mean >= b.mean
     verdict: Verdict = "met" if no_worse else "not met"
     if verdict == "not met" and not clear(a, b):
-        verdict = "met within the intervals"
+        verdict = "met within the intervals" if _decided(a, b) else "undecided by a single repeat"
     return Check(target, verdict, _numbers(column, a, b))
 
 
@@ -177,6 +178,11 @@ def physical(rows: Rows, key: str, column: Column, label: str) -> Check:
 
 def _pair(rows: Rows, key: str, reference: str, metric: str) -> tuple[Interval | None, Interval | None]:
     return rows.get(key, {}).get(metric), rows.get(reference, {}).get(metric)
+
+
+def _decided(a: Interval, b: Interval) -> bool:
+    """Whether both have an interval to be outside of."""
+    return math.isfinite(a.half_width) and math.isfinite(b.half_width)
 
 
 def _against(column: Column, a: Interval, b: Interval, real: Metrics) -> Literal["better", "worse", "tied"]:
