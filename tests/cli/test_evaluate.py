@@ -63,7 +63,8 @@ def test_the_judge_itself_is_checked(evaluate, tmp_path):
     assert not report["passed"]
     assert (report["evaluator"], report["items"]) == ("judge", 80)
     assert json.loads((tmp_path / "results/sanity-judge-test.json").read_text())["checks"] == report["checks"]
-    assert json.loads(evaluate("--sanity", "--json", "--items", "70")[1])["items"] == 70
+    few = json.loads(evaluate("--sanity", "--json", "--items", "70")[1])
+    assert (few["items"], few["file"].endswith("sanity-judge-test-70-items.json")) == (70, True)
     for wrong, message in (
         (["real"], "leave models"),
         (["--split", "rollout"], "--split test or val"),
@@ -89,6 +90,21 @@ def test_a_folder_of_ones_own(evaluate, tmp_path):
     assert code == 0, err
     assert "| mine | " in out
     assert "40 items of 40 kinds with 40 distinct texts" in out
+
+
+@pytest.mark.parametrize(("given", "name"), [(".", "mine"), ("../real/", "real-motions")])
+def test_a_folder_of_ones_own_has_a_name_of_its_own(evaluate, tmp_path, monkeypatch, place, given, name):
+    folder = motion_folder(tmp_path / ("real" if "real" in given else "mine"))
+    (tmp_path / "mine").mkdir(exist_ok=True)
+    monkeypatch.chdir(tmp_path / "mine")
+    data = ["--data", str(place / "corpus.safetensors"), "--evaluator", str(place / "judge")]
+    code, _, err = evaluate("--motions", given, "--repeats", "1", *data)
+    assert code == 0, err
+    assert [path.name for path in (tmp_path / "results").glob("*.json")] == [f"{name}-test.json"]
+    # Other motions by the same name do not take the place of these.
+    (folder / "m-000.npy").unlink()
+    code, _, err = evaluate("--motions", given, "--repeats", "1", *data)
+    assert (code, "give another --out" in err) == (2, True)
 
 
 def test_only_the_last_process_of_torchrun_tells(evaluate, monkeypatch):

@@ -111,13 +111,13 @@ def test_more_repeats_keep_those_that_are_there(items, oracle, tmp_path):
 
 @pytest.mark.parametrize("change", [{"seed": 1}, {"wording": "held-out"}, {"multimodality": 3}, {"group": 9}])
 def test_another_protocol_is_another_evaluation(items, oracle, tmp_path, change):
-    whole(items, oracle, tmp_path)
+    make(*opened(items, oracle, tmp_path), range(4))
     _, results = opened(items, oracle, tmp_path, replace(PROTOCOL, **change))
     assert results.done == []
 
 
 def test_other_weights_data_judges_and_settings_are_other_evaluations(items, oracle, tmp_path, monkeypatch):
-    whole(items, oracle, tmp_path)
+    make(*opened(items, oracle, tmp_path), range(4))
     for what in ("weights", "describe"):
         other = Painter()
         monkeypatch.setattr(other, what, lambda: {"paint.safetensors": "2"})
@@ -128,6 +128,34 @@ def test_other_weights_data_judges_and_settings_are_other_evaluations(items, ora
     assert opened(replace(items, sha256="2" * 64), oracle, tmp_path)[1].done == []
     monkeypatch.setattr(oracle, "sha256", "3" * 64, raising=False)
     assert opened(items, oracle, tmp_path)[1].done == []
+
+
+def test_the_answer_to_another_question_stays(items, oracle, tmp_path, monkeypatch):
+    whole(items, oracle, tmp_path)
+    kept = (tmp_path / "painter-test.json").read_bytes()
+    with pytest.raises(InputError, match=r"painter-test\.json is .* \(items 24 instead of 16.*give another --out"):
+        opened(items.limited(16), oracle, tmp_path)
+    with pytest.raises(InputError, match=r"\(seams 0\.0 instead of 1\.4\)"):
+        opened(items, oracle, tmp_path, replace(PROTOCOL, seams=1.4))
+    monkeypatch.setattr(oracle, "sha256", "3" * 64, raising=False)
+    with pytest.raises(InputError, match=r"evaluator oracle \(00000000\) instead of oracle \(33333333\)"):
+        opened(items, oracle, tmp_path)
+    assert (tmp_path / "painter-test.json").read_bytes() == kept
+    (tmp_path / "painter-test.json").write_text("{}")
+    with pytest.raises(FormatError, match="is no result of an evaluation"):
+        opened(items, oracle, tmp_path)
+
+
+@pytest.mark.parametrize("what", ["weights", "describe"])
+def test_a_newer_answer_to_the_same_question_takes_the_place_of_the_older(items, oracle, tmp_path, monkeypatch, what):
+    older, _ = whole(items, oracle, tmp_path)
+    other = Painter()
+    monkeypatch.setattr(other, what, lambda: {"paint.safetensors": "2"})
+    session, results = opened(items, oracle, tmp_path, generator=other)
+    make(session, results, range(4))
+    newer = results.finish()
+    assert newer != older
+    assert json.loads(results.path.read_text()) == newer
 
 
 def test_making_everything_anew(items, oracle, tmp_path):

@@ -139,7 +139,8 @@ def _sanity(models: Sequence[str], job: "Job", out: Path, json: bool) -> int:
     judge, items = Evaluator.open(job.evaluator, pick_device(job.device)), open_set(job).items
     report = sanity(judge, items, torch.Generator().manual_seed(job.protocol.seed))
     out.mkdir(parents=True, exist_ok=True)
-    path = out / f"sanity-{judge.card.name}-{job.protocol.split}.json"
+    few = "" if job.items is None else f"-{job.items}-items"
+    path = out / f"sanity-{judge.card.name}-{job.protocol.split}{few}.json"
     with atomic_write(path) as file:
         file.write((jsonlib.dumps(report.to_json(), indent=1) + "\n").encode())
     print(jsonlib.dumps({**report.to_json(), "file": str(path)}) if json else report.to_markdown())
@@ -170,7 +171,7 @@ def _evaluate(job: "Job", out: Path, resume: bool, processes: int | None) -> tup
 
     from moveset.evaluation.job import run
 
-    name = job.model if job.motions is None else job.motions.name
+    name = job.model if job.motions is None else job.motions.resolve().name
     with tqdm(desc=name, unit="repeat", disable=not sys.stderr.isatty(), leave=False) as bar:
 
         def watch(done: int, count: int, stage: str) -> None:

@@ -57,7 +57,7 @@ def folder_motions(folder: Path, prompts: Path | None, fps: float, codec: str = 
         sha.update(f"{path.name}\0{caption}\0".encode())
         sha.update(joints.numpy().tobytes())
         items.append(_item(path.stem, joints, caption, features))
-    return ItemSet(tuple(items), folder.name, sha.hexdigest(), features)
+    return ItemSet(tuple(items), folder.resolve().name, sha.hexdigest(), features)
 
 
 def _item(name: str, joints: Tensor, caption: Caption | str, codec: HmlCodec) -> Item:

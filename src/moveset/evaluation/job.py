@@ -125,7 +125,9 @@ def open_generator(job: Job) -> Generator:
     if job.motions is not None:
         from moveset.evaluation.folder import folder_motions
 
-        return Given(job.motions.name, folder_motions(job.motions, job.prompts, job.motions_fps))
+        given = folder_motions(job.motions, job.prompts, job.motions_fps)
+        # A folder that happens to be called so must not be taken for the data's own motion.
+        return Given(f"{REAL}-motions" if given.name == REAL else given.name, given)
     model, network = SHORT.get(job.model, (job.model, None))
     network = job.network or network
     settings = dict(job.settings)

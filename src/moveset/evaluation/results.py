@@ -21,6 +21,7 @@ from moveset.errors import FormatError, InputError
 from moveset.evaluation.intervals import Interval
 from moveset.evaluation.protocol import Session
 from moveset.io.limits import atomic_write, read_limited
+from moveset.pipelines.verified_folder import json_object
 
 #: What turns motions into numbers: a change here makes repeats anew.
 _MEASURES = (
@@ -39,7 +40,8 @@ class Results:
         out: the folder.
 
     Raises:
-        InputError: a folder that cannot be written to.
+        InputError: a folder that cannot be written to, or another evaluation's result in this one's place.
+        FormatError: something else in its place.
     """
 
     def __init__(self, session: Session, out: Path) -> None:
@@ -49,6 +51,7 @@ class Results:
         self.head = head(session)
         key = hashlib.sha256(json.dumps(_depends(self.head), sort_keys=True).encode()).hexdigest()[:12]
         self.path, self._folder = out / f"{self.name}.json", out / "repeats" / f"{self.name}-{key}"
+        self._refuse_another_question()
         try:
             self._folder.mkdir(parents=True, exist_ok=True)
             with atomic_write(self._folder / "about.json") as file:
@@ -96,6 +99,23 @@ class Results:
             file.write(_bytes(result))
         return result
 
+    def _refuse_another_question(self) -> None:
+        """What was asked of the result that is there must be what is asked now; its name does not say all of it.
+
+        Other weights, code, settings of the model's own or repeats are another answer to the same question, and take
+        the place of the older one.
+        """
+        if not self.path.is_file():
+            return
+        try:
+            there, now = asked(json_object(read_limited(self.path), self.path)), asked(self.head)
+        except (KeyError, TypeError, AttributeError) as error:
+            raise FormatError(f"{self.path} is no result of an evaluation ({error!r}); give another --out") from error
+        # An older version may not have known all of it.
+        if other := [name for name in there if name in now and there[name] != now[name]]:
+            said = ", ".join(f"{name} {there[name]} instead of {now[name]}" for name in other)
+            raise InputError(f"{self.path} is the result of another evaluation ({said}); give another --out")
+
     def _file(self, number: int) -> Path:
         return self._folder / f"{number:03d}.json"
 
@@ -132,6 +152,24 @@ def head(session: Session) -> dict[str, Any]:
         "generator": type(generator).__name__,
         "generator_sha256": code_sha256(generator.code),
         "versions": {"moveset": moveset.__version__, "torch": torch.__version__, "python": platform.python_version()},
+    }
+
+
+def asked(described: Mapping[str, Any]) -> dict[str, Any]:
+    """What a result answers, by names for people: who is judged, on what, by whom and how, whatever came out.
+
+    Settings are not among it: those that were asked for are in the name of the file.
+    """
+    judge, data = described["evaluator"], described["data"]
+    return {
+        "model": described["model"],
+        "network": described["network"],
+        "motions": str(described["settings"].get("motions_sha256"))[:8],
+        "items": described["items"],
+        "texts": described["distinct_texts"],
+        "data": f"{data['name']} ({str(data['sha256'])[:8]})",
+        "evaluator": f"{judge['name']} ({str(judge['sha256'])[:8]})",
+        **{name: value for name, value in described["protocol"].items() if name != "repeats"},
     }
 
 
