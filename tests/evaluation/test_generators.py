@@ -233,6 +233,21 @@ def test_a_folder_of_joints_with_text_files(tmp_path):
     assert first.label != second.label
 
 
+def test_motions_of_generate_with_several_of_a_prompt_and_several_prompts(tmp_path):
+    folder = motion_folder(tmp_path / "motions", 4)
+    for old, new in zip(sorted(folder.glob("*.npy")), ("m-turn-0", "m-turn-1", "m-0-0", "m-about-turn"), strict=True):
+        old.rename(folder / f"{new}.npy")
+    lines = (
+        '{"name": "turn", "prompt": ["A person turns.", "She bows"]}',
+        '{"name": "0", "prompt": "he\u2028sits"}',  # which JSON allows, and no line ends there
+        '{"name": "about-turn", "prompt": "they turn"}',
+    )
+    (folder / "prompts.jsonl").write_text("\n".join(lines))
+    said = {item.name: item.prompts for item in folder_motions(folder, None, 20.0).items}
+    turned = ("A person turns, then she bows",)
+    assert said == {"m-turn-0": turned, "m-turn-1": turned, "m-0-0": ("he\u2028sits",), "m-about-turn": ("they turn",)}
+
+
 def test_prompts_that_differ_by_a_dot_are_one_label(tmp_path):
     folder = motion_folder(tmp_path / "motions", 2)
     (folder / "prompts.jsonl").write_text('{"name": "000", "prompt": "He bows."}\n{"name": "001", "prompt": "he bows"}')
@@ -262,6 +277,8 @@ def write(folder, name, array):
         (lambda f: write(f, "new.npy", np.zeros((40, 22, 3))), InputError, "new.npy has no prompt"),
         (lambda f: (f / "prompts.jsonl").unlink(), InputError, "m-000.npy has no prompt"),
         (lambda f: (f / "prompts.jsonl").write_text("nonsense"), FormatError, "line 1"),
+        (lambda f: (f / "prompts.jsonl").write_text('{"name": "000", "prompt": []}'), FormatError, "line 1"),
+        (lambda f: (f / "prompts.jsonl").rename(f / "m-000.txt").write_text("a##b#0"), FormatError, "m-000.txt: "),
         (lambda f: (f / "prompts.jsonl").write_text('{"name": "000", "prompt": ""}'), FormatError, "line 1"),
         (lambda f: (f / "prompts.jsonl").write_bytes(b"\xff\xfe"), FormatError, "UTF-8"),
         (lambda f: (f / "m-000.npy").write_bytes(b"\x93NUMPY"), FormatError, "npy"),

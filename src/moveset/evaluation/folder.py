@@ -1,12 +1,16 @@
 """A folder of motions with prompts, whatever system made them: ``NAME.npy`` joints and what each was told.
 
 Prompts stand in ``NAME.txt`` beside each file (first line; text files of HumanML3D will do), or in one JSONL file as
-``moveset generate --prompts`` takes it, where "name" names the file (``NAME.npy`` or ``…-NAME.npy``).
+``moveset generate --prompts`` takes it, where "name" names the file: ``NAME.npy``, ``…-NAME.npy``, or ``…-NAME-0.npy``
+and so on where several were made of it. Several prompts, one after the other, are judged by one sentence, as rollouts
+are.
 F frames, J joints; metres, Y up.
 """
 
 import hashlib
 import json
+import re
+from collections.abc import Sequence
 from pathlib import Path
 
 import torch
@@ -94,18 +98,24 @@ def _beside(path: Path) -> Caption | str:
     if not text.is_file():
         raise InputError(f"{path.name} has no prompt; write it to {text.name}, or all prompts to {LIST}")
     try:
-        lines = [line.strip() for line in read_limited(text, 2**20).decode().splitlines() if line.strip()]
+        lines = [line.strip() for line in read_limited(text, 2**20).decode().split("\n") if line.strip()]
     except UnicodeDecodeError:
         raise FormatError(f"{text} is not UTF-8 text; save it as UTF-8") from None
     if not lines:
         raise InputError(f"{text} is empty; write the prompt of {path.name} to it")
-    return parse_caption(lines[0]) if lines[0].count("#") == 3 else lines[0]
+    if lines[0].count("#") != 3:
+        return lines[0]
+    try:
+        return parse_caption(lines[0])
+    except FormatError as error:
+        raise FormatError(f"{text}: {error}") from None
 
 
 def _listed(path: Path) -> dict[str, str]:
     prompts: dict[str, str] = {}
     try:
-        lines = read_limited(path).decode().splitlines()
+        # Not splitlines: a JSON string may hold other line breaks than this one.
+        lines = read_limited(path).decode().split("\n")
     except UnicodeDecodeError:
         raise FormatError(f"{path} is not UTF-8 text; save it as UTF-8") from None
     for number, line in enumerate(lines, start=1):
@@ -118,18 +128,32 @@ def _listed(path: Path) -> dict[str, str]:
             raise FormatError(
                 f'{path} line {number} is no JSON object with "prompt" and "name"; write one a line'
             ) from None
-        if not isinstance(prompt, str) or not prompt.strip() or name in prompts:
+        said = prompt if isinstance(prompt, list) else [prompt]
+        if not said or not all(isinstance(text, str) and text.strip() for text in said) or name in prompts:
             raise FormatError(
-                f"{path} line {number}: one prompt, a text, is needed for each name; name every motion once"
+                f"{path} line {number}: a prompt, a text or a list of texts, is needed for each name; name every "
+                "motion once"
             )
-        prompts[name] = prompt.strip()
+        prompts[name] = then([text.strip() for text in said])
     return prompts
 
 
+def then(texts: Sequence[str]) -> str:
+    """One sentence of several that follow one another.
+
+    >>> then(["A person walks.", "He waves"])
+    'A person walks, then he waves'
+    """
+    if len(texts) == 1:
+        return texts[0]
+    first, *rest = (text.rstrip(". ") for text in texts)
+    return ", then ".join([first, *(text[:1].lower() + text[1:] for text in rest)])
+
+
 def _named(path: Path, prompts: dict[str, str]) -> str:
-    if path.stem in prompts:
-        return prompts[path.stem]
-    fitting = [name for name in prompts if path.stem.endswith(f"-{name}")]
+    """The prompt whose name says most of the file's: "a-b" rather than "b", and of two that say as much the whole."""
+    found = {name: re.search(rf"(?:^|-)({re.escape(name)}(-\d+)?)$", path.stem) for name in prompts}
+    fitting = [(len(end[1]), not end[2], name) for name, end in found.items() if end is not None]
     if not fitting:
         raise InputError(f"{path.name} has no prompt; add a line with its name to the list of prompts")
-    return prompts[max(fitting, key=len)]
+    return prompts[max(fitting)[-1]]
