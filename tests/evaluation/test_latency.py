@@ -275,6 +275,7 @@ def results(tmp_path):
     for k, raw in enumerate(made):
         (folder / "deep" / f"{k}.json").write_text(json.dumps(raw))
     (folder / "rows.json").write_text('{"rows": []}')
+    (folder / "others.json").write_text("[1, 2]")
     return folder
 
 
@@ -288,6 +289,9 @@ def test_quality_beside_time(report, results):
     assert math.isclose(per_second["stream rdm"], report["streams"]["rdm"]["median_ms"]["segment"] / 1.4)
     with pytest.raises(InputError, match="there is no folder"):
         read_results([results / "nothing"])
+    (results / "others.json").write_text("[1, 2")
+    with pytest.raises(FormatError, match=r"others\.json is not JSON"):
+        read_results([results])
     with pytest.raises(FormatError, match="no report"):
         judged({}, [])
 

@@ -362,6 +362,13 @@ def test_damaged_files_are_named(folder: Path, name: str, text: str | None, mess
         load_table(folder)
 
 
+@pytest.mark.parametrize("rows", ["", ', "rows": 1', ', "rows": [1]', ', "rows": [{"key": "pcm-1"}]'])
+def test_rows_are_not_added_to_what_is_no_list_of_rows(folder: Path, rows: str):
+    (folder / "rows.json").write_text(f'{{"suite": "motionpcm"{rows}}}')
+    with pytest.raises(FormatError, match="is no list of rows"):
+        save_rows("motionpcm", [], folder)
+
+
 def test_a_folder_that_is_none_is_refused(tmp_path: Path):
     with pytest.raises(InputError, match=r"has no rows\.json"):
         write_report(tmp_path)

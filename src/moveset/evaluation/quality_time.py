@@ -4,6 +4,7 @@ Time is milliseconds for a second of motion, so that clips and streams share an 
 time of a segment. Results that were judged in different ways (data, split, evaluator) are never put side by side.
 """
 
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +17,6 @@ from moveset.io.limits import read_limited
 from moveset.pipelines.bundle import Bundle
 from moveset.pipelines.stream_bundle import StreamBundle
 from moveset.pipelines.stream_settings import check_stream
-from moveset.pipelines.verified_folder import json_object
 
 _SETTINGS = ("start", "lag", "eta", "guidance", "foot_lock", "stages", "shape")
 
@@ -83,8 +83,11 @@ def read_results(folders: Sequence[Path]) -> list[Result]:
         if not folder.is_dir():
             raise InputError(f"there is no folder {folder}; give one with results of `moveset evaluate`")
         for path in sorted(folder.rglob("*.json")):
-            raw = json_object(read_limited(path), path)
-            protocol = raw.get("protocol")
+            try:
+                raw = json.loads(read_limited(path))
+            except (ValueError, RecursionError) as error:
+                raise FormatError(f"{path} is not JSON: {error}; mend it, or move it elsewhere") from error
+            protocol = raw.get("protocol") if isinstance(raw, dict) else None
             if not isinstance(protocol, dict) or not {"network", "metrics", "evaluator"} <= set(raw):
                 continue
             if protocol.get("wording") == "known":

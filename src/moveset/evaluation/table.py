@@ -217,8 +217,12 @@ def save_rows(name: str, rows: Sequence[tuple[Row, str, str]], out: Path) -> Non
         if raw.get("suite") != name:
             raise FormatError(f"{index} is of the suite {raw.get('suite')!r}; write {name!r} to another folder")
         known, models = {row.key for row in suite.rows}, {row.model for row in suite.rows}
-        stay = {entry["key"]: entry for entry in raw["rows"] if entry["key"] in known or entry["model"] not in models}
-        measured = {key for key, entry in stay.items() if entry["result"]}
+        try:
+            entries = raw["rows"]
+            stay = {entry["key"]: entry for entry in entries if entry["key"] in known or entry["model"] not in models}
+            measured = {key for key, entry in stay.items() if entry["result"]}
+        except (KeyError, TypeError) as error:
+            raise FormatError(f"{index} is no list of rows: {error!r}; give another --out, or delete it") from error
         new = stay | {key: entry for key, entry in new.items() if entry["result"] or key not in measured}
     order = [row.key for row in suite.rows if row.key in new]
     entries = [new[key] for key in dict.fromkeys([*order, *new])]
