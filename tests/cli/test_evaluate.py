@@ -70,6 +70,7 @@ def test_the_judge_itself_is_checked(evaluate, tmp_path):
         (["--split", "rollout"], "--split test or val"),
         (["--device", "abacus"], "unknown device"),
         (["--items", "0"], "0 items are fewer than 1"),
+        (["--out", "corpus.safetensors"], "choose another --out"),
     ):
         code, _, err = evaluate("--sanity", *wrong)
         assert (code, message in err) == (2, True), err
@@ -137,6 +138,8 @@ def spoiled(folder, name, array):
         (["real", "--split", "train"], "train"),
         (["real", "--split", "val"], "no val clips"),
         (["real", "--wording", "loud"], "loud"),
+        (["real", "--seams", "0.22"], "seams 0.22 s apart are less than 0.25 s"),
+        (["real", "--seams", "0.01"], "seams 0.01 s apart are less than 0.25 s"),
         (["real", "--items", "-5"], "-5 items are fewer than 1"),
         (["real", "--items", "31"], "31 items, and R-precision needs 32"),
         (["real", "--items", "36"], "groups of 32 items of different labels"),

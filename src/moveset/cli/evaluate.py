@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 
 from moveset.cli.bulk import share
+from moveset.cli.output import check_folder
 from moveset.errors import InputError
 
 if TYPE_CHECKING:
@@ -137,8 +138,12 @@ def _sanity(models: Sequence[str], job: "Job", out: Path, json: bool) -> int:
     if job.protocol.split == "rollout":
         raise InputError("--sanity checks the evaluator on single motions; take --split test or val")
     judge, items = Evaluator.open(job.evaluator, pick_device(job.device)), open_set(job).items
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"cannot write to {str(out)!r}: {error.strerror or error}; choose another --out") from error
+    check_folder(out)
     report = sanity(judge, items, torch.Generator().manual_seed(job.protocol.seed))
-    out.mkdir(parents=True, exist_ok=True)
     few = "" if job.items is None else f"-{job.items}-items"
     path = out / f"sanity-{judge.card.name}-{job.protocol.split}{few}.json"
     with atomic_write(path) as file:

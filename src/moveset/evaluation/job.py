@@ -41,6 +41,7 @@ SHORT = {
 }
 REAL = "real"
 MAX_PROCESSES, MAX_CORES = 8, 256
+NEAREST_SEAMS = 5  # frames: ``physical.boundary_jerk`` compares what is within two of a seam with what is not
 
 Watch = Callable[[int, int, str], None]
 
@@ -95,6 +96,11 @@ def open_session(job: Job) -> Session:
     if not 1 <= job.batch <= 4096:
         raise InputError(f"batch {job.batch} is not in 1 to 4096; give 64 on a CPU, more on a GPU")
     generator, items = open_generator(job), open_set(job)
+    if job.protocol.seams and round(job.protocol.seams * items.codec.fps) < NEAREST_SEAMS:
+        raise InputError(
+            f"seams {job.protocol.seams:g} s apart are less than {NEAREST_SEAMS / items.codec.fps:g} s, and no motion "
+            "would be away from one; give more"
+        )
     evaluator = Evaluator.open(job.evaluator, pick_device(job.device))
     judged: ItemSet = (generator.items if isinstance(generator, Given) else None) or items
     return Session(job.protocol.fitted(judged, generator.random), items, generator, evaluator)
