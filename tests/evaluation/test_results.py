@@ -226,20 +226,53 @@ def test_finished_work_makes_nothing(job, alone, monkeypatch):
     assert same(run(job, alone[1].parent, processes=1)[0], alone[0])
 
 
+class Helper:
+    """Stands for another process."""
+
+    def __init__(self, exitcode=None):
+        self.exitcode = exitcode
+
+    def is_alive(self):
+        return self.exitcode is None
+
+    def join(self, seconds):
+        self.exitcode = 0
+
+    def terminate(self):
+        self.exitcode = self.exitcode or -15
+
+
 def test_a_process_that_dies_is_told_of(job, tmp_path, monkeypatch):
-    class Dead:
-        exitcode = -9
-
-        def is_alive(self):
-            return False
-
-        def terminate(self):
-            pass
-
-    monkeypatch.setattr(jobs, "_start", lambda *_: Dead())
+    monkeypatch.setattr(jobs, "_start", lambda *_: Helper(-9))
     monkeypatch.setattr(jobs, "work", lambda *_: None)
     with pytest.raises(MovesetError, match="process 1 of 2 ended with code -9; run again to resume"):
         run(job, tmp_path, processes=2)
+
+
+def test_a_process_that_dies_ends_the_others_at_once(job, tmp_path, monkeypatch):
+    helpers = [Helper(), Helper()]
+    monkeypatch.setattr(jobs, "_start", lambda job, out, rank, world: helpers[rank - 1])
+
+    def repeat(session, number, say):
+        helpers[1].exitcode = 1
+        say("motions", 1, 2)
+        raise AssertionError("this repeat went on")
+
+    monkeypatch.setattr(jobs, "run_repeat", repeat)
+    with pytest.raises(MovesetError, match="process 2 of 3 ended with code 1"):
+        run(job, tmp_path, processes=3)
+    assert helpers[0].exitcode == -15
+
+
+def test_what_nobody_has_thought_of_is_told_with_its_repeat(job, tmp_path, monkeypatch):
+    def repeat(session, number, say):
+        raise KeyError("joints") if number == 1 else InputError("nothing can be judged")
+
+    monkeypatch.setattr(jobs, "run_repeat", repeat)
+    with pytest.raises(InputError, match=r"^nothing can be judged$"):
+        run(job, tmp_path, processes=1)
+    with pytest.raises(MovesetError, match="repeat 1 of tiny-pcm-1-test failed: KeyError: 'joints'"):
+        run(job, tmp_path, share=(1, 2))
 
 
 PARENT = """

@@ -4,6 +4,7 @@ import multiprocessing
 import os
 import sys
 import threading
+import traceback
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -250,15 +251,23 @@ def run(
         if on_cpu:
             # Small networks gain little by more threads, and so sums come out the same however the work is shared.
             torch.set_num_threads(1)
-        work(session, results, rank, world, watch)
-        for number, helper in enumerate(helpers, start=1):
+
+        def attend(done: int, count: int, stage: str) -> None:
+            # Told often, so that nobody waits for a whole share of repeats to hear that another has failed.
+            for number, helper in enumerate(helpers, start=1):
+                if helper.exitcode:
+                    raise MovesetError(
+                        f"process {number} of {world} ended with code {helper.exitcode}; run again to resume"
+                    )
+            watch(done, count, stage)
+
+        work(session, results, rank, world, attend)
+        for helper in helpers:
             while helper.is_alive():
                 helper.join(0.5)
-                watch(len(results.done), results.repeats, "others")
-            if helper.exitcode:
-                raise MovesetError(
-                    f"process {number} of {world} ended with code {helper.exitcode}; run again to resume"
-                )
+                attend(len(results.done), results.repeats, "others")
+        if helpers:
+            attend(len(results.done), results.repeats, "others")
     finally:
         torch.set_num_threads(threads)
         for helper in helpers:
@@ -267,14 +276,25 @@ def run(
 
 
 def work(session: Session, results: Results, rank: int, world: int, watch: Watch) -> None:
-    """The repeats of one process of several that are not there yet."""
+    """The repeats of one process of several that are not there yet.
+
+    Raises:
+        MovesetError: something that cannot be judged, or that nobody has thought of, in which repeat.
+    """
     make = run_rollout if session.protocol.split == "rollout" else run_repeat
     for number in results.missing(rank, world):
 
         def say(stage: str, done: int, count: int, number: int = number) -> None:
             watch(len(results.done), results.repeats, f"{number}: {stage} {done}/{count}")
 
-        results.add(make(session, number, say))
+        try:
+            made = make(session, number, say)
+        except MovesetError:
+            raise
+        except Exception as error:
+            said = f"{type(error).__name__}: {error} (MOVESET_DEBUG=1 shows where)"
+            raise MovesetError(f"repeat {number} of {results.name} failed: {said}") from error
+        results.add(made)
         watch(len(results.done), results.repeats, str(number))
 
 
@@ -313,6 +333,8 @@ def _help(job: Job, out: Path, rank: int, world: int) -> None:
         session = open_session(job)
         work(session, Results(session, out), rank, world, lambda done, count, stage: None)
     except MovesetError as error:
+        if os.environ.get("MOVESET_DEBUG"):
+            traceback.print_exc()
         print(f"moveset: {error}", file=sys.stderr)
         sys.exit(error.exit_code)
     except KeyboardInterrupt:
