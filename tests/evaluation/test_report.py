@@ -2,6 +2,8 @@
 
 import json
 import re
+import time
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,7 +17,7 @@ from moveset.evaluation.markdown import markdown
 from moveset.evaluation.plots import _wide, front
 from moveset.evaluation.report import page, to_json, write_report
 from moveset.evaluation.suites import get_suite
-from moveset.evaluation.table import Measured, Table, load_table, save_rows
+from moveset.evaluation.table import Measured, Table, in_turn, load_table, save_rows
 from moveset.evaluation.targets import at_least, checks, differences, outside, physical, within
 from tests.evaluation.results import result_json, suite_folder
 
@@ -292,6 +294,35 @@ def test_rows_may_be_added_one_by_one_and_stay_in_order(folder: Path):
     assert table.metrics["k20"] == table.metrics["mine"] == table.metrics["pcm-1"]
     with pytest.raises(FormatError, match="is of the suite 'motionpcm'"):
         save_rows("rdm", [], folder)
+
+
+def test_processes_that_add_rows_at_once_lose_none(folder: Path):
+    rows = {row.key: row for row in get_suite("motionpcm").rows}
+    keys = ("k20", "no-ema", "no-discriminator", "reference", "mld", "lcm-2", "lcm-4", "pcm-2")
+
+    def add(key: str) -> None:
+        with in_turn(folder):
+            save_rows("motionpcm", [(rows[key], "pcm-1.json", "")], folder)
+
+    with ThreadPoolExecutor(len(keys)) as pool:
+        list(pool.map(add, keys))
+    assert set(keys) <= set(load_table(folder).measured)
+
+
+def test_whoever_adds_rows_waits_for_the_other(tmp_path: Path):
+    order = []
+
+    def second() -> None:
+        with in_turn(tmp_path):
+            order.append("second")
+
+    with ThreadPoolExecutor(1) as pool:
+        with in_turn(tmp_path):
+            waiting = pool.submit(second)
+            time.sleep(0.1)
+            order.append("first")
+        waiting.result()
+    assert order == ["first", "second"]
 
 
 def test_rows_that_were_taken_from_elsewhere_are_named_and_say_so(tmp_path: Path):

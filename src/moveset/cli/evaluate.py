@@ -201,7 +201,7 @@ def _suite(
 
     from moveset.evaluation.report import write_report
     from moveset.evaluation.suites import REAL, Row, SuiteSettings, get_suite, run_suite
-    from moveset.evaluation.table import save_rows
+    from moveset.evaluation.table import in_turn, save_rows
 
     if common.motions is not None or common.network or common.steps or common.settings:
         raise InputError("a suite says itself what is evaluated; leave --motions, --network, --steps and settings out")
@@ -222,8 +222,10 @@ def _suite(
 
     settings = SuiteSettings(tuple(map(Path, folders)), common.protocol.repeats, tuple(rows))
     made = run_suite(name, settings, evaluate_row, lambda line: print(f"moveset: {line}", file=sys.stderr))
-    save_rows(name, [(one.row, one.result or "", one.missing or unfinished(one.result)) for one in made], out / name)
-    path = write_report(out / name)
+    entries = [(one.row, one.result or "", one.missing or unfinished(one.result)) for one in made]
+    with in_turn(out / name):
+        save_rows(name, entries, out / name)
+        path = write_report(out / name)
     print(jsonlib.dumps({"suite": name, "table": str(path)}) if json else path.read_text())
     return 0
 

@@ -5,7 +5,8 @@
 
 import json
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, TypeVar
@@ -199,12 +200,37 @@ def _usual(values: Iterable[Value]) -> Value | None:
     return next((value for value, _ in Counter(values).most_common(1)), None)
 
 
+@contextmanager
+def in_turn(out: Path) -> Iterator[None]:
+    """Waits until no other process is in here with the same folder of results.
+
+    All processes of torchrun write the rows and the report, for none of them knows whether it will be the last.
+
+    Raises:
+        InputError: the folder cannot be made or written to.
+    """
+    lock = out / "repeats" / ".lock"
+    try:
+        lock.parent.mkdir(parents=True, exist_ok=True)
+        file = lock.open("w")
+    except OSError as error:
+        raise InputError(f"cannot write to {str(out)!r}: {error.strerror or error}; choose another --out") from error
+    with file:
+        try:
+            import fcntl
+        except ImportError:  # Windows has no flock; there nobody waits
+            yield
+            return
+        fcntl.flock(file, fcntl.LOCK_EX)
+        yield
+
+
 def save_rows(name: str, rows: Sequence[tuple[Row, str, str]], out: Path) -> None:
     """Writes ``rows.json``: every row with its result file's path below OUT, or with what is missing.
 
     Rows that are there already and not among these stay, in the suite's order: a suite may be run a row at a time. So
     does the result of a row that has none now, for whoever runs the suite may not have all weights. Rows of its models
-    that the suite has no more go.
+    that the suite has no more go. Where several processes may do so, each does it ``in_turn``.
 
     Raises:
         InputError: the folder cannot be made or written to.
