@@ -161,10 +161,6 @@ def test_a_newer_answer_to_the_same_question_takes_the_place_of_the_older(items,
 def test_making_everything_anew(items, oracle, tmp_path):
     whole(items, oracle, tmp_path)
     results = opened(items, oracle, tmp_path)[1]
-    everything = results.done
-    # Each of two processes forgets what it is to make anew, and leaves alone what the other may have made already.
-    results.forget(1, 2)
-    assert results.done == everything[::2]
     results.forget()
     assert results.done == []
 
@@ -219,6 +215,13 @@ def test_ranks_of_torchrun_make_the_same_table(job, alone, tmp_path):
     assert not path.exists()
     result, _ = run(job, tmp_path, share=(0, 2))
     assert same(result, alone[0])
+
+
+def test_ranks_of_torchrun_do_not_make_everything_anew(job, alone):
+    for rank in range(2):
+        with pytest.raises(InputError, match="give a fresh --out"):
+            run(job, alone[1].parent, share=(rank, 2), again=True)
+    assert same(run(job, alone[1].parent, processes=1)[0], alone[0])
 
 
 def test_finished_work_makes_nothing(job, alone, monkeypatch):

@@ -229,7 +229,7 @@ def run(
         out: the folder of results.
         share: rank and number of the processes of torchrun, each of which makes its share of the repeats.
         processes: that share the repeats on this machine otherwise; None for as many as there are cores.
-        again: make every repeat anew, although it is there.
+        again: make every repeat anew, although it is there; not with other processes of torchrun.
         watch: told of progress: repeats done, repeats in all, and what is being done.
 
     Raises:
@@ -239,10 +239,13 @@ def run(
     """
     if processes is not None and not 1 <= processes <= MAX_CORES:
         raise InputError(f"{processes} processes are not in 1 to {MAX_CORES}; as many as there are cores is best")
+    if again and share[1] > 1:
+        # Whoever is first done would take what another has still to delete for new.
+        raise InputError("several processes cannot make everything anew together; give a fresh --out instead")
     session, on_cpu = open_session(job), pick_device(job.device).type == "cpu"
     results, (rank, world) = Results(session, out), share
     if again:
-        results.forget(rank, world)
+        results.forget()
     if world == 1 and (processes or on_cpu):
         world = max(1, min(processes or cores(), len(results.missing())))
     threads = torch.get_num_threads()

@@ -75,9 +75,9 @@ class Results:
         """Repeats that are not there, of those that a process of several makes."""
         return [number for number in range(rank, self.repeats, world) if not self._file(number).is_file()]
 
-    def forget(self, rank: int = 0, world: int = 1) -> None:
-        """Delete the repeats of a process of several; the others may be at work on theirs."""
-        for number in range(rank, self.repeats, world):
+    def forget(self) -> None:
+        """Delete all repeats; no other process may be at work on them."""
+        for number in self.done:
             self._file(number).unlink(missing_ok=True)
 
     def add(self, repeat: Mapping[str, Any]) -> None:
