@@ -42,8 +42,8 @@ def prompts_of(
             if content_class(label) not in classes or frames < 24:
                 continue
             wordings = heldout_captions(label) if wording == "held-out" else train_captions(label)
-            name = corpus.records[k].name
-            out += [(content_class(label), wordings[(k + 3 * c) % len(wordings)], frames, name) for c in range(copies)]
+            take = corpus.records[k].take
+            out += [(content_class(label), wordings[(k + 3 * c) % len(wordings)], frames, take) for c in range(copies)]
     return out
 
 
