@@ -4,7 +4,7 @@ Beside the standard evaluation (``moveset evaluate``), which reads sentences: a 
 takes judges clips generated from held-out wordings, one for every labelled test take, of that take's length, all models
 with the same seeds.
 
-    python benchmarks/content.py --models src/moveset/weights/motionpcm-small --out results/content.json
+    python benchmarks/content.py --model src/moveset/weights/motionpcm-small --out results/content.json
 """
 
 import argparse
