@@ -180,10 +180,6 @@ def test_confusion_counts():
     assert table.clips == 12
     assert table.accuracy == pytest.approx(9 / 12)
     assert table.balanced_accuracy == pytest.approx((0.8 + 0.5) / 2)
-    assert [line.split() for line in table.table().splitlines()] == [
-        ["a", "8", "/", "10", "b", "2"],
-        ["b", "1", "/", "2", "c", "1"],
-    ]
 
 
 def test_a_corpus_too_small_is_refused(corpus):

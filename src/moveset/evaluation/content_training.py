@@ -88,17 +88,6 @@ class Confusion:
         present = self.counts.sum(1) > 0
         return float((self.counts.diagonal()[present] / self.counts[present].sum(1)).mean())
 
-    def table(self) -> str:
-        """One line a class that occurs: right, total, and what the others were taken for."""
-        lines = []
-        for k, label in enumerate(self.labels):
-            row = self.counts[k].tolist()
-            if total := sum(row):
-                wrong = sorted(((n, self.labels[j]) for j, n in enumerate(row) if n and j != k), reverse=True)
-                others = ", ".join(f"{name} {n}" for n, name in wrong)
-                lines.append(f"{label:24s} {row[k]:4d} / {total:<4d} {others}".rstrip())
-        return "\n".join(lines)
-
 
 @dataclass(frozen=True)
 class TrainingCurve:

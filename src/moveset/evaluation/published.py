@@ -81,17 +81,6 @@ class PublishedTable:
     rows: tuple[PublishedRow, ...]
     notes: tuple[str, ...]
 
-    def row(self, method: str) -> PublishedRow:
-        """A row by its method.
-
-        Raises:
-            InputError: no such row.
-        """
-        for row in self.rows:
-            if row.method == method:
-                return row
-        raise InputError(f"no row {method!r} in {self.source}; it has {', '.join(r.method for r in self.rows)}")
-
 
 @cache
 def tables(suite: str) -> tuple[PublishedTable, ...]:

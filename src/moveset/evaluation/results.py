@@ -194,15 +194,6 @@ def code_sha256(modules: Sequence[str]) -> str:
     return hashlib.sha256(b"".join(Path(place).read_bytes() for place in places)).hexdigest()
 
 
-def same(a: Mapping[str, Any], b: Mapping[str, Any]) -> bool:
-    """Whether two results are equal but for the time they took."""
-    return _timeless(a) == _timeless(b)
-
-
-def _timeless(result: Mapping[str, Any]) -> dict[str, Any]:
-    return {name: value for name, value in result.items() if not name.startswith("seconds")}
-
-
 def _depends(described: Mapping[str, Any]) -> dict[str, Any]:
     """All that one repeat depends on: not how many there are."""
     protocol = {name: value for name, value in described["protocol"].items() if name != "repeats"}
