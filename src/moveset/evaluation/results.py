@@ -1,8 +1,10 @@
 """Repeats as files, so that an evaluation resumes and is shared out; and the result that they make together.
 
-``OUT/repeats/NAME-KEY/000.json`` is a repeat; KEY is a hash of everything that its numbers depend on, so a file that is
-there is right whoever made it, and one that was made by other weights, data, settings or measures is never mistaken for
-it. Whoever finds all repeats there writes ``OUT/NAME.json``. Nothing but "seconds" differs between two runs.
+``OUT/repeats/NAME-KEY/000.json`` is a repeat; KEY is a hash of what ``head`` lists: weights, data, evaluator, settings,
+protocol, versions, and the source of the modules that measure and that make the motion, as far as these are named
+(``_MEASURES``, ``Generator.code``). A file that is there is taken for right whoever made it. What is not named is not
+seen: the code of networks, of text encoders and of reading data; whoever changes what such code computes starts anew.
+Whoever finds all repeats there writes ``OUT/NAME.json``. Nothing but "seconds" differs between two runs.
 """
 
 import hashlib
@@ -195,7 +197,7 @@ def code_sha256(modules: Sequence[str]) -> str:
 
 
 def _depends(described: Mapping[str, Any]) -> dict[str, Any]:
-    """All that one repeat depends on: not how many there are."""
+    """What one repeat is known to depend on: not how many there are."""
     protocol = {name: value for name, value in described["protocol"].items() if name != "repeats"}
     return {**described, "protocol": protocol}
 
