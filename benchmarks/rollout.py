@@ -152,14 +152,14 @@ def main() -> None:
     parser.add_argument("--start", type=int, help="R of rdm; K by default")
     parser.add_argument("--lag", type=int, default=0, help="of rdm; K by default")
     parser.add_argument("--eta", type=float, default=0.0)
-    parser.add_argument("--guidance", nargs="*", default=["1.5"], metavar="[NETWORK=]W")
+    parser.add_argument("--guidance", nargs="*", default=[], metavar="[NETWORK=]W", help="instead of the model's own")
     parser.add_argument("--half", action="store_true", help="networks in bfloat16")
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--out", type=Path)
     given = parser.parse_args()
     torch.set_num_threads(given.threads)
     networks = Networks(given.runs, given.model, dict(pair.split("=", 1) for pair in given.folder))
-    classifier, w = ContentClassifier.load(given.classifier), scales(given.guidance)
+    classifier, w = ContentClassifier.load(given.classifier), scales(given.guidance, networks)
     n, fps = networks.frames, networks.codec.fps
     lines, count = rollouts(given.contents, n, fps), math.floor(given.minutes * 60 * fps / n)
     rows: dict[str, dict] = {"real": _real(networks, Corpus.open(given.corpus))}

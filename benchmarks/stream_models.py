@@ -105,6 +105,11 @@ class Networks:
         self._kept: dict[str, nn.Module] = {}
         self.cache = runs / "cache"
 
+    @property
+    def guidance(self) -> dict[str, float]:
+        """A model's own scales by network; none of runs."""
+        return dict(self._bundle.config.guidance) if self._bundle else {}
+
     def has(self, name: str) -> bool:
         """Whether there is such a network."""
         if self._bundle:

@@ -193,9 +193,11 @@ def picture(path: Path, drawn: dict[str, list[tuple[float, dict]]], rows: dict[s
     figure.savefig(path, dpi=110)
 
 
-def scales(given: list[str]) -> dict[str, float]:
-    """Guidance of "rdm", "md" and the students ("pcm") from "W" for all and "NAME=W" for one."""
-    out: dict[str, float] = {}
+def scales(given: list[str], networks: Networks) -> dict[str, float]:
+    """Guidance of "rdm", "md" and the students ("pcm"): from "W" for all and "NAME=W" for one, or else the model's own,
+    and 1.5 of runs, which have none."""
+    own = {name.partition("-")[0]: w for name, w in networks.guidance.items()}
+    out = dict.fromkeys(("rdm", "md", "pcm"), 1.5) | own
     for item in given:
         name, equals, w = item.rpartition("=")
         out |= {name: float(w)} if equals else dict.fromkeys(("rdm", "md", "pcm"), float(w))
@@ -216,7 +218,7 @@ def main() -> None:
     parser.add_argument("--items", type=int, default=0, help="only so many sequences, drawn at random")
     parser.add_argument("--spread", type=int, default=12, help="samples of one sentence; 0 leaves the spread out")
     parser.add_argument("--steps", type=int, nargs="*", default=[10, 50], help="K of the table")
-    parser.add_argument("--guidance", nargs="*", default=["1.5"], metavar="[NETWORK=]W")
+    parser.add_argument("--guidance", nargs="*", default=[], metavar="[NETWORK=]W", help="instead of the model's own")
     parser.add_argument("--eta", type=float, default=0.0)
     parser.add_argument("--only", nargs="*", default=[], metavar="WORD", help="only rows whose names hold all of these")
     parser.add_argument("--methods", nargs="*", default=[], metavar="JSON", help="rows by hand: fields of Method")
@@ -230,7 +232,7 @@ def main() -> None:
     torch.set_num_threads(given.threads)
     networks = Networks(given.runs, given.model, dict(pair.split("=", 1) for pair in given.folder))
     judge = Judge(networks, Corpus.open(given.corpus), ContentClassifier.load(given.classifier), given)
-    w, drawn = scales(given.guidance), {}
+    w, drawn = scales(given.guidance, networks), {}
     asked: list[tuple[str, float, Method]] = [("", 0.0, m) for m in methods(networks, given.steps, w, given.eta)]
     if given.curves:
         found = curves(given.curve_steps, w["rdm"], given.eta)
