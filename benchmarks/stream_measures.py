@@ -72,7 +72,7 @@ def segment_laws(space: SegmentSpace, made: dict[str, Tensor], real: dict[str, T
 def seam_jerk(joints_FJ3: Tensor, n: int, fps: float) -> tuple[Tensor, Tensor]:
     """Sizes of the third derivative (m/s³, mean over joints) where four frames span a seam, and where they don't."""
     size = jerk_sizes(joints_FJ3, fps)
-    spans = near_seams(len(joints_FJ3), torch.arange(n, len(joints_FJ3), n), reach=1)
+    spans = near_seams(len(joints_FJ3), torch.arange(n, max(len(joints_FJ3), n), n), reach=1)
     return size[spans], size[~spans]
 
 
