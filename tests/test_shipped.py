@@ -6,11 +6,14 @@ import sys
 from pathlib import Path
 
 import pytest
+import torch
 
 from moveset import MotionStream, TextToMotion
 from moveset.io import load
 from moveset.pipelines.bundle import DEFAULT_MODEL, Bundle, shipped
 from moveset.pipelines.stream_bundle import DEFAULT_STREAM, StreamBundle
+from moveset.pipelines.stream_group import StreamGroup
+from moveset.pipelines.stream_settings import check_stream
 from moveset.pipelines.verified_folder import VerifiedFolder
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -107,6 +110,18 @@ def test_a_stream_walks_and_then_waves(network):
         lifted.append(max(float((w.amin(1) - n).max()) for w, n in zip(wrists, neck, strict=True)))
     assert sorted(walked)[2] > 2.5, walked  # half a walking pace for 5.6 s
     assert sum(both > 0 for both in lifted) >= 3, lifted
+
+
+def test_who_walks_goes_on_walking():
+    """For two minutes: in that time an earlier student fell into a shuffle and stayed in it."""
+    bundle = StreamBundle.find(DEFAULT_STREAM)
+    group = StreamGroup(bundle, check_stream(bundle.config).settings, device="cpu")
+    lanes = [group.open("a person walks", seed) for seed in range(4)]
+    made = [group.advance(lanes) for _ in range(86)]
+    for k in range(len(lanes)):
+        root = torch.cat([pieces[k].segment.motion.root for pieces in made[-8:]])[:, [0, 2]]
+        pace = (root[20:] - root[:-20]).norm(dim=-1)  # m/s, at 20 frames a second
+        assert pace.mean() > 0.9, (k, float(pace.mean()))
 
 
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.stem)
