@@ -195,6 +195,25 @@ def test_a_student_that_is_told_its_own_past_resumes_exactly(folder, rdm7, tmp_p
     assert torch.equal(whole.state()["previous"], half.state()["previous"])
 
 
+def test_streams_are_judged_without_their_past(folder, rdm7, tmp_path, monkeypatch):
+    judged, features = [], rdm_student._Bound.features
+    monkeypatch.setattr(
+        rdm_student._Bound, "features", lambda self, *given: judged.append(self.batch.index) or features(self, *given)
+    )
+    task, _ = trained(folder, "rdm-student", tmp_path / "run", "own_past=0.5", "cutting.first_share=0", steps=4)
+    assert len(judged) == 2 * 4  # what was made, and takes
+    assert all((index[task.own.rows] == 0).all() for index in judged)
+    takes = [row for row in range(task.config.batch) if row not in task.own.rows.tolist()]
+    assert any((index[takes] > 0).any() for index in judged)
+    assert (task.own.state()["index"] > 0).all()
+
+
+@pytest.mark.parametrize("wrong", [{"own_past": 1.5}, {"own_past": -0.1}, {"own_past": 0.5, "phases": 2}])
+def test_a_past_of_ones_own_is_for_one_evaluation(wrong):
+    with pytest.raises(InputError, match="own_past is"):
+        RDMStudentConfig(**wrong)
+
+
 def test_a_course_is_learned_from_a_bent_past(folder, tmp_path):
     task, _ = trained(folder, "md-7", tmp_path / "run", "heading=2.0", "bent=0.2", validate_every=3)
     log = [json.loads(line) for line in (tmp_path / "run" / "metrics.jsonl").read_text().splitlines()]

@@ -251,6 +251,7 @@ class RDMStudentTask(Task):
     ) -> tuple[Tensor, dict[str, Tensor]]:  # fmt: skip
         """How little the discriminator is fooled, after its own step; fake and real are noised to the judged time."""
         if self.config.own_past:
+            # Their pasts alone would tell streams from takes, and nothing would be learned of what they settle into.
             bound = bound.alone(self.alone)
             landed = bound.pull(made)
         else:
