@@ -5,8 +5,9 @@
 A stream is told its own past, so it may slide into another manner of what it was told and stay there: a walk that
 becomes a shuffle after two minutes. One stream of a sentence (``rollout.py``) may miss that, and so do distances of
 short sequences. Of every sentence ``--copies`` streams of ``--minutes``, as users get them. Pace is what the root
-travels over the ground within a second, in a straight line; "flagging" is the share of streams whose last half minute
-has less than 60 % of the median pace of the sentence's first half minute.
+travels over the ground within a second, in a straight line; jerk, in m/s³, is how lively those are who stay where they
+are. "flagging" is the share of streams whose last half minute has less than 60 % of the median pace of the sentence's
+first half minute, or of its jerk where that pace is below 0.3 m/s.
 """
 
 import argparse
@@ -17,25 +18,37 @@ import torch
 from torch import Tensor
 
 from course import FPS, streams
+from moveset.evaluation.physical import jerk_sizes
 from moveset.pipelines.stream_bundle import DEFAULT_STREAM, StreamBundle
 
-SENTENCES = ("a person walks", "a person walks forward", "someone walks at a normal pace", "a person runs")
+SENTENCES = (
+    "a person walks", "a person walks forward", "someone walks at a normal pace", "a person runs", "an old man walks",
+    "a person walks backward", "a person waves with both hands", "a person raises both hands", "a person dances salsa",
+    "a person punches",
+)  # fmt: skip
+TRAVELLING = 0.3
 HALF_MINUTE = int(30 * FPS)
 FLAGGING = 0.6
 
 
 def paces(joints_FJ3: Tensor) -> Tensor:
-    """Metres a second by half minute; what is left of less than half of one does not count."""
+    """Metres a second by half minute."""
     root = joints_FJ3[:, 0, [0, 2]]
     travelled = (root[int(FPS) :] - root[: -int(FPS)]).norm(dim=-1)
-    parts = travelled.split(HALF_MINUTE)
+    return by_half_minute(travelled)
+
+
+def by_half_minute(values_F: Tensor) -> Tensor:
+    """Means; of what is left at the end if it is half of one or more."""
+    parts = values_F.split(HALF_MINUTE)
     return torch.stack([part.mean() for part in parts if len(part) >= HALF_MINUTE // 2])
 
 
 def measured(clips: list[Tensor]) -> dict[str, object]:
     """Of joints (F, J, 3) of streams of one sentence."""
     pace = torch.stack([paces(joints) for joints in clips])
-    fresh = pace[:, 0].median()
+    jerk = torch.stack([by_half_minute(jerk_sizes(joints, FPS)) for joints in clips])
+    judged = pace if pace[:, 0].median() >= TRAVELLING else jerk
     quartiles = torch.quantile(pace, torch.tensor([0.25, 0.5, 0.75], dtype=pace.dtype), dim=0)
     return {
         "streams": len(clips),
@@ -44,7 +57,9 @@ def measured(clips: list[Tensor]) -> dict[str, object]:
             for name, row in zip(("lower quartile", "median", "upper quartile"), quartiles, strict=True)
         },
         "last": sorted(round(float(value), 2) for value in pace[:, -1]),
-        "flagging": round(float((pace[:, -1] < FLAGGING * fresh).double().mean()), 3),
+        "jerk": [round(float(value), 1) for value in jerk.median(dim=0).values],
+        "last_jerk": sorted(round(float(value), 1) for value in jerk[:, -1]),
+        "flagging": round(float((judged[:, -1] < FLAGGING * judged[:, 0].median()).double().mean()), 3),
     }
 
 
