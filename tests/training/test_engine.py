@@ -9,9 +9,9 @@ import torch
 from torch import nn
 
 from moveset.errors import InputError, MovesetError
+from moveset.io.lock import locked
 from moveset.training import checkpoint
 from moveset.training.engine import EngineConfig, Task, run, stream_seed
-from moveset.training.lock import locked
 from tests.training.tiny_task import TinyConfig, TinyTask, train
 
 

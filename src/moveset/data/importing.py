@@ -1,14 +1,12 @@
 """Import takes in parallel into a folder of small files, so that an interrupted build goes on where it stopped."""
 
 import json
-import os
 import sys
-import threading
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
 from dataclasses import dataclass
-from multiprocessing import get_context, parent_process
+from multiprocessing import get_context
 from pathlib import Path
 
 import torch
@@ -17,6 +15,7 @@ from moveset.data import bandai_namco, cmu
 from moveset.data.takes import RejectedTake, TakeRef
 from moveset.errors import FormatError, MovesetError
 from moveset.io.limits import atomic_write
+from moveset.io.parent import end_with_parent
 from moveset.motion.clip import Motion
 
 #: Part of every imported take's stamp: raise it when an importer changes.
@@ -86,15 +85,8 @@ def read_cached(ref: TakeRef, work: Path) -> Imported | None:
 
 def _prepare_worker() -> None:
     """One thread a worker, and an end when its parent is killed; otherwise it would wait for work for ever."""
+    end_with_parent()
     torch.set_num_threads(1)
-
-    def watch() -> None:
-        parent = parent_process()
-        if parent is not None:
-            parent.join()
-        os._exit(1)
-
-    threading.Thread(target=watch, daemon=True).start()
 
 
 def import_all(refs: list[TakeRef], work: Path, workers: int) -> None:

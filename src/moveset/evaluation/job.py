@@ -3,7 +3,6 @@
 import multiprocessing
 import os
 import sys
-import threading
 import traceback
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -20,6 +19,7 @@ from moveset.evaluation.items import ItemSet, open_items
 from moveset.evaluation.protocol import Protocol, Session, run_repeat
 from moveset.evaluation.results import Results
 from moveset.evaluation.rollout import run_rollout
+from moveset.io.parent import end_with_parent
 from moveset.pipelines.bundle import DEFAULT_MODEL, Bundle
 from moveset.pipelines.device import pick_device
 from moveset.pipelines.model_folder import BASELINE, STREAM, find_folder, task_of
@@ -311,21 +311,6 @@ def _start(job: Job, out: Path, rank: int, world: int) -> "SpawnProcess":
     process = multiprocessing.get_context("spawn").Process(target=_help, args=(job, out, rank, world), daemon=True)
     process.start()
     return process
-
-
-def end_with_parent() -> None:
-    """Let this process, which another one started by ``multiprocessing``, end as soon as that one is gone.
-
-    Whoever is killed cannot stop its helpers any more.
-    """
-    parent = multiprocessing.parent_process()
-    assert parent is not None
-
-    def follow() -> None:
-        parent.join()
-        os._exit(1)
-
-    threading.Thread(target=follow, daemon=True).start()
 
 
 def _help(job: Job, out: Path, rank: int, world: int) -> None:

@@ -6,7 +6,7 @@
 import json
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, TypeVar
@@ -18,6 +18,7 @@ from moveset.evaluation.repeat_pairs import RepeatPairs, Values, repeat_pairs
 from moveset.evaluation.suites import REAL, Row, RowResult, Suite, get_suite
 from moveset.evaluation.targets import Check, Difference, checks, differences
 from moveset.io.limits import atomic_write
+from moveset.io.lock import locked
 from moveset.pipelines.verified_folder import json_object
 
 ROWS = "rows.json"
@@ -209,19 +210,12 @@ def in_turn(out: Path) -> Iterator[None]:
     Raises:
         InputError: the folder cannot be made or written to.
     """
-    lock = out / "repeats" / ".lock"
-    try:
-        lock.parent.mkdir(parents=True, exist_ok=True)
-        file = lock.open("w")
-    except OSError as error:
-        raise InputError(f"cannot write to {str(out)!r}: {error.strerror or error}; choose another --out") from error
-    with file:
+    with ExitStack() as stack:
         try:
-            import fcntl
-        except ImportError:  # Windows has no flock; there nobody waits
-            yield
-            return
-        fcntl.flock(file, fcntl.LOCK_EX)
+            stack.enter_context(locked(out / "repeats"))
+        except OSError as error:
+            said = error.strerror or error
+            raise InputError(f"cannot write to {str(out)!r}: {said}; choose another --out") from error
         yield
 
 

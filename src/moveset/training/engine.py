@@ -23,9 +23,9 @@ import torch
 from torch import Tensor, nn
 
 from moveset.errors import InputError
+from moveset.io.lock import locked
 from moveset.training import checkpoint, resume
 from moveset.training.fabric import launch
-from moveset.training.lock import locked
 from moveset.training.log import TrainingLog
 from moveset.training.optim import set_lr
 
@@ -231,7 +231,8 @@ def run(
     cuda = [fabric.device] if fabric.device.type == "cuda" else []
     with ExitStack() as stack:
         if fabric.is_global_zero:
-            stack.enter_context(locked(folder))
+            busy = f"another training is running in {folder}; stop it or give another folder"
+            stack.enter_context(locked(folder, busy))
             checkpoint.clean(folder)
         # The caller's global generator is left as it was.
         stack.enter_context(torch.random.fork_rng(devices=cuda))
