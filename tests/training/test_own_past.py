@@ -3,6 +3,7 @@
 import pytest
 import torch
 
+from moveset.diffusion.phases import PhaseGrid
 from moveset.errors import InputError
 from moveset.training import own_past
 from moveset.training.own_past import OwnPast
@@ -10,6 +11,7 @@ from moveset.training.segments import SegmentBatch
 
 BATCH, FRAMES, FEATURES = 6, 4, 3
 W = torch.arange(BATCH) / 10
+ONE, TWO = PhaseGrid(10, 1), PhaseGrid(10, 2)
 
 
 def takes(step, partial=()):
@@ -29,13 +31,13 @@ def lasting(monkeypatch, segments, staying=0.5):
 
 def test_a_stream_is_told_what_was_made_of_it_and_takes_are_left_alone(monkeypatch):
     lasting(monkeypatch, 1e9)
-    own, draws = OwnPast(1 / 3, BATCH), torch.Generator().manual_seed(0)
+    own, draws = OwnPast(1 / 3, BATCH, ONE), torch.Generator().manual_seed(0)
     assert own.rows.tolist() == [0, 3]
     first, w = own.tell(takes(1), W, draws)
     assert first.captions[3] == "take 1 1"  # the second stream begins as the second take
     kept = w[own.rows]
     made = torch.randn(BATCH, FRAMES, FEATURES, generator=draws)
-    own.go_on(made)
+    own.go_on(made, made)
     batch, w = own.tell(takes(2), W + 1, draws)
     plain = takes(2)
     for row in range(BATCH):
@@ -54,9 +56,9 @@ def test_a_stream_is_told_what_was_made_of_it_and_takes_are_left_alone(monkeypat
 def test_a_new_sentence_is_said_to_a_stream_or_begins_another(monkeypatch):
     for staying in (0.0, 1.0):
         lasting(monkeypatch, 1, staying)
-        own, draws = OwnPast(0.5, BATCH), torch.Generator().manual_seed(0)
+        own, draws = OwnPast(0.5, BATCH, ONE), torch.Generator().manual_seed(0)
         own.tell(takes(1), W, draws)
-        own.go_on(torch.full((BATCH, FRAMES, FEATURES), -1.0))
+        own.go_on(*torch.full((2, BATCH, FRAMES, FEATURES), -1.0))
         batch, _ = own.tell(takes(2), W, draws)
         assert [batch.captions[row] for row in own.rows] == ["take 2 0", "take 2 1", "take 2 2"]
         assert torch.equal(batch.clean[own.rows], takes(2).clean[:3])
@@ -64,49 +66,86 @@ def test_a_new_sentence_is_said_to_a_stream_or_begins_another(monkeypatch):
         assert torch.equal(batch.previous[own.rows], expected)
 
 
+def test_a_segment_of_two_phases_takes_two_steps_and_goes_on_from_where_it_landed(monkeypatch):
+    lasting(monkeypatch, 1e9)
+    own, draws = OwnPast(1 / 3, BATCH, TWO), torch.Generator().manual_seed(0)
+    points, noisy = torch.full((BATCH,), 2), torch.zeros(BATCH, FRAMES, FEATURES)
+    made, landed = torch.randn((2, 4, BATCH, FRAMES, FEATURES), generator=draws)
+    told = []
+    for step in range(4):
+        point_B = own.place(points)
+        batch, _ = own.tell(takes(step), W, draws)
+        told.append(batch.previous[own.rows])
+        assert point_B.tolist() == [(9, 4)[step % 2], 2, 2] * 2
+        assert batch.index[own.rows].tolist() == [1 + step // 2] * 2
+        z = own.enter(noisy)
+        assert torch.equal(z[own.rows], landed[step - 1][own.rows] if step % 2 else noisy[own.rows])
+        assert not z[[1, 2, 4, 5]].any()
+        own.go_on(made[step], landed[step])
+    assert torch.equal(told[0], told[1])
+    assert torch.equal(told[2], told[3])
+    assert torch.equal(told[2], made[1][own.rows])
+
+
+def test_a_segment_is_finished_before_its_stream_gives_way(monkeypatch):
+    lasting(monkeypatch, 1)
+    own, draws = OwnPast(0.5, BATCH, TWO), torch.Generator().manual_seed(0)
+    said = []
+    for step in range(4):
+        said.append(own.tell(takes(step), W, draws)[0].captions[0])
+        own.go_on(*torch.zeros(2, BATCH, FRAMES, FEATURES))
+    assert said == ["take 0 0", "take 0 0", "take 2 0", "take 2 0"]
+
+
 def test_a_stream_lasts_as_long_as_it_says(monkeypatch):
     lasting(monkeypatch, 8)
-    own, draws, ended = OwnPast(0.5, BATCH), torch.Generator().manual_seed(0), 0
+    own, draws, ended = OwnPast(0.5, BATCH, ONE), torch.Generator().manual_seed(0), 0
     own.tell(takes(0), W, draws)
     for step in range(1, 2001):
-        own.go_on(torch.zeros(BATCH, FRAMES, FEATURES))
+        own.go_on(*torch.zeros(2, BATCH, FRAMES, FEATURES))
         batch, _ = own.tell(takes(step), W, draws)
         ended += sum(batch.captions[row].startswith(f"take {step} ") for row in own.rows)
     assert abs(ended / 6000 - 1 / 8) < 0.015
 
 
 def test_examples_are_whole_segments_and_what_a_stream_makes_is_judged_whole():
-    own, draws = OwnPast(0.5, BATCH), torch.Generator().manual_seed(0)
+    own, draws = OwnPast(0.5, BATCH, ONE), torch.Generator().manual_seed(0)
     batch, _ = own.tell(takes(1, partial=(0, 2, 3)), W, draws)
     assert [batch.captions[row] for row in own.rows] == ["take 1 1", "take 1 4", "take 1 5"]
     assert batch.valid[own.rows].all()
     assert not batch.valid[3].all()
     # Nothing but fragments: they have to do.
-    OwnPast(0.5, BATCH).tell(takes(1, partial=range(BATCH)), W, draws)
+    OwnPast(0.5, BATCH, ONE).tell(takes(1, partial=range(BATCH)), W, draws)
 
 
 def test_no_share_is_no_stream_and_a_share_of_none_is_refused():
-    own = OwnPast(0.0, BATCH)
+    own = OwnPast(0.0, BATCH, ONE)
     assert own.count == len(own.rows) == 0
     assert own.state() == {}
     with pytest.raises(InputError, match="not one row"):
-        OwnPast(0.01, BATCH)
+        OwnPast(0.01, BATCH, ONE)
 
 
 def test_other_streams_than_those_saved_begin_anew():
-    one, draws = OwnPast(0.5, BATCH), torch.Generator().manual_seed(0)
+    one, draws = OwnPast(0.5, BATCH, ONE), torch.Generator().manual_seed(0)
     one.tell(takes(1), W, draws)
+    state, cpu = one.state(), torch.device("cpu")
     for share in (0.0, 1.0):
-        other = OwnPast(share, BATCH)
-        other.load_state(one.state(), torch.device("cpu"))
+        other = OwnPast(share, BATCH, ONE)
+        other.load_state(state, cpu)
         assert other.state() == {}
+    # In the middle of a segment of more phases, and as saved when there was one phase only.
+    for wrong in (state | {"phase": state["phase"] + 1}, {name: state[name] for name in state if name != "phase"}):
+        one = OwnPast(0.5, BATCH, ONE)
+        one.load_state(wrong, cpu)
+        assert one.state() == {}
 
 
 def test_state_comes_back_to_the_last_stream():
-    one, draws = OwnPast(0.5, BATCH), torch.Generator().manual_seed(0)
+    one, draws = OwnPast(0.5, BATCH, ONE), torch.Generator().manual_seed(0)
     one.tell(takes(1), W, draws)
-    one.go_on(torch.randn(BATCH, FRAMES, FEATURES))
-    other = OwnPast(0.5, BATCH)
+    one.go_on(*torch.randn(2, BATCH, FRAMES, FEATURES))
+    other = OwnPast(0.5, BATCH, ONE)
     other.load_state(one.state(), torch.device("cpu"))
     for step in (2, 3):
         seeds = [torch.Generator().manual_seed(step) for _ in range(2)]

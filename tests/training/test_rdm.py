@@ -185,14 +185,15 @@ def test_a_students_discriminator_may_be_shown_the_text_of_others(folder, rdm7, 
         RDMStudentConfig(mismatched=2.0)
 
 
-def test_a_student_that_is_told_its_own_past_resumes_exactly(folder, rdm7, tmp_path):
-    settings = ("own_past=0.5", "sampled_share=0.5")
+@pytest.mark.parametrize("phases", [1, 2])
+def test_a_student_that_is_told_its_own_past_resumes_exactly(phases, folder, rdm7, tmp_path):
+    settings = ("own_past=0.5", "sampled_share=0.5", f"phases={phases}")
     whole, _ = trained(folder, "rdm-student", tmp_path / "whole", *settings, steps=6, save_every=3)
     shutil.copytree(tmp_path / "whole" / "step_3", tmp_path / "half" / "step_3")
     half, _ = trained(folder, "rdm-student", tmp_path / "half", *settings, steps=6, resume=True)
     one, other = tensors(whole), tensors(half)
     assert all(torch.equal(one[name], other[name]) for name in one)
-    assert torch.equal(whole.state()["previous"], half.state()["previous"])
+    assert all(torch.equal(whole.state()[name], half.state()[name]) for name in ("previous", "landed", "phase"))
 
 
 def test_streams_are_judged_without_their_past(folder, rdm7, tmp_path, monkeypatch):
@@ -208,10 +209,25 @@ def test_streams_are_judged_without_their_past(folder, rdm7, tmp_path, monkeypat
     assert (task.own.state()["index"] > 0).all()
 
 
-@pytest.mark.parametrize("wrong", [{"own_past": 1.5}, {"own_past": -0.1}, {"own_past": 0.5, "phases": 2}])
-def test_a_past_of_ones_own_is_for_one_evaluation(wrong):
-    with pytest.raises(InputError, match="own_past is"):
-        RDMStudentConfig(**wrong)
+def test_lower_phases_meet_what_the_student_landed_at(folder, rdm7, tmp_path, monkeypatch):
+    met, target = [], rdm_student.clean_target
+    monkeypatch.setattr(
+        rdm_student, "clean_target", lambda *given: met.append((given[-2], given[-3])) or target(*given)
+    )
+    landed, land = [], rdm_student._Bound.land
+    monkeypatch.setattr(rdm_student._Bound, "land", lambda *given: landed.append(land(*given)) or landed[-1])
+    task, _ = trained(folder, "rdm-student", tmp_path / "run", "own_past=0.5", "phases=2", steps=4)
+    rows = task.own.rows
+    assert [point_B[rows].unique().tolist() for point_B, _ in met] == [[9], [4], [9], [4]]
+    for step in (1, 3):
+        assert torch.equal(met[step][1][rows], landed[step - 1][rows])
+    assert not torch.equal(met[2][1][rows], landed[1][rows])
+
+
+@pytest.mark.parametrize("wrong", [1.5, -0.1])
+def test_a_share_of_own_pasts_is_a_share(wrong):
+    with pytest.raises(InputError, match="own_past"):
+        RDMStudentConfig(own_past=wrong)
 
 
 def test_a_course_is_learned_from_a_bent_past(folder, tmp_path):

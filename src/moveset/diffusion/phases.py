@@ -79,7 +79,11 @@ class PhaseGrid:
 
     def highest(self, i: Tensor) -> Tensor:
         """Highest solver point of the phase of point i: where sampling enters it."""
-        return ((self.phase(i) + 1) * self.points).div(self.phases, rounding_mode="floor") - 1
+        return self.highest_of(self.phase(i))
+
+    def highest_of(self, m: Tensor) -> Tensor:
+        """Highest solver point of phase m."""
+        return ((m + 1) * self.points).div(self.phases, rounding_mode="floor") - 1
 
     def lower(self, i: Tensor) -> Tensor:
         """s_m, the lower edge of the phase of point i, where the student lands."""

@@ -56,6 +56,7 @@ def draw(
     generator: torch.Generator,
     sampled_share: float = 0.0,
     judged_span: float = 1.0,
+    place: Callable[[Tensor], Tensor] | None = None,
 ) -> Draws:
     """Uniform solver points, guidance scales and judged times, and three independent noises.
 
@@ -66,6 +67,7 @@ def draw(
             sampling evaluates; the published method leaves them one in N / M items.
         judged_span: the lower part of each phase in which judged times lie; 1 as published. Of what is noised far
             nothing can be told.
+        place: may move the solver points (B,) once more.
     """
     batch, to, at = len(z0_BND), z0_BND.device, generator.device
     point_B = torch.randint(grid.points, (batch,), generator=generator, device=at)
@@ -74,6 +76,8 @@ def draw(
     if sampled_share:
         raised_B = torch.rand(batch, generator=generator, device=at) < sampled_share
         point_B = torch.where(raised_B, grid.highest(point_B), point_B)
+    if place is not None:
+        point_B = place(point_B)
     low_B, high_B = grid.lower(point_B), grid.upper(point_B)
     judged_B = low_B + (u_B * judged_span * (high_B - low_B + 1)).long()
     w_B = (w_range[0] + v_B * (w_range[1] - w_range[0])).to(z0_BND.dtype)

@@ -2,8 +2,9 @@
 
 A student of segments learns with predecessors from takes. In use it goes on from what it made itself, and what no take
 has (a slower step, a lower hip) becomes the next segment's past. Some rows of a batch are therefore running streams:
-each is told what the student made there a step ago, and what it makes now is what it is told next. Streams give way now
-and then: something else is said, either to the stream or where another one begins.
+each is told what the student made there a step ago, and what it makes now is what it is told next. A segment of several
+phases takes as many training steps, each from where the one before landed, so that lower phases meet the student's own
+guesses too. Streams give way now and then: something else is said, either to the stream or where another one begins.
 Source: scheduled sampling (Bengio et al. 2015, arXiv 1506.03099) and self forcing (Huang et al. 2025, arXiv
 2506.08009), here across training steps, so that a stream's length costs nothing.
 
@@ -12,12 +13,13 @@ Shapes: B rows, S of them streams, n frames of a segment, D features.
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import torch
 from torch import Tensor
 
+from moveset.diffusion.phases import PhaseGrid
 from moveset.errors import InputError
 from moveset.training.segments import SegmentBatch
 
@@ -29,12 +31,17 @@ STAYING = 0.5
 
 @dataclass(frozen=True, eq=False)
 class _Streams:
-    """What streams are told (S, …): past, segment number, guidance scale, sentence; and an example of the sentence."""
+    """What streams are told (S, …): past, segment number, guidance scale, sentence; and an example of the sentence.
+
+    ``phase`` is the one that is next, and ``landed`` the noisy segment there, of no meaning in the highest phase.
+    """
 
     previous: Tensor
     index: Tensor
     w: Tensor
     clean: Tensor
+    phase: Tensor
+    landed: Tensor
     captions: list[str]
 
 
@@ -44,12 +51,14 @@ class OwnPast:
     Args:
         share: of a batch's rows, spread evenly over it.
         batch: rows of a batch.
+        grid: the student's phases.
 
     Raises:
         InputError: a share that comes to no row.
     """
 
-    def __init__(self, share: float, batch: int) -> None:
+    def __init__(self, share: float, batch: int, grid: PhaseGrid) -> None:
+        self.grid = grid
         self.count = round(share * batch)
         if share and not self.count:
             raise InputError(f"own_past = {share} of a batch of {batch} is not one row; give a larger share or batch")
@@ -69,7 +78,8 @@ class OwnPast:
         offered = self._offered(batch, w_B)
         if self._streams is None:
             self._streams = offered
-        old, ends_S = self._streams, ends < 1 / SEGMENTS
+        old = self._streams
+        ends_S = (ends < 1 / SEGMENTS) & (old.phase == self.grid.phases - 1)
         begins_S = ends_S & (stays >= STAYING)
         new_captions = zip(ends_S.tolist(), offered.captions, old.captions, strict=True)
         now = self._streams = _Streams(
@@ -77,6 +87,8 @@ class OwnPast:
             _mixed(begins_S, offered.index, old.index),
             _mixed(begins_S, offered.w, old.w),
             _mixed(ends_S, offered.clean, old.clean),
+            old.phase,
+            old.landed,
             [new if end else kept for end, new, kept in new_captions],
         )
         rows, captions = self.rows.to(to), list(batch.captions)
@@ -92,19 +104,47 @@ class OwnPast:
         )
         return told, w_B.index_copy(0, rows, now.w)
 
-    def go_on(self, made_BnD: Tensor) -> None:
-        """What the student made of the batch that ``tell`` gave becomes the streams' past."""
+    def place(self, point_B: Tensor) -> Tensor:
+        """Solver points (B,): a stream's is the highest of the phase that it is in; before ``tell``."""
+        rows = self.rows.to(point_B.device)
+        if self._streams is None:
+            return point_B.index_fill(0, rows, self.grid.points - 1)
+        return point_B.index_copy(0, rows, self.grid.highest_of(self._streams.phase).to(rows.device))
+
+    def enter(self, z_BnD: Tensor) -> Tensor:
+        """Noisy segments (B, n, D) at these points: in the middle of a segment a stream is where it landed."""
+        if self._streams is None:
+            return z_BnD
+        rows, begun_S = self.rows.to(z_BnD.device), self._streams.phase < self.grid.phases - 1
+        return z_BnD.index_copy(0, rows, _mixed(begun_S, self._streams.landed, z_BnD[rows]))
+
+    def go_on(self, made_BnD: Tensor, landed_BnD: Tensor) -> None:
+        """What the student made of the batch that ``tell`` gave becomes the streams' past, at the end of a segment.
+
+        Args:
+            made_BnD: clean segments.
+            landed_BnD: noisy ones at the lower edges of their phases, where unfinished segments go on.
+        """
         assert self._streams is not None
-        made = made_BnD.detach()[self.rows.to(made_BnD.device)].to(self._streams.previous.dtype)
-        self._streams = replace(self._streams, previous=made, index=self._streams.index + 1)
+        old, rows = self._streams, self.rows.to(made_BnD.device)
+        made, landed = (x.detach()[rows].to(old.previous.dtype) for x in (made_BnD, landed_BnD))
+        done_S = old.phase == 0
+        self._streams = replace(
+            old,
+            previous=_mixed(done_S, made, old.previous),
+            index=old.index + done_S.long(),
+            phase=torch.where(done_S, self.grid.phases - 1, old.phase - 1),
+            landed=landed,
+        )
 
     def state(self) -> dict[str, Any]:
         """For a checkpoint; empty before the first step."""
         return {} if self._streams is None else vars(self._streams) | {"captions": json.dumps(self._streams.captions)}
 
     def load_state(self, state: Mapping[str, Any], device: torch.device) -> None:
-        """Takes back what ``state`` gave; of another number of streams nothing, they begin anew."""
-        if state and len(state["index"]) == self.count:
+        """Takes back what ``state`` gave; of other streams (fewer, of other phases) nothing, they begin anew."""
+        names = {field.name for field in fields(_Streams)}
+        if state.keys() == names and len(state["index"]) == self.count and int(state["phase"].max()) < self.grid.phases:
             tensors = {name: value.to(device) for name, value in state.items() if isinstance(value, Tensor)}
             self._streams = _Streams(**tensors, captions=json.loads(state["captions"]))
 
@@ -115,7 +155,8 @@ class OwnPast:
             whole = torch.arange(len(batch.index), device=whole.device)
         rows = whole[torch.arange(self.count, device=whole.device) % len(whole)]
         captions = [batch.captions[row] for row in rows.tolist()]
-        return _Streams(batch.previous[rows], batch.index[rows], w_B[rows], batch.clean[rows], captions)
+        clean, highest = batch.clean[rows], torch.full_like(batch.index[rows], self.grid.phases - 1)
+        return _Streams(batch.previous[rows], batch.index[rows], w_B[rows], clean, highest, clean, captions)
 
 
 def _mixed(these_S: Tensor, new: Tensor, old: Tensor) -> Tensor:

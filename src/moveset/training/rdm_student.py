@@ -14,10 +14,9 @@ from torch import Tensor, nn
 
 from moveset.diffusion.guidance import cfg
 from moveset.diffusion.phases import PhaseGrid
-from moveset.diffusion.steps import add_noise, denoise_step, over, renoise
-from moveset.errors import InputError
+from moveset.diffusion.steps import add_noise, denoise_step, over, predict_eps, renoise
 from moveset.models.discriminator import DiscriminatorConfig
-from moveset.models.registry import describe
+from moveset.models.registry import describe, require_range
 from moveset.models.segment_transformer import SegmentTransformerConfig
 from moveset.motion.features import Normalizer
 from moveset.pcm.consistency import Draws, draw
@@ -60,7 +59,7 @@ class RDMStudentConfig:
             come to (``rdm.distillation.whole_target``).
         heading, bent: as in the teacher's training (``RDMConfig``); the teacher is told the bent past too.
         own_past: share of a batch's rows that are told what the student made itself (``training.own_past``). They are
-            asked at the top of the highest phase, and judged without their past: not whether a segment goes on as
+            asked at the top of each phase in turn, and judged without their past: not whether a segment goes on as
             takes do, but whether it shows what is said as takes do.
         codec, frames: filled in from the teacher's.
         model: the student's architecture; filled in from the teacher's.
@@ -95,11 +94,7 @@ class RDMStudentConfig:
 
     def __post_init__(self) -> None:
         require_shares(self.sampled_share, self.mismatched, self.judged_span)
-        if not 0.0 <= self.own_past <= 1.0 or (self.own_past and self.phases != 1):
-            raise InputError(
-                f"own_past is {self.own_past} with {self.phases} phase(s); give a share from 0 to 1, and 0 unless a "
-                "segment is one evaluation"
-            )
+        require_range("own_past, the share of rows told what the student made,", self.own_past, 0.0, 1.0)
         if self.model is not None:
             object.__setattr__(self, "kind", describe(self.model)[0])
 
@@ -130,7 +125,7 @@ class RDMStudentTask(Task):
         self.config = replace(config, model=self.student.config, codec=shared.codec, frames=shared.grid.frames)
         self.ema = Ema(self.student, config.ema)
         self.grid = PhaseGrid(config.points, config.phases)
-        self.own = OwnPast(config.own_past, config.batch)
+        self.own = OwnPast(config.own_past, config.batch, self.grid)
         self.alone = torch.zeros(config.batch, dtype=torch.bool).index_fill(0, self.own.rows, True).to(loop.device)
         self.draws = loop.generator("draws")
         self.optimizer = torch.optim.AdamW(self.student.parameters(), config.lr, betas=(0.9, 0.999), weight_decay=0.0)
@@ -168,17 +163,16 @@ class RDMStudentTask(Task):
         if config.bent:
             bent = bend(batch.previous, batch.index, config.bent, self.data.codec, self.normalizer, self.draws)
             batch = replace(batch, previous=bent)
-        draws = self._coloured(
-            draw(self.grid, batch.clean, config.guidance, self.draws, config.sampled_share, config.judged_span)
-        )
+        shares = (config.sampled_share, config.judged_span)
+        draws = self._coloured(draw(self.grid, batch.clean, config.guidance, self.draws, *shares, self.own.place))
         if config.own_past:
             batch, w_B = self.own.tell(batch, draws.w_B, self.draws)
-            draws = replace(draws, w_B=w_B, point_B=draws.point_B.masked_fill(self.alone, self.grid.points - 1))
+            draws = replace(draws, w_B=w_B)
         # The student reads a roughened sentence and should say what is said to the sentence as it is.
         rough, text = self.data.read(batch.captions, self.draws), self.data.read(batch.captions)
         bound = _Bound(batch, text, self.data.read([""] * config.batch), self.transport, self.teacher)
         t_B, edge_B = self.grid.time(draws.point_B), self.grid.lower(draws.point_B)
-        z = add_noise(SCHEDULE, bound.pull(batch.clean), draws.noise_BND, t_B)
+        z = self.own.enter(add_noise(SCHEDULE, bound.pull(batch.clean), draws.noise_BND, t_B))
         target, share_B = clean_target(
             SCHEDULE, self.grid, bound.guided, bound.by(self.ema.module), bound.push, bound.pull, z, draws.point_B,
             draws.w_B,
@@ -191,7 +185,7 @@ class RDMStudentTask(Task):
             loss = loss + config.heading * (turn_B * share_B).mean()
             report["heading"] = turn_B.mean().detach()
         if config.rehearsed:
-            rehearsal = self._rehearse(batch.rows(config.rehearsed), draws)
+            rehearsal = self._rehearse(batch, draws, z)
             loss = loss + rehearsal
             report["rehearsal"] = rehearsal.detach()
         if config.adversarial:
@@ -199,19 +193,21 @@ class RDMStudentTask(Task):
             loss = loss + config.adversarial * fooled
             report |= seen
         if config.own_past:
-            self.own.go_on(made)
+            self.own.go_on(made, bound.land(z, made.detach(), t_B, edge_B))
         report["gradient_norm"] = loop.minimise(loss, "student")
         self.ema.update(self.student)
         return report | {"loss": loss.detach()}
 
-    def _rehearse(self, batch: SegmentBatch, draws: Draws) -> Tensor:
-        """Distance to the teacher's whole way down a phase, for the first rows of a batch."""
-        count = len(batch.index)
+    def _rehearse(self, batch: SegmentBatch, draws: Draws, z: Tensor) -> Tensor:
+        """Distance to the teacher's whole way down a phase, for the first rows of a batch; streams from theirs."""
+        count = self.config.rehearsed
+        batch, running_B = batch.rows(count), self.alone[:count]
         text, w_B = self.data.read(batch.captions), draws.w_B[:count]
         bound = _Bound(batch, text, self.data.read([""] * count), self.transport, self.teacher)
         phase_B = torch.randint(self.config.phases, (count,), generator=self.draws).to(w_B.device)
-        point_B = (phase_B + 1) * self.config.points // self.config.phases - 1
-        z = add_noise(SCHEDULE, bound.pull(batch.clean), draws.noise_BND[:count], self.grid.time(point_B))
+        point_B = torch.where(running_B, draws.point_B[:count], self.grid.highest_of(phase_B))
+        noisy = add_noise(SCHEDULE, bound.pull(batch.clean), draws.noise_BND[:count], self.grid.time(point_B))
+        z = torch.where(over(running_B, noisy), z[:count], noisy)
         target = whole_target(SCHEDULE, self.grid, bound.guided, bound.push, bound.pull, z, point_B, w_B)
         made = bound.by(self.student, self.data.read(batch.captions, self.draws))(
             bound.push(z), self.grid.time(point_B), w_B
@@ -250,12 +246,11 @@ class RDMStudentTask(Task):
         loop: Loop,
     ) -> tuple[Tensor, dict[str, Tensor]]:  # fmt: skip
         """How little the discriminator is fooled, after its own step; fake and real are noised to the judged time."""
+        eps = predict_eps(SCHEDULE, z, bound.pull(made), t_B)
         if self.config.own_past:
             # Their pasts alone would tell streams from takes, and nothing would be learned of what they settle into.
             bound = bound.alone(self.alone)
-            landed = bound.pull(made)
-        else:
-            landed = denoise_step(SCHEDULE, z, bound.pull(made), t_B, edge_B)
+        landed = add_noise(SCHEDULE, bound.pull(made), eps, edge_B)
         fake = bound.push(renoise(SCHEDULE, landed, edge_B, draws.judged_B, draws.fake_noise_BND))
         seen = bound.features(fake, draws.judged_B)
         with torch.no_grad():
@@ -337,8 +332,12 @@ class _Bound:
         y = noise
         for t, s in pairwise(times):
             t_B, s_B = (torch.full((len(y),), at, device=y.device) for at in (t, s))
-            y = denoise_step(SCHEDULE, y, self.pull(network(self.push(y), t_B, w_B)), t_B, s_B)
+            y = self.land(y, network(self.push(y), t_B, w_B), t_B, s_B)
         return self.push(y)
+
+    def land(self, z: Tensor, made: Tensor, t_B: Tensor, s_B: Tensor) -> Tensor:
+        """Where noisy segments z at t land at s, in y, if ``made`` (in x) is what they show."""
+        return denoise_step(SCHEDULE, z, self.pull(made), t_B, s_B)
 
 
 def _distance(made: Tensor, target: Tensor, weight: Tensor, valid_Bn: Tensor, c: float) -> Tensor:
