@@ -103,6 +103,12 @@ def test_lcm_takes_more_steps_with_fresh_noise(bundle):
     assert four.slug == "tiny-lcm-1-4-steps"
 
 
+@pytest.mark.parametrize("network", ["lcm", "lcm-1", "pcm-1", "pcm-4"])
+def test_a_network_without_steps_takes_its_own(bundle, network):
+    method = clip_method(bundle, network, None, 1.0)
+    assert f"{method.solver}-{method.steps}" == method.network == (network if "-" in network else "lcm-1")
+
+
 @pytest.mark.parametrize(
     ("network", "steps", "message"),
     [

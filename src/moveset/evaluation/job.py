@@ -161,10 +161,11 @@ def clip_method(bundle: Bundle, network: str | None, steps: int | None, guidance
         InputError: no such network or steps, or guidance out of range.
     """
     solver, _, count = (network or "pcm").partition("-")
-    if solver == "lcm" and steps is not None:
+    if solver == "lcm" and (steps is not None or count.isdigit()):
         known = bundle.config.steps("lcm")
         own = int(count) if count.isdigit() else known[0] if known else 0
         method = check_method(bundle.config, "lcm", own, guidance)
+        steps = own if steps is None else steps
         if not 1 <= steps <= bundle.config.points:
             raise InputError(f"{steps} steps are not in 1 to {bundle.config.points}, the solver points of training")
         return replace(method, steps=steps)
