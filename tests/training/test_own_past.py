@@ -71,20 +71,25 @@ def test_a_segment_of_two_phases_takes_two_steps_and_goes_on_from_where_it_lande
     own, draws = OwnPast(1 / 3, BATCH, TWO), torch.Generator().manual_seed(0)
     points, noisy = torch.full((BATCH,), 2), torch.zeros(BATCH, FRAMES, FEATURES)
     made, landed = torch.randn((2, 4, BATCH, FRAMES, FEATURES), generator=draws)
+    a, b = own.rows.tolist()
     told = []
     for step in range(4):
         point_B = own.place(points)
         batch, _ = own.tell(takes(step), W, draws)
-        told.append(batch.previous[own.rows])
-        assert point_B.tolist() == [(9, 4)[step % 2], 2, 2] * 2
-        assert batch.index[own.rows].tolist() == [1 + step // 2] * 2
+        told.append(batch.previous)
+        # They take turns: one begins where the other is in the middle.
+        high, low = (a, b) if step % 2 == 0 else (b, a)
+        assert (int(point_B[high]), int(point_B[low])) == (9, 4)
+        assert batch.index[[a, b]].tolist() == [1 + step // 2, 1 + (step + 1) // 2]
         z = own.enter(noisy)
-        assert torch.equal(z[own.rows], landed[step - 1][own.rows] if step % 2 else noisy[own.rows])
-        assert not z[[1, 2, 4, 5]].any()
+        assert torch.equal(z[low], landed[step - 1][low] if step else noisy[low])
+        assert not z[[row for row in range(BATCH) if row != low]].any()
         own.go_on(made[step], landed[step])
-    assert torch.equal(told[0], told[1])
-    assert torch.equal(told[2], told[3])
-    assert torch.equal(told[2], made[1][own.rows])
+    assert torch.equal(told[0][a], told[1][a])
+    assert torch.equal(told[2][a], told[3][a])
+    assert torch.equal(told[2][a], made[1][a])
+    assert torch.equal(told[1][b], made[0][b])
+    assert torch.equal(told[3][b], made[2][b])
 
 
 def test_a_segment_is_finished_before_its_stream_gives_way(monkeypatch):
@@ -92,9 +97,12 @@ def test_a_segment_is_finished_before_its_stream_gives_way(monkeypatch):
     own, draws = OwnPast(0.5, BATCH, TWO), torch.Generator().manual_seed(0)
     said = []
     for step in range(4):
-        said.append(own.tell(takes(step), W, draws)[0].captions[0])
+        captions = own.tell(takes(step), W, draws)[0].captions
+        said.append((captions[0], captions[2]))
         own.go_on(*torch.zeros(2, BATCH, FRAMES, FEATURES))
-    assert said == ["take 0 0", "take 0 0", "take 2 0", "take 2 0"]
+    # What one said in its middle it goes on saying; the other, a step ahead, is told something else.
+    assert [first for first, _ in said] == ["take 0 0", "take 0 0", "take 2 0", "take 2 0"]
+    assert [second for _, second in said] == ["take 0 1", "take 1 1", "take 1 1", "take 3 1"]
 
 
 def test_a_stream_lasts_as_long_as_it_says(monkeypatch):

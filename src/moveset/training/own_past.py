@@ -4,7 +4,8 @@ A student of segments learns with predecessors from takes. In use it goes on fro
 has (a slower step, a lower hip) becomes the next segment's past. Some rows of a batch are therefore running streams:
 each is told what the student made there a step ago, and what it makes now is what it is told next. A segment of several
 phases takes as many training steps, each from where the one before landed, so that lower phases meet the student's own
-guesses too. Streams give way now and then: something else is said, either to the stream or where another one begins.
+guesses too; streams take turns, so that every batch has all phases. Streams give way now and then: something else is
+said, either to the stream or where another one begins.
 Source: scheduled sampling (Bengio et al. 2015, arXiv 1506.03099) and self forcing (Huang et al. 2025, arXiv
 2506.08009), here across training steps, so that a stream's length costs nothing.
 
@@ -33,7 +34,7 @@ STAYING = 0.5
 class _Streams:
     """What streams are told (S, …): past, segment number, guidance scale, sentence; and an example of the sentence.
 
-    ``phase`` is the one that is next, and ``landed`` the noisy segment there, of no meaning in the highest phase.
+    ``phase`` is the one that is next, and ``landed`` the noisy segment there, of no meaning where one begins.
     """
 
     previous: Tensor
@@ -64,6 +65,7 @@ class OwnPast:
             raise InputError(f"own_past = {share} of a batch of {batch} is not one row; give a larger share or batch")
         self.rows = torch.arange(self.count) * batch // max(self.count, 1)
         self._streams: _Streams | None = None
+        self._moving = False
 
     def tell(self, batch: SegmentBatch, w_B: Tensor, generator: torch.Generator) -> tuple[SegmentBatch, Tensor]:
         """A batch of takes with streams instead of some rows, and guidance scales (B,): a stream keeps its own.
@@ -107,13 +109,15 @@ class OwnPast:
     def place(self, point_B: Tensor) -> Tensor:
         """Solver points (B,): a stream's is the highest of the phase that it is in; before ``tell``."""
         rows = self.rows.to(point_B.device)
-        if self._streams is None:
-            return point_B.index_fill(0, rows, self.grid.points - 1)
-        return point_B.index_copy(0, rows, self.grid.highest_of(self._streams.phase).to(rows.device))
+        phase_S = self._turns() if self._streams is None else self._streams.phase
+        return point_B.index_copy(0, rows, self.grid.highest_of(phase_S.to(rows.device)))
 
     def enter(self, z_BnD: Tensor) -> Tensor:
-        """Noisy segments (B, n, D) at these points: in the middle of a segment a stream is where it landed."""
-        if self._streams is None:
+        """Noisy segments (B, n, D) at these points: in the middle of a segment a stream is where it landed.
+
+        Before anything was made it is where a take's segment is.
+        """
+        if self._streams is None or not self._moving:
             return z_BnD
         rows, begun_S = self.rows.to(z_BnD.device), self._streams.phase < self.grid.phases - 1
         return z_BnD.index_copy(0, rows, _mixed(begun_S, self._streams.landed, z_BnD[rows]))
@@ -128,7 +132,7 @@ class OwnPast:
         assert self._streams is not None
         old, rows = self._streams, self.rows.to(made_BnD.device)
         made, landed = (x.detach()[rows].to(old.previous.dtype) for x in (made_BnD, landed_BnD))
-        done_S = old.phase == 0
+        done_S, self._moving = old.phase == 0, True
         self._streams = replace(
             old,
             previous=_mixed(done_S, made, old.previous),
@@ -146,7 +150,7 @@ class OwnPast:
         names = {field.name for field in fields(_Streams)}
         if state.keys() == names and len(state["index"]) == self.count and int(state["phase"].max()) < self.grid.phases:
             tensors = {name: value.to(device) for name, value in state.items() if isinstance(value, Tensor)}
-            self._streams = _Streams(**tensors, captions=json.loads(state["captions"]))
+            self._streams, self._moving = _Streams(**tensors, captions=json.loads(state["captions"])), True
 
     def _offered(self, batch: SegmentBatch, w_B: Tensor) -> _Streams:
         """Takes' rows to begin with, for every stream one: those without frames missing, while there are any."""
@@ -155,8 +159,12 @@ class OwnPast:
             whole = torch.arange(len(batch.index), device=whole.device)
         rows = whole[torch.arange(self.count, device=whole.device) % len(whole)]
         captions = [batch.captions[row] for row in rows.tolist()]
-        clean, highest = batch.clean[rows], torch.full_like(batch.index[rows], self.grid.phases - 1)
-        return _Streams(batch.previous[rows], batch.index[rows], w_B[rows], clean, highest, clean, captions)
+        clean, phase = batch.clean[rows], self._turns().to(batch.index.device)
+        return _Streams(batch.previous[rows], batch.index[rows], w_B[rows], clean, phase, clean, captions)
+
+    def _turns(self) -> Tensor:
+        """Phases (S,) in which streams begin: the highest, the one below, and so on."""
+        return (self.grid.phases - 1 - torch.arange(self.count)) % self.grid.phases
 
 
 def _mixed(these_S: Tensor, new: Tensor, old: Tensor) -> Tensor:
