@@ -2,6 +2,7 @@
 
 import json
 
+import numpy as np
 import pytest
 
 from moveset.cli.__main__ import main
@@ -66,6 +67,15 @@ def test_an_item_of_many_is_that_item_alone(generate, tmp_path):
     assert generate(PROMPT, "--seed", "10", "--seconds", "1", "-o", "alone.bvh")[0] == 0
     assert (tmp_path / "w-3.bvh").read_bytes() == (tmp_path / "alone.bvh").read_bytes()
     assert (tmp_path / "w-2.bvh").read_bytes() != (tmp_path / "alone.bvh").read_bytes()
+
+
+def test_variants_keep_the_whole_extension(generate, tmp_path):
+    code, _, _ = generate("a person walks", "--seconds", "1", "--num", "2", "-o", "take.amass.npz", "run.1.npz")
+    assert code == 0
+    for k in range(2):
+        with np.load(tmp_path / f"take-{k}.amass.npz") as made:
+            assert made["poses"].shape == (20, 156)
+        assert (tmp_path / f"run.1-{k}.npz").exists()
 
 
 def test_a_timeline(generate):

@@ -1,5 +1,6 @@
 """Which files a command writes, checked before anything is computed."""
 
+import re
 import tempfile
 import time
 from collections.abc import Mapping, Sequence
@@ -28,7 +29,7 @@ def plan_outputs(outputs: Sequence[Path], names: Sequence[str]) -> list[list[Pat
             raise InputError(f"cannot write {str(path)!r}: it is a folder; give the path of a file")
     for folder in {path.parent for path in outputs}:
         check_folder(folder)
-    planned = [[path.with_stem(f"{path.stem}-{name}") if name else path for path in outputs] for name in names]
+    planned = [[_named(path, name) if name else path for path in outputs] for name in names]
     everything = [path for paths in planned for path in paths]
     if twice := {path for path in everything if everything.count(path) > 1} if len(outputs) > 1 else ():
         raise InputError(f"{str(min(twice))!r} would be written twice; give every output a name of its own")
@@ -53,6 +54,13 @@ def write(
         except OSError as error:
             raise InputError(f"cannot write {str(path)!r}: {error.strerror or error}; choose another place") from error
     return motion, round((time.perf_counter() - start) * 1e3, 3)
+
+
+def _named(path: Path, name: str) -> Path:
+    # ".amass.npz" is one extension: a name within it would make another kind of npz.
+    suffix = re.search(r"(\.amass)?\.[^.]+$", path.name, re.IGNORECASE)
+    assert suffix is not None
+    return path.with_name(f"{path.name[: suffix.start()]}-{name}{suffix[0]}")
 
 
 def check_folder(folder: Path) -> None:
