@@ -120,6 +120,7 @@ BAD_NPY = {
     "empty": b"",
     "not npy": b"hello, this is no array",
     "pickle": b"\x80\x04\x95\x0b\x00\x00\x00\x00\x00\x00\x00\x8c\x07os.exit\x94.",
+    "endless header": b"\x93NUMPY\x01\x00" + np.uint16(118).tobytes() + b"{'shape': (3, 22, 3".ljust(117) + b"\n",
     "header is code": b"\x93NUMPY\x01\x00" + np.uint16(118).tobytes() + b"__import__('os').getcwd()".ljust(117) + b"\n",
 }
 
@@ -194,6 +195,14 @@ def test_zip_tricks_are_refused(arrays, tmp_path):
         bundle.writestr("rotations.npy", npy(arrays["rotations"]))
     with pytest.raises(FormatError, match="unusual"):
         read_npz(path)
+    for bit in (5, 6):  # patched data, strong encryption
+        with zipfile.ZipFile(path, "w") as bundle:
+            bundle.writestr("rotations.npy", npy(arrays["rotations"]))
+        data = bytearray(path.read_bytes())
+        data[data.index(b"PK\x01\x02") + 8] |= 1 << bit
+        path.write_bytes(data)
+        with pytest.raises(FormatError, match="rotations"):
+            read_npz(path)
     with zipfile.ZipFile(path, "w") as bundle:
         for k in range(100):
             bundle.writestr(f"{k}.npy", b"")

@@ -162,6 +162,7 @@ def test_more_than_can_be_read_back_is_refused(walk, tmp_path, monkeypatch):
         (("scenes", 0, "takes", 0, "data"), "ä"),
         (("scenes", 0, "takes", 0, "data"), [1]),
         (("scenes", 0, "skeleton", "parents"), [5] * 22),
+        (("scenes", 0, "skeleton", "parents"), [float("inf")] * 22),
         (("scenes", 0, "skeleton", "offsets"), [["x"]]),
         (("scenes", 0, "skeleton", "joints"), ["a"]),
         (("scenes", 0, "skeleton"), 7),

@@ -7,6 +7,7 @@ pose, and ``metadata``, a JSON object.
 
 import json
 import math
+import tokenize
 import zipfile
 import zlib
 from collections.abc import Mapping
@@ -226,7 +227,7 @@ class _Npz:
         try:
             with self.zip.open(member) as file:
                 values = _array(file, member.file_size, f"{self.path}, {name!r}", kinds)
-        except (zipfile.BadZipFile, zlib.error, EOFError, OSError, ValueError) as error:
+        except (zipfile.BadZipFile, zlib.error, EOFError, OSError, ValueError, NotImplementedError) as error:
             raise FormatError(f"{self.path}: {name!r} is damaged ({error}); save it again") from error
         if len(values.shape) != len(shape) or any(w not in (None, h) for h, w in zip(values.shape, shape, strict=True)):
             wanted = ", ".join("any" if size is None else str(size) for size in shape)
@@ -246,7 +247,7 @@ def _array(file: IO[bytes], size: int, where: str, kinds: str) -> np.ndarray:
             raise ValueError(f"npy version {version}")
         read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
         shape, fortran, dtype = read(file, max_header_size=10_000)
-    except (ValueError, EOFError) as error:
+    except (ValueError, EOFError, SyntaxError, tokenize.TokenError) as error:  # numpy parses a header as Python
         raise FormatError(f"{where}: no npy header ({str(error)[:80]}); save it again with numpy") from error
     if dtype.kind not in kinds or dtype.hasobject:
         raise FormatError(f"{where}: its type is {dtype}, not numbers of the kind needed; save it as plain numbers")

@@ -187,7 +187,7 @@ def read_html(path: str | Path) -> Motion:
         parents = tuple(int(parent) for parent in told["parents"][:MAX_JOINTS])
         offsets = torch.tensor(told["offsets"][:MAX_JOINTS], dtype=torch.float32)
         skeleton = as_skeleton(str(told["name"])[:64], joints, parents, offsets)
-    except (LookupError, TypeError, ValueError, RuntimeError, AttributeError, InputError) as error:
+    except (LookupError, TypeError, ArithmeticError, ValueError, RuntimeError, AttributeError, InputError) as error:
         raise FormatError(f"{path} is a damaged page of motions; make it again") from error
     return unpack_packets(packets, skeleton=skeleton).motion
 
