@@ -7,6 +7,7 @@ import pytest
 
 from moveset import load
 from moveset.cli.__main__ import main
+from moveset.io import read_metadata
 from moveset.io.take_writer import open_take
 from moveset.pipelines import model_folder
 from moveset.pipelines.text_to_motion import TextToMotion
@@ -40,6 +41,21 @@ def test_convert_retargets_and_resamples(clip, tmp_path, capsys):
     assert main(["convert", str(clip), str(target), "--skeleton", "vrm", "--fps", "30"]) == 0
     assert "on vrm" in capsys.readouterr().out
     assert load(target).fps == 30
+
+
+@pytest.mark.parametrize("suffix", [".bvh", ".glb", ".html", ".npz", ".amass.npz", ".png"])
+def test_convert_keeps_what_was_said(clip, tmp_path, suffix):
+    (tmp_path / "clip.bvh.json").write_text('{"prompt": "a person walks", "seed": 3}')
+    other = tmp_path / f"other{suffix}"
+    for middle in (clip, tmp_path / "middle.glb"):
+        assert main(["convert", str(clip), str(middle)]) == 0
+        assert main(["convert", str(middle), str(other), "--fps", "30", "--skeleton", "smpl"]) == 0
+        told = read_metadata(other)
+        assert (told.pop("fps", 30), told.pop("skeleton", "smpl")) == (30, "smpl")
+        assert told == {"prompt": "a person walks", "seed": 3}
+    (tmp_path / "clip.bvh.json").write_text("no JSON")
+    assert main(["convert", str(clip), str(other)]) == 0
+    assert read_metadata(other).keys() <= {"fps", "skeleton"}
 
 
 @pytest.mark.parametrize("suffix", [".bvh", ".glb", ".npz"])

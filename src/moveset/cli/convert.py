@@ -1,9 +1,11 @@
 """``moveset convert``: one motion file to another format, skeleton or frame rate."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import tyro
+
+from moveset.errors import FormatError
 
 
 def convert(
@@ -35,6 +37,18 @@ def convert(
         frames = recover_take(source)
         source = source.with_suffix("")
         print(f"{source}: {frames} frames rescued")
-    motion, _ = write(load(source), paths, finish, {})
+    motion, _ = write(load(source), paths, finish, _notes(source))
     print(f"{target}: {len(motion)} frames at {motion.fps:g} fps on {motion.skeleton.name}")
     return 0
+
+
+def _notes(source: Path) -> dict[str, Any]:
+    """What the file remembers of how its motion was made."""
+    from moveset.io import read_metadata
+
+    try:
+        found = read_metadata(source)
+    except FormatError:  # a motion that can be read is worth converting without them
+        return {}
+    # What a GLB says of its frames is not what the new file has.
+    return {key: value for key, value in found.items() if key not in ("fps", "skeleton")}

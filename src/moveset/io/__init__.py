@@ -87,7 +87,8 @@ def save(motion: "Motion", path: str | Path, *, metadata: Mapping[str, str | int
             arrays.write_npz(motion, path, metadata=notes)
     else:
         _save_picture(motion, path, suffix, notes)
-    if notes and (suffix in (".bvh", ".npy") or _is_amass(path)):
+    # Where there are none, those of another motion that was here before must not be taken for its own.
+    if (suffix in (".bvh", ".npy") or _is_amass(path)) and (notes or _beside(path).exists()):
         save_beside(notes, path)
     return path
 
