@@ -158,6 +158,22 @@ def test_prompts_from_a_file_take_effect(stream, tmp_path):
     assert found[-1]["prompt"] == "a person bows"
 
 
+def test_of_prompts_that_come_at_once_the_last_that_can_be_told_counts(stream, tmp_path):
+    (tmp_path / "lines.txt").write_text("a person walks\na person bows\nbad \x01 one\n")
+    code, out, err = stream("a person runs", "--prompts", "lines.txt", "--json")
+    assert code == 0
+    assert rows(out)[-1]["prompt"] == "a person bows"
+    assert "control characters" in err
+    assert "left out, since a newer prompt came: a person walks\n" in err
+
+
+def test_a_closed_standard_input_has_no_prompts(model, tmp_path):
+    command = f"{sys.executable} -m moveset.cli stream 'a person walks' --prompts - --total 1.4 --model {model} <&-"
+    done = subprocess.run(["sh", "-c", command], cwd=tmp_path, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0
+    assert "Traceback" not in done.stderr
+
+
 def test_prompts_from_standard_input_arrive_while_it_runs(process):
     child = process("a person walks", "--prompts", "-", "--total", "8.4", "--json")
     first = json.loads(child.stdout.readline())

@@ -56,7 +56,7 @@ class PromptLines:
         rest = b""
         try:
             # Not by way of sys.stdin, whose lock the interpreter wants when it ends.
-            handle = sys.stdin.fileno() if str(self._source) == "-" else os.open(self._source, os.O_RDONLY)
+            handle = _standard_input() if str(self._source) == "-" else os.open(self._source, os.O_RDONLY)
             while data := os.read(handle, _BYTES):
                 *lines, rest = (rest + data).split(b"\n")
                 rest = rest[:_LONGEST]
@@ -71,3 +71,9 @@ class PromptLines:
     def _put(self, line: bytes) -> None:
         if text := line.decode(errors="replace").strip():
             self._lines.put(text)
+
+
+def _standard_input() -> int:
+    if sys.stdin is None:  # closed by whoever started this process
+        raise OSError("there is no standard input")
+    return sys.stdin.fileno()

@@ -59,8 +59,9 @@ def stream(
         forever: Go on until interrupted.
         loop: Begin again after the last prompt, with --total or --forever.
         prompts: Read more prompts while it runs, one a line, from a file, a named pipe or - (standard input). Each
-            takes effect with the next segment; while they may still come, the motion is made in real time. Without
-            --total or --forever the stream ends after the input does.
+            takes effect with the next segment, and of several that come between two segments the last; while they may
+            still come, the motion is made in real time. Without --total or --forever the stream ends after the input
+            does. A list that is known beforehand is better given as PROMPTs with --seconds.
         realtime: Make a second of motion a second, one segment ahead, instead of as fast as possible.
         model: A shipped stream model (see `moveset models`) or a model folder.
         network: pcm-1, pcm-2 or pcm-4: students of that many evaluations a segment. rdm: the recurrent model itself.
@@ -158,15 +159,20 @@ def _row(segment: "Segment", frames: int) -> dict[str, Any]:
 
 
 def _tell(made: "MotionStream", lines: "PromptLines") -> None:
-    """Hand on the newest prompt that has been given since the last segment."""
-    for text in lines.new()[-1:]:
+    """Hand on the newest prompt that has been given since the last segment; say which ones it comes instead of."""
+    found = lines.new()
+    while found:
+        text = found.pop()
         try:
             frame = made.prompt(text)
         except InputError as error:
             print(f"moveset: {' '.join(str(error).split())}", file=sys.stderr)
-        else:
-            print(f"moveset: from frame {frame}: {text}", file=sys.stderr)
-            _warn(made)
+            continue
+        print(f"moveset: from frame {frame}: {text}", file=sys.stderr)
+        _warn(made)
+        if found:
+            print(f"moveset: left out, since a newer prompt came: {' | '.join(found)}", file=sys.stderr)
+        return
 
 
 def _wait(until: float, interrupts: Any) -> None:
