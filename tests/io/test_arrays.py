@@ -48,6 +48,11 @@ def test_amass_round_trip(motion, tmp_path):
     assert found.skeleton is HML22
 
 
+def test_amass_of_a_streams_segment(motion, tmp_path):
+    write_amass(Motion(motion.rotations.double(), motion.root.double()), tmp_path / "a.npz")
+    assert (read_npz(tmp_path / "a.npz").joints - motion.joints).abs().max() < 1e-5
+
+
 def test_amass_conventions(tmp_path):
     """A standing body in AMASS: Z up, facing -Y at zero heading, pelvis about 0.9 m up; SMPL-H has 52 joints."""
     write_amass(gait(8), tmp_path / "a.npz")

@@ -74,7 +74,7 @@ def write_amass(motion: Motion, path: str | Path) -> None:
         InputError: the path cannot be written to, or the skeleton cannot be retargeted to SMPL's joints.
     """
     motion = motion if motion.skeleton.joints[:22] == HML22.joints else retarget(motion, "hml22")
-    up = rotations.inv(_Z_TO_Y)
+    up = rotations.inv(_Z_TO_Y).to(motion.rotations)  # pieces of a stream are float64
     local = motion.rotations[:, :22].clone()
     local[:, 0] = rotations.mul(up, local[:, 0])
     poses = np.zeros((len(motion), 156), dtype=np.float64)

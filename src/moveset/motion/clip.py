@@ -19,8 +19,8 @@ class Motion:
     """A clip of motion.
 
     Args:
-        rotations: (F, J, 4) local joint rotations, unit quaternions xyzw, float32.
-        root: (F, 3) world position of the root joint, metres, float32.
+        rotations: (F, J, 4) local joint rotations, unit quaternions xyzw, float32; float64 in a stream's segments.
+        root: (F, 3) world position of the root joint, metres, likewise.
         fps: frames per second.
         skeleton: the joint tree and its rest pose.
 
