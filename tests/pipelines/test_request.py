@@ -1,5 +1,6 @@
 """Every limit refuses in one sentence that names the value, the limit and the remedy."""
 
+import numpy as np
 import pytest
 
 from moveset.errors import InputError
@@ -27,6 +28,12 @@ def test_one_duration_serves_all_prompts():
     assert check_request(CONFIG, ["a", "b"])[0].frames == (None, None)
 
 
+def test_numbers_of_numpy_are_numbers():
+    [made] = check_request(CONFIG, "a", np.float32(2.0), seed=np.int64(3))
+    assert made == check_request(CONFIG, "a", 2.0, seed=3)[0]
+    assert type(made.seed) is int
+
+
 @pytest.mark.parametrize(
     ("given", "message"),
     [
@@ -42,6 +49,8 @@ def test_one_duration_serves_all_prompts():
         ({"seconds": float("nan")}, "nan seconds"),
         ({"seconds": float("inf")}, "inf seconds"),
         ({"seconds": [1.0, 2.0]}, "2 durations do not fit 1 prompts"),
+        ({"prompt": [None]}, "the prompt None is no text"),
+        ({"seed": 1.5}, "seed 1.5 is not a whole number"),
         ({"seed": -1}, "seed -1 is not in 0 to"),
         ({"seed": 2**63}, "is not in 0 to"),
         ({"num": 0}, "num 0 is not in 1 to 1000"),

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from numbers import Integral, Real
 
 from moveset.errors import InputError
 from moveset.pipelines.bundle import SOLVERS, BundleConfig
@@ -63,15 +64,17 @@ def check_request(
         check_prompt(text)
     if not 1 <= num <= MAX_NUM:
         raise InputError(f"num {num} is not in 1 to {MAX_NUM}; run again with another seed for more")
+    if not isinstance(seed, Integral):
+        raise InputError(f"seed {seed!r} is not a whole number; give one such as 7")
     if not 0 <= seed <= SEEDS - num:
         raise InputError(f"seed {seed} is not in 0 to {SEEDS - num}; give a smaller whole number")
-    given = (seconds,) * len(prompts) if seconds is None or isinstance(seconds, int | float) else tuple(seconds)
+    given = (seconds,) * len(prompts) if seconds is None or isinstance(seconds, Real) else tuple(seconds)
     if len(given) == 1:
         given *= len(prompts)
     if len(given) != len(prompts):
         raise InputError(f"{len(given)} durations do not fit {len(prompts)} prompts; give one for all or one for each")
     frames = tuple(None if s is None else _frames(s, config) for s in given)
-    return tuple(Request(prompts, frames, seed + k) for k in range(num))
+    return tuple(Request(prompts, frames, int(seed) + k) for k in range(num))
 
 
 def check_method(
@@ -123,6 +126,8 @@ def check_prompt(text: str) -> None:
     Raises:
         InputError: an empty or very long prompt, or control characters.
     """
+    if not isinstance(text, str):
+        raise InputError(f"the prompt {text!r} is no text; describe a motion, such as 'a person walks forward'")
     if not text.strip():
         raise InputError("the prompt is empty; describe a motion, such as 'a person walks forward and waves'")
     if len(text) > MAX_PROMPT:
