@@ -183,7 +183,7 @@ def test_answers_that_wait_to_be_written_count(serving):
     [
         ({"prompts": [WALK], "model": "huge"}, 404, "huge"),
         ({"prompts": [WALK], "model": "tiny-stream"}, 404, "tiny-stream"),
-        ({"prompts": [WALK], "steps": 3}, 400, "3 steps"),
+        ({"prompts": [WALK], "steps": 3}, 400, "has no 3 steps; choose 1, 2, 4, 50"),
         ({"prompts": [WALK], "format": "fbx"}, 400, "fbx"),
         ({"prompts": [WALK], "format": "../x"}, 400, "x"),
         ({"prompts": [WALK], "format": "bvh", "num": 2}, 400, "2 variants"),

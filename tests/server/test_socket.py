@@ -192,7 +192,7 @@ def test_steps_change_from_the_next_segment_on(talk):
         assert one.until("segment")[-1]["network_evaluations"] == 2
         one.until("packet")
         one.say(type="set", steps=3)
-        assert "no student for 3 steps" in one.until("error")[-1]["message"]
+        assert "has no 3 steps; choose 1, 2" in one.until("error")[-1]["message"]
         one.say(type="played", frame=70)
         assert one.until("segment")[-1]["network_evaluations"] == 2
 

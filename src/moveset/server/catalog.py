@@ -87,6 +87,7 @@ class Catalog:
         Raises:
             InputError: no such number of steps, or guidance out of range.
         """
+        _check_steps(_clip_row(t2m), steps)
         teacher = steps == TEACHER_STEPS and "teacher" in t2m.bundle.config.models
         return check_method(t2m.bundle.config, "teacher" if teacher else "pcm", steps, guidance)
 
@@ -98,6 +99,8 @@ class Catalog:
         Raises:
             InputError: anything out of range.
         """
+        if bundle.config.network.startswith("pcm-"):
+            _check_steps(_stream_row(bundle), steps)
         return check_stream(bundle.config, prompt, seed=seed, steps=steps, guidance=guidance)
 
     def group(self, bundle: StreamBundle, settings: StreamSettings) -> StreamGroup:
@@ -164,6 +167,13 @@ def varied(sentences: Sequence[str], pooled: torch.Tensor, count: int = SUGGESTI
 
 def _first(models: dict[str, Any], preferred: str) -> str | None:
     return preferred if preferred in models else next(iter(models), None)
+
+
+def _check_steps(row: dict[str, Any], steps: int | None) -> None:
+    # Below here other solvers and networks would be recommended, which clients cannot choose.
+    if steps is not None and steps not in row["steps"]:
+        choice = ", ".join(map(str, row["steps"]))
+        raise InputError(f"model {row['name']!r} has no {steps} steps; choose {choice}")
 
 
 def _clip_row(t2m: TextToMotion) -> dict[str, Any]:
