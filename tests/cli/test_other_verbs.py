@@ -12,6 +12,7 @@ from moveset.io.take_writer import open_take
 from moveset.pipelines import model_folder
 from moveset.pipelines.text_to_motion import TextToMotion
 from tests.bundles import tiny_bundle
+from tests.streams import tiny_stream
 
 
 @pytest.fixture(scope="module")
@@ -113,6 +114,11 @@ def test_doctor_is_content_with_a_whole_installation(shipped, model, capsys):
     assert set(report["checks"]) == {"device", "weights", "video", "self_test"}
     assert report["checks"]["self_test"]["frames"] == 20
     assert report["versions"]["torch"]
+
+
+def test_doctor_tests_a_stream_model(shipped, tmp_path, capsys):
+    assert main(["doctor", "--model", str(tiny_stream(tmp_path / "tiny-stream")), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["checks"]["self_test"]["frames"] == 56
 
 
 def test_doctor_names_what_is_damaged(model, tmp_path, monkeypatch, capsys):

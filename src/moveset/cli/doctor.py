@@ -18,7 +18,7 @@ PACKAGES = ("torch", "numpy", "roma", "safetensors", "tokenizers", "gt-all-minil
 def doctor(
     *, model: str = "motionpcm-small", device: str = "auto", json: tyro.conf.FlagCreatePairsOff[bool] = False
 ) -> int:
-    """Check versions, device and weights, and time a one-second clip. Exit code 1 if a check fails.
+    """Check versions, device and weights, and time a short clip or stream. Exit code 1 if a check fails.
 
     Args:
         model: The model to test with: a shipped one or a model folder.
@@ -94,9 +94,15 @@ def _video() -> dict[str, Any]:
 
 def _self_test(model: str, device: str) -> dict[str, Any]:
     from moveset.cli.threads import one_thread
+    from moveset.pipelines.model_folder import STREAM, find_folder, task_of
+    from moveset.pipelines.motion_stream import MotionStream
     from moveset.pipelines.text_to_motion import TextToMotion
 
     one_thread()
+    if task_of(find_folder(model)) == STREAM:
+        stream = MotionStream.from_pretrained(model, "a person walks forward", device=device)
+        segments = [next(stream) for _ in range(2)]
+        return {"frames": sum(segment.frames for segment in segments), "segment_ms": segments[1].latency_ms}
     t2m = TextToMotion.from_pretrained(model, device=device)
     cold, warm = (t2m("a person walks forward", seconds=1.0, seed=k) for k in range(2))
     if not float(warm.motion.joints[..., 1].max()) > 1.0:
