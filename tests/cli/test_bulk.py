@@ -122,6 +122,12 @@ def test_files_without_prompts(bulk, tmp_path, data):
     assert bulk()[0] == 2
 
 
+def test_a_file_that_windows_marked_as_utf_8(bulk, tmp_path):
+    (tmp_path / "list.jsonl").write_bytes(b'\xef\xbb\xbf{"prompt": "a person walks", "seconds": 1, "name": "walk"}\r\n')
+    assert bulk()[0] == 0
+    assert list(made(tmp_path / "out")) == ["take-walk"]
+
+
 def test_a_wrong_share(bulk, monkeypatch):
     monkeypatch.setenv("RANK", "3")
     monkeypatch.setenv("WORLD_SIZE", "2")

@@ -99,7 +99,7 @@ def read_jobs(source: Path, config: "BundleConfig", num: int = 1) -> list[Job]:
         FormatError: a line that is not what it should be, by its number.
     """
     try:
-        text = read_limited(source).decode()
+        text = read_limited(source).decode("utf-8-sig")  # Windows likes to mark UTF-8
     except UnicodeDecodeError:
         raise FormatError(f"{source} is not UTF-8 text; save it as UTF-8") from None
     lines = [(k, line) for k, line in enumerate(text.split("\n"), start=1) if line.strip()]
