@@ -129,6 +129,7 @@ def test_without_output_a_glb_is_written(generate, tmp_path):
         (["a", "--steps", "3"], "no pcm student for 3 steps; choose 1, 2, 4"),
         (["a", "--guidance", "1e9"], "guidance 1e+09 is not in 0 to 30"),
         (["a", "--num", "0"], "num 0"),
+        (["a", "--num", "4", "--batch", "4"], "--batch is for many prompts from a file"),
         (["a", "--seed", "-1"], "seed -1"),
         (["a", "-o", "w.fbx"], "'w.fbx': unknown extension; use one of .bvh"),
         (["a", "-o", "w"], "'w': unknown extension"),

@@ -79,6 +79,8 @@ def generate(
 
         return bulk(t2m, method, prompts, outputs, finish, num=num, batch=batch, foot_lock=foot_lock, json=json)
 
+    if batch != 1:
+        raise InputError("--batch is for many prompts from a file; give --prompts FILE.jsonl, or leave it out")
     if not prompt:
         raise InputError("no prompt was given; describe a motion, such as 'a person walks forward and waves'")
     requests = check_request(t2m.bundle.config, prompt, seconds or None, seed, num)
