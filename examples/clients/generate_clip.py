@@ -18,7 +18,7 @@ HEADER = struct.Struct("<4sHHIQffI")
 def ask(server: str, body: dict) -> bytes:
     """The answer to a request for motion."""
     request = urllib.request.Request(
-        f"{server}/v1/generate", json.dumps(body).encode(), {"Content-Type": "application/json"}
+        f"{server.rstrip('/')}/v1/generate", json.dumps(body).encode(), {"Content-Type": "application/json"}
     )
     try:
         with urllib.request.urlopen(request, timeout=120) as reply:

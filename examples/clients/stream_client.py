@@ -6,6 +6,7 @@ python stream_client.py "a person walks forward" "a person waves" --seconds 10 -
 import argparse
 import json
 import struct
+import urllib.error
 import urllib.request
 from pathlib import Path
 from urllib.parse import urlsplit
@@ -55,12 +56,20 @@ def main() -> None:
     parser.add_argument("--seed", type=int)
     parser.add_argument("-o", "--out", type=Path, help=".bvh .glb .npz …, or .mvst for the packets themselves")
     given = parser.parse_args()
-    data = b"".join(record(given.server, given.prompts, given.seconds, given.seed))
+    try:
+        data = b"".join(record(given.server, given.prompts, given.seconds, given.seed))
+    except OSError as error:
+        raise SystemExit(f"no server at {given.server} ({error}); start one with: moveset serve") from None
     if given.out and given.out.suffix != ".mvst":
         url = f"{given.server}/v1/export?format={given.out.suffix.removeprefix('.')}"
         request = urllib.request.Request(url, data, {"Content-Type": "application/octet-stream"})
-        with urllib.request.urlopen(request, timeout=120) as reply:
-            data = reply.read()
+        try:
+            with urllib.request.urlopen(request, timeout=120) as reply:
+                data = reply.read()
+        except urllib.error.HTTPError as error:
+            kept = given.out.with_suffix(".mvst")
+            kept.write_bytes(data)
+            raise SystemExit(f"{json.load(error)['error']['message']}; the packets are in {kept}") from None
     if given.out:
         given.out.write_bytes(data)
 

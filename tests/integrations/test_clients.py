@@ -103,7 +103,7 @@ def test_javascript_reads_packets_as_python_writes_them(node, tmp_path):
 
 
 def test_a_clip_needs_the_standard_library_alone(served, tmp_path):
-    client = (sys.executable, "-I", "-S", CLIENTS / "generate_clip.py", "--server", served, "--seed", 4)
+    client = (sys.executable, "-I", "-S", CLIENTS / "generate_clip.py", "--server", f"{served}/", "--seed", 4)
     done = run(*client, *PROMPTS, "--seconds", 2)
     assert done.returncode == 0, done.stderr
     assert "80 frames at 20 a second, seed 4" in done.stdout
@@ -113,10 +113,20 @@ def test_a_clip_needs_the_standard_library_alone(served, tmp_path):
     assert " ".join(f"{x:.2f}" for x in end.tolist()) in done.stdout
 
 
+def test_a_stream_that_no_file_can_be_made_of_is_kept(served, tmp_path):
+    client = (sys.executable, CLIENTS / "stream_client.py", "--server", served, "--seconds", 1)
+    done = run(*client, "a", "-o", tmp_path / "take.fbx")
+    assert done.returncode == 1
+    assert "unknown format 'fbx'" in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1
+    assert len(unpack_packets((tmp_path / "take.mvst").read_bytes()).motion) == 28
+
+
 def test_clients_say_what_is_wrong_in_one_sentence(node, served):
     nowhere = "http://127.0.0.1:9"
     cases = [
         run(sys.executable, CLIENTS / "generate_clip.py", "a", "--server", nowhere),
+        run(sys.executable, CLIENTS / "stream_client.py", "a", "--server", nowhere),
         run(sys.executable, CLIENTS / "generate_clip.py", "", "--server", served),
         run(sys.executable, CLIENTS / "stream_client.py", "x" * 600, "--server", served),
     ]
