@@ -129,7 +129,7 @@ def spoiled(folder, name, array):
     [
         ([], "no model was given"),
         (["nothing"], "unknown model 'nothing'"),
-        (["tiny", "--network", "rdm"], "unknown solver 'rdm'"),
+        (["tiny", "--network", "rdm"], "unknown network 'rdm'"),
         (["tiny", "--network", "pcm", "--steps", "3"], "no pcm student for 3 steps"),
         (["tiny", "--start", "3"], "--start is a setting of streams"),
         (["flow", "--network", "teacher"], "unknown network 'teacher'"),

@@ -117,7 +117,8 @@ def test_a_network_without_steps_takes_its_own(bundle, network):
         ("pcm-2", 4, "'pcm-2' does not go with 4 steps"),
         ("lcm", 99, "99 steps are not in 1 to 10"),
         ("teacher", 1, "1 steps are not in 2"),
-        ("rdm", None, "unknown solver 'rdm'"),
+        ("rdm", None, "unknown network 'rdm'; model 'tiny' has vae, teacher, lcm-1"),
+        ("length", None, "unknown network 'length'"),
         ("teacher-5", None, "does not go with"),
     ],
 )

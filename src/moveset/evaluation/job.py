@@ -20,7 +20,7 @@ from moveset.evaluation.protocol import Protocol, Session, run_repeat
 from moveset.evaluation.results import Results
 from moveset.evaluation.rollout import run_rollout
 from moveset.io.parent import end_with_parent
-from moveset.pipelines.bundle import DEFAULT_MODEL, Bundle
+from moveset.pipelines.bundle import DEFAULT_MODEL, SOLVERS, Bundle
 from moveset.pipelines.device import pick_device
 from moveset.pipelines.model_folder import BASELINE, STREAM, find_folder, task_of
 from moveset.pipelines.request import Method, check_method
@@ -161,6 +161,9 @@ def clip_method(bundle: Bundle, network: str | None, steps: int | None, guidance
         InputError: no such network or steps, or guidance out of range.
     """
     solver, _, count = (network or "pcm").partition("-")
+    names = ", ".join(["vae", *(name for name in bundle.config.models if name not in ("vae", "length"))])
+    if solver not in SOLVERS:
+        raise InputError(f"unknown network {network!r}; model {bundle.config.name!r} has {names}")
     if solver == "lcm" and (steps is not None or count.isdigit()):
         known = bundle.config.steps("lcm")
         own = int(count) if count.isdigit() else known[0] if known else 0
@@ -170,9 +173,8 @@ def clip_method(bundle: Bundle, network: str | None, steps: int | None, guidance
             raise InputError(f"{steps} steps are not in 1 to {bundle.config.points}, the solver points of training")
         return replace(method, steps=steps)
     if count and not (count.isdigit() and solver == "pcm" and steps in (None, int(count))):
-        names = ", ".join(name for name in bundle.config.models if name not in ("vae", "length"))
         raise InputError(
-            f"network {network!r} does not go with {steps or 'its'} steps; {bundle.config.name!r} has vae, {names}"
+            f"network {network!r} does not go with {steps or 'its'} steps; {bundle.config.name!r} has {names}"
         )
     return check_method(bundle.config, solver, int(count) if count else steps, guidance)
 
