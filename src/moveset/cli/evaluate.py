@@ -38,7 +38,7 @@ def evaluate(
     evaluator: Annotated[str, tyro.conf.arg(metavar="NAME")] = "t2m-small",
     motions: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
     prompts: Annotated[Path | None, tyro.conf.arg(metavar="FILE.jsonl")] = None,
-    motions_fps: Annotated[float, tyro.conf.arg(metavar="N")] = 20.0,
+    motions_fps: Annotated[float | None, tyro.conf.arg(metavar="N")] = None,
     items: Annotated[int | None, tyro.conf.arg(metavar="N")] = None,
     composed: bool = True,
     mirrored: bool = True,
@@ -76,7 +76,7 @@ def evaluate(
         evaluator: A shipped evaluator, or the folder of one.
         motions: Judge a folder of .npy joint positions (frames, 22, 3) instead of a model.
         prompts: Their prompts as a JSONL file; by default prompts.jsonl or NAME.txt files in the folder.
-        motions_fps: Their frame rate.
+        motions_fps: Their frame rate, if it is not 20.
         items: At most so many items, drawn at random, for a quick look.
         composed: Judge compositions of takes too, as well as takes.
         mirrored: Judge mirror images too.
@@ -103,10 +103,16 @@ def evaluate(
     given["stages"] = None if stages else False
     settings = tuple((name, value) for name, value in given.items() if value is not None)
     common = Job(
-        network=network, steps=steps, settings=settings, motions=motions, prompts=prompts, motions_fps=motions_fps,
-        data=data, evaluator=evaluator, protocol=protocol, composed=composed, mirrored=mirrored, items=items,
-        foot_lock=foot_lock, batch=batch, device=device,
+        network=network, steps=steps, settings=settings, motions=motions, prompts=prompts,
+        motions_fps=20.0 if motions_fps is None else motions_fps, data=data, evaluator=evaluator, protocol=protocol,
+        composed=composed, mirrored=mirrored, items=items, foot_lock=foot_lock, batch=batch, device=device,
     )  # fmt: skip
+    if motions is None and (prompts is not None or motions_fps is not None):
+        raise InputError("--prompts and --motions-fps say what a folder of motions is; add --motions DIR")
+    if row and suite is None:
+        raise InputError(f"--row {row[0]} is a row of a suite; add --suite motionpcm or --suite rdm")
+    if sanity and suite is not None:
+        raise InputError("--sanity checks the evaluator itself; leave --suite out")
     if sanity:
         return _sanity(models, common, out, json)
     if suite is not None:
@@ -161,12 +167,18 @@ def _jobs(models: Sequence[str], common: "Job") -> "list[Job]":
     if common.motions is not None:
         if models:
             raise InputError("--motions takes the place of a model; leave the model out")
+        if common.network or common.steps is not None or common.settings:
+            raise InputError("--motions are there already; leave --network, --steps and settings of models out")
         return [common]
     if not models:
         raise InputError("no model was given; give pcm, lcm, teacher, vae, rdm, md, rdm-pcm, real or a model folder")
     jobs = [replace(common, model=model) for model in models]
-    for job in jobs:
-        open_generator(job)
+    opened = [open_generator(job) for job in jobs]
+    # Beside a model that samples, real motion and an autoencoder may stand with what is meant for the model.
+    if (common.steps is not None or common.settings) and not any(generator.random for generator in opened):
+        raise InputError(f"nothing is sampled for {' and '.join(models)}; leave --steps and settings out")
+    if common.network and all(generator.network is None for generator in opened):
+        raise InputError(f"real motion has no network {common.network!r}; add a model, or leave --network out")
     return jobs
 
 
@@ -203,7 +215,7 @@ def _suite(
     from moveset.evaluation.suites import REAL, Row, SuiteSettings, get_suite, run_suite
     from moveset.evaluation.table import in_turn, save_rows
 
-    if common.motions is not None or common.network or common.steps or common.settings:
+    if common.motions is not None or common.network or common.steps is not None or common.settings:
         raise InputError("a suite says itself what is evaluated; leave --motions, --network, --steps and settings out")
     if importlib.util.find_spec("matplotlib") is None:
         raise InputError("the tables of a suite have pictures, which need matplotlib; `pip install 'moveset[train]'`")
