@@ -1,5 +1,9 @@
 """The one error tree. Every message names the value, the limit and the remedy in one sentence."""
 
+import os
+import sys
+from collections.abc import Callable
+
 
 class MovesetError(Exception):
     """Something went wrong that is not the user's doing (exit code 1)."""
@@ -15,3 +19,17 @@ class InputError(MovesetError):
 
 class FormatError(InputError):
     """A file is damaged, absurd or not of the format it claims (exit code 2)."""
+
+
+def exit_code_of(main: Callable[[], None]) -> int:
+    """Runs a program besides ``moveset``; what is wrong is said in one line, as ``moveset`` itself does."""
+    try:
+        main()
+    except MovesetError as error:
+        if os.environ.get("MOVESET_DEBUG"):
+            import traceback
+
+            traceback.print_exc()
+        print(f"moveset: {' '.join(str(error).split())}", file=sys.stderr)
+        return error.exit_code
+    return 0

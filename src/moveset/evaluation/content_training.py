@@ -9,6 +9,7 @@ Shapes: N clips, B batch, F frames, J joints, K classes.
 import argparse
 import copy
 import math
+import sys
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -21,7 +22,7 @@ from torch.nn import functional as fn
 from moveset.data.corpus import Corpus
 from moveset.data.labels import mirror_label
 from moveset.data.splits import Split
-from moveset.errors import InputError
+from moveset.errors import InputError, exit_code_of
 from moveset.evaluation.content_classifier import FPS, ContentClassifier, ContentClassifierConfig, frame_features
 from moveset.motion.skeleton import HML22
 
@@ -315,4 +316,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(exit_code_of(main))

@@ -5,11 +5,13 @@ It is a function of these files alone, so it can be written again at any time.
 
 import argparse
 import json
+import sys
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from moveset.errors import exit_code_of
 from moveset.evaluation.columns import QUALITY
 from moveset.evaluation.latex import latex
 from moveset.evaluation.markdown import markdown
@@ -94,4 +96,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(exit_code_of(main))

@@ -2,6 +2,7 @@
 
 import argparse
 import hashlib
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -11,7 +12,7 @@ import torch
 from safetensors.torch import save as save_safetensors
 from torch import Tensor
 
-from moveset.errors import InputError
+from moveset.errors import InputError, exit_code_of
 from moveset.models.registry import describe
 from moveset.pipelines.bundle import Bundle
 from moveset.pipelines.model_folder import FORMAT, TEXT_TO_MOTION, ModelSpec, find_folder, task_of
@@ -134,4 +135,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(exit_code_of(main))

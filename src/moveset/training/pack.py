@@ -1,6 +1,7 @@
 """From run folders to a model folder: averaged weights, statistics, the length predictor and the known captions."""
 
 import argparse
+import sys
 from pathlib import Path
 
 import torch
@@ -8,6 +9,7 @@ from torch import nn
 
 from moveset.data.captions import heldout_captions
 from moveset.data.corpus import Corpus
+from moveset.errors import exit_code_of
 from moveset.pipelines.bundle import BundleConfig, save_folder
 from moveset.text.cache import EmbeddingCache, cache_file
 from moveset.text.encoder import get_text_encoder
@@ -180,4 +182,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(exit_code_of(main))

@@ -1,6 +1,7 @@
 """From a run folder to the model folder of a baseline, which the evaluation reads (``pipelines.baseline_bundle``)."""
 
 import argparse
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -8,6 +9,7 @@ import torch
 from torch import Tensor
 
 from moveset.data.corpus import Corpus
+from moveset.errors import exit_code_of
 from moveset.motion.features import FeatureCodec, Normalizer, get_codec
 from moveset.pipelines.baseline_bundle import DENOISER, IDLE, BaselineConfig, save_baseline
 from moveset.text.cache import EmbeddingCache, cache_file
@@ -91,4 +93,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(exit_code_of(main))

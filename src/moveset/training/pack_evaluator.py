@@ -1,10 +1,12 @@
 """From a run folder to an evaluator's folder."""
 
 import argparse
+import sys
 from pathlib import Path
 
 from moveset.data.glove_files import read_glove
 from moveset.data.humanml3d import HUMANML3D, KIT
+from moveset.errors import exit_code_of
 from moveset.evaluation.evaluator import DEFAULT_EVALUATOR, Evaluator, EvaluatorCard
 from moveset.text.encoder import get_text_encoder
 from moveset.text.glove import GloveWords
@@ -44,4 +46,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(exit_code_of(main))

@@ -1,6 +1,7 @@
 """From run folders to a stream's model folder: the recurrent denoiser with its flow, its students and its baseline."""
 
 import argparse
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -8,7 +9,7 @@ from pathlib import Path
 from torch import nn
 
 from moveset.data.corpus import Corpus
-from moveset.errors import InputError
+from moveset.errors import InputError, exit_code_of
 from moveset.pipelines.stream_bundle import DEFAULT_STREAM, FLOW, StreamConfig, save_stream_bundle
 from moveset.text.cache import EmbeddingCache, cache_file
 from moveset.training import checkpoint, frozen
@@ -182,4 +183,4 @@ def by_network(given: list[str], networks: tuple[str, ...]) -> dict[str, float]:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(exit_code_of(main))

@@ -3,10 +3,11 @@
 import argparse
 import dataclasses
 import re
+import sys
 from pathlib import Path
 from typing import Any
 
-from moveset.errors import InputError
+from moveset.errors import InputError, exit_code_of
 from moveset.pipelines.bundle import Bundle
 from moveset.pipelines.model_folder import TEXT_TO_MOTION, find_folder, task_of
 from moveset.pipelines.stream_bundle import FLOW, StreamBundle
@@ -102,4 +103,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(exit_code_of(main))
