@@ -12,12 +12,15 @@ import torch
 
 from moveset.data.synthetic import synthetic_corpus
 from moveset.errors import InputError
+from moveset.pipelines.bundle import Bundle
 from moveset.recipes import tiny
 from moveset.training import checkpoint
+from moveset.training import pack as packing
 from moveset.training.distill import DistillationConfig
 from moveset.training.engine import run
 from moveset.training.pack import pack
 from moveset.training.tasks import Sources, task_maker
+from moveset.training.unpack import unpack
 
 
 @pytest.fixture(scope="module")
@@ -107,6 +110,34 @@ def test_a_packed_model_generates_by_every_method(trained: Path, tmp_path: Path)
         made = t2m("a person walks forward", seconds=2.0, steps=steps, solver=solver, seed=3)
         assert len(made.motion) == 40
     assert t2m("a person walks").motion.seconds > 0.9
+
+
+def test_students_keep_their_grid_and_must_fit_their_names(trained: Path, tmp_path: Path, monkeypatch) -> None:
+    made = {}
+    for name, run_folder, phases in (("pcm-4", "pcm", 4), ("lcm-1", "lcm", 1)):
+        step = checkpoint.resolve(trained / run_folder)
+        config = checkpoint.read_document(step, "config")
+        config["config"] |= {"points": 20, "phases": phases}
+        tensors = {"student_ema": checkpoint.read_tensors(step, "student_ema")}
+        made[name] = checkpoint.write(tmp_path / name, 4, tensors, {"config": config})
+    four, scales = made["pcm-4"], {"teacher": 2.0, "pcm-4": 2.0, "lcm-1": 2.0}
+    monkeypatch.setattr(packing, "familiarity_limit", lambda known, encoder: 0.42)
+    out = pack(sources(trained), made, scales, "four", tmp_path / "packed")
+    # A student of several phases is evaluated where the phases of its own grid begin.
+    assert Bundle(out).config.points == 20
+    again = unpack(out, tmp_path / "again", "tiny")
+    assert [checkpoint.read_document(again[name], "config")["config"]["points"] for name in made] == [20, 20]
+    for students, message in (
+        ({"pcm-2": four}, "a student of 4 phases"),
+        ({"pcm": four}, "'pcm' is no student"),
+        ({"pcm-4": four, "lcm-1": trained / "lcm"}, r"grids of \[10, 20\] points"),
+    ):
+        with pytest.raises(InputError, match=message):
+            pack(sources(trained), students, scales, "wrong", tmp_path / "wrong")
+    monkeypatch.setattr(sys, "argv", ["pack", "--guidance", "2", "1", "--out", str(tmp_path / "wrong")])
+    with pytest.raises(InputError, match="2 guidance scales for teacher, lcm-1, pcm-1, pcm-2, pcm-4"):
+        packing.main()
+    assert not (tmp_path / "wrong").exists()
 
 
 def test_a_latent_of_one_token_is_learned_packed_and_sampled(tmp_path: Path) -> None:

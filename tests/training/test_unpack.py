@@ -129,6 +129,35 @@ def test_exchanging_a_student_leaves_everything_else(models, runs, tmp_path, mon
     assert not (tmp_path / "other").exists()
 
 
+def test_what_cannot_be_exchanged_is_said_and_nothing_is_written(models, runs, tmp_path, monkeypatch):
+    pcm, out = f"pcm-1={runs / 'pcm-1'}", tmp_path / "out"
+    for model, arguments, message in (
+        (models[0], ["pcm-1"], "'pcm-1' names no run"),
+        (models[0], [pcm, "--guidance", "pcm-8=2"], "no network 'pcm-8' to guide; choose vae"),
+        (models[0], [pcm, "--symmetric", "pcm-1"], "--symmetric is of streams"),
+        (models[0], [f"lcm-2={runs / 'lcm-1'}"], "add --guidance lcm-2=W"),
+        (models[1], [f"pcm-1={runs / 'rdm-pcm-1'}", "--tremor", "md=1"], "no network 'md' to damp; choose pcm-1"),
+    ):
+        monkeypatch.setattr(sys, "argv", ["exchange", str(model), *arguments, "--out", str(out)])
+        with pytest.raises(InputError, match=message):
+            exchange.main()
+    assert not out.exists()
+    # Other networks of the model may be guided otherwise on the occasion.
+    monkeypatch.setattr(sys, "argv", ["exchange", str(models[0]), pcm, "--guidance", "teacher=5", "--out", str(out)])
+    exchange.main()
+    assert Bundle(out).config.guidance["teacher"] == 5
+
+
+def test_a_student_of_several_phases_needs_the_grid_of_the_model(models, runs, tmp_path):
+    config = checkpoint.read_document(checkpoint.resolve(runs / "pcm-4"), "config")
+    config["config"]["points"] = 20
+    tensors = {"student_ema": Bundle(models[0]).weights("pcm-4")}
+    other = checkpoint.write(tmp_path / "other-grid", 1, tensors, {"config": config})
+    with pytest.raises(InputError, match="a grid of 20 points, the model has 10"):
+        exchange.exchange(models[0], {"pcm-4": other}, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
 def test_several_runs_make_their_mean(models, runs, tmp_path):
     both = [runs / "pcm-1", runs / "lcm-1"]
     out = Bundle(exchange.exchange(models[0], {"pcm-1": both}, tmp_path / "out"))

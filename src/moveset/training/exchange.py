@@ -20,6 +20,7 @@ from moveset.pipelines.stored_weights import subtracted
 from moveset.pipelines.stream_bundle import StreamBundle
 from moveset.pipelines.verified_folder import json_bytes, write_whole
 from moveset.training import checkpoint, frozen
+from moveset.training.pack import check_phases, student_phases
 from moveset.training.pack_stream import by_network
 
 
@@ -46,7 +47,8 @@ def exchange(
         changes: other fields of the model's configuration, such as ``symmetric``.
 
     Raises:
-        InputError: a network that is no student, one of other sizes or phases, or tremor of a network that has none.
+        InputError: a network that is no student, one of other sizes or phases, a new one without guidance, or guidance
+            or tremor of a network that has none.
         FormatError: the model is damaged.
     """
     folder = find_folder(model)
@@ -57,15 +59,18 @@ def exchange(
     stored = opened.tensors(f"{base}.safetensors")
     specs, provenance = dict(opened.config.models), dict(opened.config.provenance)
     for name, given in students.items():
-        phases, paths = _phases(name), [given] if isinstance(given, Path) else [*given]
+        phases, paths = student_phases(name), [given] if isinstance(given, Path) else [*given]
         loaded = [frozen.load(path, "student_ema" if averaged else "student") for path in paths]
         for found in loaded:
-            _check(name, found, phases, specs[base])
+            _check(name, found, phases, specs[base], opened.config.points)
         kind, settings = describe(_damped(loaded[0].module.config, name, tremor or {}))
         sha256 = hashlib.sha256(blobs[f"{base}.safetensors"]).hexdigest()
         specs[name] = ModelSpec(kind=kind, config=settings, base=base, base_sha256=sha256)
         provenance[name] = " and ".join(checkpoint.resolve(path).name.replace("_", " ") for path in paths)
         blobs[f"{name}.safetensors"] = save_safetensors(subtracted(_mean(name, loaded), stored))
+    for what, known, numbers in (("guide", specs, guidance), ("damp", students, tremor)):
+        if unknown := set(numbers or {}) - set(known):
+            raise InputError(f"there is no network {sorted(unknown)[0]!r} to {what}; choose {', '.join(known)}")
     config = replace(
         opened.config,
         models=specs,
@@ -73,6 +78,10 @@ def exchange(
         guidance={**opened.config.guidance, **(guidance or {})},
         **changes,
     )
+    if scaleless := [name for name in students if name not in config.guidance]:
+        raise InputError(
+            f"{scaleless[0]!r} is new to the model and has no guidance scale; add --guidance {scaleless[0]}=W"
+        )
     blobs["config.json"] = json_bytes({"format": FORMAT, "task": config.task, **asdict(config)})
     type(config).parse(blobs["config.json"], out / "config.json")
     write_whole(out, blobs)
@@ -94,16 +103,14 @@ def _damped(config: Any, name: str, tremor: Mapping[str, float]) -> Any:
     return replace(config, tremor=tremor[name])
 
 
-def _phases(name: str) -> int:
-    method, _, phases = name.partition("-")
-    if method not in ("pcm", "lcm") or not phases.isdigit():
-        raise InputError(f"{name!r} is no student; exchange pcm-1, pcm-2, pcm-4 or lcm-1, and pack the others")
-    return int(phases)
-
-
-def _check(name: str, found: frozen.Frozen, phases: int, base: ModelSpec) -> None:
-    if name.startswith("pcm") and found.task["phases"] != phases:
-        raise InputError(f"{name!r} would be a student of {found.task['phases']} phases; give it its own run folder")
+def _check(name: str, found: frozen.Frozen, phases: int, base: ModelSpec, points: int) -> None:
+    if name.startswith("pcm"):
+        check_phases(name, phases, found)
+        # One phase ends at the same place on every grid.
+        if phases > 1 and (learned := found.task["points"]) != points:
+            raise InputError(
+                f"{name!r} was distilled on a grid of {learned} points, the model has {points}; pack it anew"
+            )
     for size, ours in base.config.items():
         if size in ("features", "frames", "tokens", "token_dim", "text_dim") and found.config.get(size) != ours:
             raise InputError(f"{name!r} has {size} {found.config.get(size)}, the model {ours}; they do not fit")
@@ -126,10 +133,14 @@ def main() -> None:
     parser.add_argument("--last", action="store_true", help="the students' last weights instead of the averaged ones")
     parser.add_argument("--out", type=Path, required=True)
     given = parser.parse_args()
-    pairs = (pair.partition("=") for pair in given.students)
+    pairs = [pair.partition("=") for pair in given.students]
+    if pathless := [name for name, _, paths in pairs if not paths]:
+        raise InputError(f"{pathless[0]!r} names no run; write NETWORK=RUN, such as pcm-1=runs/small/pcm-1")
     students = {name: [Path(path) for path in paths.split(",")] for name, _, paths in pairs}
     changes: dict[str, Any] = {} if given.symmetric is None else {"symmetric": tuple(given.symmetric)}
     changes |= {} if given.name is None else {"name": given.name}
+    if given.symmetric is not None and task_of(find_folder(given.model)) == TEXT_TO_MOTION:
+        raise InputError(f"--symmetric is of streams, and {given.model!r} makes clips; leave it out")
     scales, tremor = (by_network(chosen, tuple(students)) for chosen in (given.guidance, given.tremor))
     print(exchange(given.model, students, given.out, scales, tremor, not given.last, **changes))
 

@@ -9,7 +9,7 @@ from torch import nn
 
 from moveset.data.captions import heldout_captions
 from moveset.data.corpus import Corpus
-from moveset.errors import exit_code_of
+from moveset.errors import InputError, exit_code_of
 from moveset.pipelines.bundle import BundleConfig, save_folder
 from moveset.text.cache import EmbeddingCache, cache_file
 from moveset.text.encoder import get_text_encoder
@@ -54,7 +54,12 @@ def pack(
         decoder: a run that went on with the VAE's decoder; None ships the VAE as it is.
         text_encoder: what the teacher was trained with.
         differences: store the students as 8-bit differences from the teacher, which they were started from.
+
+    Raises:
+        InputError: no checkpoint where one should be, a name that is no student's, or students of other phases than
+            their names say or of different grids.
     """
+    phases = {student: student_phases(student) for student in students}
     corpus = Corpus.open(sources.corpus)
     vae = frozen.load(sources.vae, "vae_ema")
     store = FeatureStore(sources.cache / f"features-{vae.task['codec']}")
@@ -67,8 +72,15 @@ def pack(
         "vae": shipped.module,
         "teacher": frozen.load(sources.teacher, "teacher_ema").module,
     }
+    grids = set()
     for student, folder in students.items():
-        modules[student] = frozen.load(folder, "student_ema" if averaged else "student").module
+        found = frozen.load(folder, "student_ema" if averaged else "student")
+        if student.startswith("pcm-"):
+            check_phases(student, phases[student], found)
+        grids.add(found.task["points"])
+        modules[student] = found.module
+    if len(grids) > 1:
+        raise InputError(f"the students were distilled on grids of {sorted(grids)} points; pack those of one grid")
     captions, frames, held_out = caption_lengths(corpus)
     pooled = text.lookup(captions).pooled
     length = train_length(pooled, frames, held_out=held_out, epochs=4)
@@ -83,6 +95,7 @@ def pack(
         latent=(vae.module.config.tokens, vae.module.config.token_dim),
         guidance={network: guidance[network] for network in modules if network in guidance},
         far_prompt=familiarity_limit(known_pooled, text_encoder),
+        points=grids.pop() if grids else BundleConfig.points,
         provenance={
             "corpus": f"{len(corpus.indices(composed=False))} clips, {corpus.seconds / 3600:.2f} h",
             **{name: checkpoint.resolve(path).name.replace("_", " ") for name, path in students.items()},
@@ -96,6 +109,24 @@ def pack(
     }
     bases = dict.fromkeys(students, "teacher") if differences else None
     return save_folder(out, config, modules, normalizer, known, known_pooled, bases)
+
+
+def student_phases(name: str) -> int:
+    """N of "pcm-N" and "lcm-N".
+
+    Raises:
+        InputError: another name.
+    """
+    method, _, phases = name.partition("-")
+    if method not in ("pcm", "lcm") or not phases.isdigit():
+        raise InputError(f"{name!r} is no student; there are pcm-1, pcm-2, pcm-4 and lcm-1")
+    return int(phases)
+
+
+def check_phases(name: str, phases: int, found: frozen.Frozen) -> None:
+    """Raises InputError for a student that learned other phases than those of its name."""
+    if found.task["phases"] != phases:
+        raise InputError(f"{name!r} would be a student of {found.task['phases']} phases; give it its own run folder")
 
 
 def caption_lengths(corpus: Corpus, per_clip: int = 2) -> tuple[list[str], torch.Tensor, torch.Tensor]:
@@ -164,6 +195,8 @@ def main() -> None:
     given = parser.parse_args()
     networks = ["teacher", *given.students]
     scales = given.guidance if len(given.guidance) > 1 else given.guidance * len(networks)
+    if len(scales) != len(networks):
+        raise InputError(f"{len(scales)} guidance scales for {', '.join(networks)}; give one for each, or one for all")
     sources = Sources(
         corpus=given.corpus, vae=given.runs / "vae", teacher=given.runs / "teacher", cache=given.runs / "cache"
     )

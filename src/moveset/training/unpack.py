@@ -84,7 +84,7 @@ def _told(model: Any, name: str) -> dict[str, Any]:
     told |= {"codec": config.codec} if name == "vae" else {"text_encoder": config.text_encoder}
     phases = {"phases": int(name.partition("-")[2]), "points": config.points} if name.startswith("pcm-") else {}
     if not isinstance(model, StreamBundle):
-        return told | phases
+        return told | phases | ({"points": config.points} if name.startswith("lcm-") else {})
     if phases:
         return told | phases | {"codec": config.codec, "frames": config.segment}
     flow = dict(model.spec(FLOW).config) if config.flows(name) else None
