@@ -139,6 +139,11 @@ def test_what_does_not_fit_is_refused(quick, trained, tmp_path, monkeypatch):
         ("pcm-1", "--folder", "pcm-1=rdm-pcm-2"): "student of 2 phases",
         ("pcm-4",): "no usable checkpoint",
         ("pcm-1", "--smoothing", "md=0.4"): "no network .md. to smooth",
+        ("pcm-1", "--guidance", "1.5", "md=2"): "no network .md. to guide",
+        ("pcm-1", "--guidance", "pcm-1=much"): "'pcm-1=much' has no number",
+        ("pcm-3",): "no network 'pcm-3'; choose from rdm, md, pcm-1",
+        ("pcm-1", "--folder", "pcm-1"): "--folder pcm-1 is no NETWORK=FOLDER",
+        ("pcm-1", "--folder", "md=rdm-7"): "--folder md is no NETWORK=FOLDER of rdm, pcm-1",
     }
     for more, said in cases.items():
         with pytest.raises(InputError, match=said):

@@ -63,8 +63,8 @@ def pack_stream(
         smoothing: of a network's output by its name, instead of that of its training; guidance makes it tremble.
 
     Raises:
-        InputError: no "rdm", networks for other features, other segments or another number of steps, or smoothing of
-            a network that is not there.
+        InputError: no "rdm", networks for other features, other segments or another number of steps, or guidance or
+            smoothing of a network that is not there.
     """
     if RDM not in runs:
         raise InputError(f"a stream needs the network {RDM!r}, got {', '.join(runs) or 'none'}; give its run folder")
@@ -81,6 +81,8 @@ def pack_stream(
         if network not in modules:
             raise InputError(f"there is no network {network!r} to smooth; choose {', '.join(modules)}")
         modules[network].config = replace(modules[network].config, smoothing=value)  # type: ignore[assignment,type-var]
+    if unknown := set(guidance) - set(modules):
+        raise InputError(f"there is no network {sorted(unknown)[0]!r} to guide; choose {', '.join(modules)}")
     if rdm.task["flow"] is not None:
         modules[FLOW] = frozen.load(rdm.path, "flow_ema", part="coupling_flow").module
     points = {loaded[k].task["points"] for k in students} or {StreamConfig(name="", network="").points}
@@ -149,8 +151,14 @@ def main() -> None:
     parser.add_argument("--name", default=DEFAULT_STREAM)
     parser.add_argument("--out", type=Path, required=True)
     given = parser.parse_args()
-    folders = RUNS | dict(pair.split("=", 1) for pair in given.folder)
-    runs = {network: given.runs / folders[network] for network in dict.fromkeys((RDM, *given.networks))}
+    if unknown := set(given.networks) - set(RUNS):
+        raise InputError(f"a stream has no network {sorted(unknown)[0]!r}; choose from {', '.join(RUNS)}")
+    networks = tuple(dict.fromkeys((RDM, *given.networks)))
+    pairs = dict(pair.partition("=")[::2] for pair in given.folder)
+    if useless := [network for network, folder in pairs.items() if network not in networks or not folder]:
+        raise InputError(f"--folder {useless[0]} is no NETWORK=FOLDER of {', '.join(networks)}, which are packed")
+    folders = RUNS | pairs
+    runs = {network: given.runs / folders[network] for network in networks}
     sampling = Sampling(
         network=given.network,
         sampler_steps=given.steps,
@@ -160,7 +168,7 @@ def main() -> None:
         idle=given.idle,
         symmetric=tuple(given.symmetric),
     )
-    scales, smoothing = (by_network(chosen, tuple(runs)) for chosen in (given.guidance, given.smoothing))
+    scales, smoothing = (by_network(chosen, networks) for chosen in (given.guidance, given.smoothing))
     cache = given.runs / "cache"
     averaged, differences = not given.last, not given.whole
     made = pack_stream(
@@ -174,11 +182,18 @@ def by_network(given: list[str], networks: tuple[str, ...]) -> dict[str, float]:
 
     >>> by_network(["1.5", "pcm-1=2"], ("rdm", "pcm-1"))
     {'rdm': 1.5, 'pcm-1': 2.0}
+
+    Raises:
+        InputError: no number.
     """
     numbers: dict[str, float] = {}
     for item in given:
         network, equals, number = item.rpartition("=")
-        numbers |= {network: float(number)} if equals else dict.fromkeys(networks, float(number))
+        try:
+            value = float(number)
+        except ValueError:
+            raise InputError(f"{item!r} has no number; write NUMBER or NETWORK=NUMBER, such as 1.5") from None
+        numbers |= {network: value} if equals else dict.fromkeys(networks, value)
     return numbers
 
 
