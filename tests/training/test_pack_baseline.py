@@ -67,6 +67,24 @@ def test_sampling_is_as_trained(trained, tmp_path, monkeypatch):
     assert (dip.schedule, dip.timesteps, dip.eta) == ("cosine", 4, 1.0)
 
 
+def test_a_checkpoint_is_called_after_its_run(trained, tmp_path, monkeypatch):
+    assert packed(monkeypatch, trained, "motiondiffuse/step_3", tmp_path / "a").config.name == "motiondiffuse-small"
+
+
+def test_what_is_no_baseline_is_refused(trained, tmp_path, monkeypatch):
+    told = RDMConfig(model=VOLUME, flow=None, grid=GridConfig(frames=40, condition="clean"))
+    write_run(trained, "md-7", told, denoiser_ema=VOLUME.build())
+    write_run(trained, "rdm-7", RDMConfig(model=VOLUME), denoiser_ema=VOLUME.build())
+    for run, more, message in (
+        ("md-7", (), "a stream's network"),
+        ("rdm-7", (), "pack it with pack_stream"),
+        ("dip", ("--steps", "2"), "takes all 4 steps"),
+    ):
+        with pytest.raises(InputError, match=message):
+            packed(monkeypatch, trained, run, tmp_path / "no", *more)
+    assert not (tmp_path / "no").exists()
+
+
 def test_what_is_packed_can_be_sampled(trained, tmp_path, monkeypatch):
     for run, steps in (("motiondiffuse", 3), ("dip", None)):
         packed(monkeypatch, trained, run, tmp_path / run)

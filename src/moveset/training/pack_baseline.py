@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from moveset.data.corpus import Corpus
-from moveset.errors import exit_code_of
+from moveset.errors import InputError, exit_code_of
 from moveset.motion.features import FeatureCodec, Normalizer, get_codec
 from moveset.pipelines.baseline_bundle import DENOISER, IDLE, BaselineConfig, save_baseline
 from moveset.text.cache import EmbeddingCache, cache_file
@@ -33,24 +33,30 @@ def pack_baseline(
         steps: K of models of whole clips, 50 if None; DiP takes all of its schedule.
 
     Raises:
-        InputError: no checkpoint there, or one of something else.
+        InputError: no checkpoint there, one of something else, or steps for DiP.
     """
     found = frozen.load(run, "denoiser_ema")
     task = found.task
+    chunks = "levels" in task
+    if not chunks and (task["flow"] is not None or task["grid"]["condition"] == "clean"):
+        raise InputError(f"{run} is a stream's network, which is told the segment before; pack it with pack_stream")
+    if chunks and steps is not None:
+        raise InputError(f"{run} takes all {task['levels']} steps of its schedule; leave --steps out")
+    steps = 50 if steps is None else steps
     corpus, codec = Corpus.open(corpus_path), get_codec(task["codec"])
     store = FeatureStore(cache / f"features-{codec.name}")
     text = EmbeddingCache.open(cache_file(cache, task["text_encoder"]))
     known = known_captions(corpus)
     pooled = text.lookup(known).pooled
     statistics = {"feature_mean": store.normalizer.mean, "feature_std": store.normalizer.std}
-    if chunks := "levels" in task:
+    if chunks:
         first = [codec.encode(corpus.motion(k)[:2])[0] for k in corpus.indices("train", composed=False)]
         statistics[IDLE] = idle_pose(torch.stack(first), codec, store.normalizer)
     sampling: dict[str, Any] = (
         {"frames": task["model"]["frames"], "prefix": task["model"]["prefix"], "schedule": "cosine", "eta": 1.0,
          "timesteps": task["levels"], "sampler_steps": task["levels"]}
         if chunks
-        else {"frames": task["grid"]["frames"], "predict": task["predict"], "sampler_steps": steps or 50}
+        else {"frames": task["grid"]["frames"], "predict": task["predict"], "sampler_steps": steps}
     )  # fmt: skip
     config = BaselineConfig(
         name=name, codec=codec.name, text_encoder=task["text_encoder"],
@@ -86,7 +92,7 @@ def main() -> None:
     parser.add_argument("--name", help="by default that of the run with -small behind it")
     parser.add_argument("--out", type=Path, required=True)
     given = parser.parse_args()
-    name = given.name or f"{given.run.name}-small"
+    name = given.name or f"{checkpoint.resolve(given.run).resolve().parent.name}-small"
     print(
         pack_baseline(given.corpus, given.cache, given.run, name, given.out, guidance=given.guidance, steps=given.steps)
     )
