@@ -21,6 +21,7 @@ class Config:
     lr: float = 1e-3
     augment: bool = True
     name: str = "x"
+    kind: str = field(default="made", init=False)
     corpus: Path = Path("a")
     model: Model = field(default_factory=Model)
 
@@ -39,6 +40,8 @@ def test_settings_replace_fields_by_their_types():
         ("lr", "not of the form NAME=VALUE"),
         ("lrr=1", "did you mean 'lr'"),
         ("model.layer=1", "did you mean 'layers'"),
+        ("kind=y", "no setting 'kind'; choose one of lr, augment, name, corpus, model$"),
+        ("lr=NaN", "is no finite number; give one, such as 0.001"),
         ("lr=fast", "is str but must be float"),
         ("augment=1", "is int but must be bool"),
         ("lr=true", "is bool but must be float"),

@@ -4,6 +4,7 @@ import dataclasses
 import difflib
 import importlib
 import json
+import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -123,7 +124,9 @@ def with_settings(config: Config, settings: Iterable[str]) -> Config:
 
 
 def _replaced(config: Any, path: list[str], value: Any, setting: str) -> Any:
-    fields = [field.name for field in dataclasses.fields(config)] if dataclasses.is_dataclass(config) else []
+    fields = (
+        [field.name for field in dataclasses.fields(config) if field.init] if dataclasses.is_dataclass(config) else []
+    )
     if path[0] not in fields:
         near = difflib.get_close_matches(path[0], fields, n=1)
         remedy = f"did you mean {near[0]!r}?" if near else f"choose one of {', '.join(fields) or 'nothing'}"
@@ -137,6 +140,8 @@ def _replaced(config: Any, path: list[str], value: Any, setting: str) -> Any:
 def _as_type_of(old: Any, value: Any, setting: str) -> Any:
     if isinstance(old, float) and isinstance(value, int) and not isinstance(value, bool):
         return float(value)
+    if isinstance(value, float) and not math.isfinite(value):
+        raise InputError(f"{setting!r} is no finite number; give one, such as {old!r}")
     if isinstance(old, tuple) and isinstance(value, list):
         return tuple(value)
     if isinstance(old, Path) and isinstance(value, str):
