@@ -147,6 +147,15 @@ def test_rows_that_were_judged_differently_are_not_put_side_by_side(tmp_path: Pa
             markdown(load_table(suite_folder(tmp_path, "motionpcm", mixed)))
 
 
+def test_rows_with_feet_held_and_not_are_not_put_side_by_side(tmp_path: Path):
+    feet = {"lcm-1": True, "pcm-1": True, "pcm-4": False}
+    mixed = RESULTS | {key: {**RESULTS[key], "settings": {"foot_lock": held}} for key, held in feet.items()}
+    with pytest.raises(InputError, match="PCM, 4 steps: feet are not held, and those of other rows are"):
+        markdown(load_table(suite_folder(tmp_path, "motionpcm", mixed)))
+    mixed["pcm-4"] = {**RESULTS["pcm-4"], "settings": {"foot_lock": True}}
+    assert "PCM, 4 steps" in markdown(load_table(suite_folder(tmp_path, "motionpcm", mixed)))
+
+
 def test_rows_that_other_code_made_or_measured_are_named(table: Table, tmp_path: Path):
     assert not table.odd
     assert "by other code" not in markdown(table)

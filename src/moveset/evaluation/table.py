@@ -44,6 +44,7 @@ class Measured:
         group: items among which R-precision looks.
         measures: sha256 of the code that measured.
         made: what made the motion, and the sha256 of its code; "" where a result does not say.
+        feet: whether planted feet were held; None where nothing could be held.
         seconds: what an item took to generate, in batches, on average; None if nothing was generated.
         source: where it was taken from, if it was not measured with the others; "" if it was.
     """
@@ -64,6 +65,7 @@ class Measured:
     measures: str
     made: tuple[str, str]
     seconds: float | None
+    feet: bool | None = None
     source: str = ""
 
     @classmethod
@@ -92,6 +94,7 @@ class Measured:
                 measures=str(raw["measures_sha256"]),
                 made=(str(raw.get("generator", "")), str(raw["generator_sha256"])),
                 seconds=float(raw["seconds_per_item"]) if raw["weights_sha256"] else None,
+                feet=raw.get("settings", {}).get("foot_lock"),
                 source=str(raw.get("source", "")),
             )
         except (KeyError, TypeError, ValueError, AttributeError, InputError) as error:
@@ -147,7 +150,7 @@ class Table:
         return checks(self.suite.name, self.metrics, shipped, labels)
 
     def common(self) -> Measured:
-        """What all results have in common: items, texts, labels, evaluator, data, wording, split and group.
+        """What all results have in common: items, texts, labels, evaluator, data, wording, split, group and feet.
 
         Raises:
             InputError: they have not, or there are none.
@@ -162,6 +165,9 @@ class Table:
                 raise InputError(
                     f"{'; '.join(others)}: other {name} than {self.labels[key]}; evaluate all rows in one way"
                 )
+        if {row.feet for row in self.measured.values()} >= {True, False}:
+            loose = "; ".join(self.labels[key] for key, row in self.measured.items() if row.feet is False)
+            raise InputError(f"{loose}: feet are not held, and those of other rows are; evaluate all rows in one way")
         return first
 
     @property
