@@ -323,7 +323,7 @@ def test_streams_depend_on_seed_name_and_rank():
 
 @pytest.mark.parametrize(
     ("setting", "value"),
-    [("steps", 0), ("save_every", 0), ("keep_last", 0), ("grad_clip", -1.0), ("validate_every", -1)],
+    [("steps", 0), ("save_every", 0), ("keep_last", 0), ("grad_clip", -1.0), ("validate_every", -1), ("seed", 10**20)],
 )
 def test_nonsense_settings_are_refused(setting, value):
     with pytest.raises(InputError, match=setting):
@@ -334,6 +334,11 @@ def test_an_absent_device_is_refused(tmp_path):
     absent = "mps" if not torch.backends.mps.is_available() else "cuda"
     with pytest.raises(InputError, match="cannot be used here; this machine has cpu"):
         train(tmp_path, device=absent)
+
+
+def test_more_processes_than_the_machine_can_bear_are_refused(tmp_path):
+    with pytest.raises(InputError, match="9999 devices are too many for cpu; use 1 to"):
+        train(tmp_path, device="cpu", devices=9999)
 
 
 def test_tensorboard_events_are_written(tmp_path):

@@ -76,6 +76,8 @@ class EngineConfig:
         for name in ("validate_every", "keep_every", "grad_clip", "threads"):
             if getattr(self, name) < 0:
                 raise InputError(f"{name} is {getattr(self, name)} but must not be negative; give 0 to switch it off")
+        if not 0 <= self.seed < 2**31:
+            raise InputError(f"seed {self.seed} is not in 0 to {2**31 - 1}")
 
 
 class Task:

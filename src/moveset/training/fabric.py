@@ -38,6 +38,11 @@ def launch(config: "EngineConfig") -> "Fabric":
     if torch.distributed.is_torchelastic_launched():
         devices = int(os.environ["LOCAL_WORLD_SIZE"])
         nodes = int(os.environ["WORLD_SIZE"]) // devices
+    else:
+        # Hundreds of processes by a slip of the hand would bring the machine down before anything could be said.
+        most = torch.cuda.device_count() if device == "cuda" else 1 if device == "mps" else 4 * (os.cpu_count() or 1)
+        if devices > most:
+            raise InputError(f"{devices} devices are too many for {device}; use 1 to {most}")
     strategy = "ddp" if devices * nodes > 1 else "auto"
     fabric = Fabric(accelerator=device, devices=devices, num_nodes=nodes, strategy=strategy, precision=precision)
     fabric.launch()
