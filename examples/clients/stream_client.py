@@ -61,7 +61,7 @@ def main() -> None:
     except OSError as error:
         raise SystemExit(f"no server at {given.server} ({error}); start one with: moveset serve") from None
     if given.out and given.out.suffix != ".mvst":
-        url = f"{given.server}/v1/export?format={given.out.suffix.removeprefix('.')}"
+        url = f"{given.server.rstrip('/')}/v1/export?format={given.out.suffix.removeprefix('.')}"
         request = urllib.request.Request(url, data, {"Content-Type": "application/octet-stream"})
         try:
             with urllib.request.urlopen(request, timeout=120) as reply:

@@ -224,6 +224,10 @@ def test_lower_phases_meet_what_the_student_landed_at(folder, rdm7, tmp_path, mo
         assert not torch.equal(met[step][1][begins], landed[step - 1][begins])
 
 
+def test_no_more_is_rehearsed_than_there_is(folder, rdm7, tmp_path):
+    trained(folder, "rdm-student", tmp_path / "run", "rehearsed=99", "own_past=0.5", "phases=2", steps=2)
+
+
 @pytest.mark.parametrize("wrong", [1.5, -0.1])
 def test_a_share_of_own_pasts_is_a_share(wrong):
     with pytest.raises(InputError, match="own_past"):

@@ -200,8 +200,9 @@ class RDMStudentTask(Task):
 
     def _rehearse(self, batch: SegmentBatch, draws: Draws, z: Tensor) -> Tensor:
         """Distance to the teacher's whole way down a phase, for the first rows of a batch; streams from theirs."""
-        count = self.config.rehearsed
-        batch, running_B = batch.rows(count), self.alone[:count]
+        batch = batch.rows(self.config.rehearsed)
+        count = len(batch.index)
+        running_B = self.alone[:count]
         text, w_B = self.data.read(batch.captions), draws.w_B[:count]
         bound = _Bound(batch, text, self.data.read([""] * count), self.transport, self.teacher)
         phase_B = torch.randint(self.config.phases, (count,), generator=self.draws).to(w_B.device)
@@ -246,11 +247,13 @@ class RDMStudentTask(Task):
         loop: Loop,
     ) -> tuple[Tensor, dict[str, Tensor]]:  # fmt: skip
         """How little the discriminator is fooled, after its own step; fake and real are noised to the judged time."""
-        eps = predict_eps(SCHEDULE, z, bound.pull(made), t_B)
+        clean = bound.pull(made)
+        eps = predict_eps(SCHEDULE, z, clean, t_B)
         if self.config.own_past:
             # Their pasts alone would tell streams from takes, and nothing would be learned of what they settle into.
             bound = bound.alone(self.alone)
-        landed = add_noise(SCHEDULE, bound.pull(made), eps, edge_B)
+            clean = bound.pull(made)
+        landed = add_noise(SCHEDULE, clean, eps, edge_B)
         fake = bound.push(renoise(SCHEDULE, landed, edge_B, draws.judged_B, draws.fake_noise_BND))
         seen = bound.features(fake, draws.judged_B)
         with torch.no_grad():
