@@ -21,15 +21,20 @@ class FormatError(InputError):
     """A file is damaged, absurd or not of the format it claims (exit code 2)."""
 
 
+def fail(message: str, code: int) -> int:
+    """Says what is wrong in one line on stderr, after a traceback if ``MOVESET_DEBUG`` is set; gives ``code`` back."""
+    if os.environ.get("MOVESET_DEBUG"):
+        import traceback
+
+        traceback.print_exc()
+    print(f"moveset: {' '.join(message.split())}", file=sys.stderr)
+    return code
+
+
 def exit_code_of(main: Callable[[], None]) -> int:
     """Runs a program besides ``moveset``; what is wrong is said in one line, as ``moveset`` itself does."""
     try:
         main()
     except MovesetError as error:
-        if os.environ.get("MOVESET_DEBUG"):
-            import traceback
-
-            traceback.print_exc()
-        print(f"moveset: {' '.join(str(error).split())}", file=sys.stderr)
-        return error.exit_code
+        return fail(str(error), error.exit_code)
     return 0

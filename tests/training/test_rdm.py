@@ -216,16 +216,12 @@ def test_lower_phases_meet_what_the_student_landed_at(folder, rdm7, tmp_path, mo
     )
     landed, land = [], rdm_student._Bound.land
     monkeypatch.setattr(rdm_student._Bound, "land", lambda *given: landed.append(land(*given)) or landed[-1])
-    task, _ = trained(folder, "rdm-student", tmp_path / "run", "own_past=0.5", "phases=2", steps=4)
+    task, _ = trained(folder, "rdm-student", tmp_path / "run", "own_past=0.5", "phases=2", "rehearsed=99", steps=4)
     first, second = task.own.rows.tolist()
     assert [point_B[[first, second]].tolist() for point_B, _ in met] == [[9, 4], [4, 9]] * 2
     for step, (goes_on, begins) in zip((1, 2, 3), ((first, second), (second, first)) * 2, strict=False):
         assert torch.equal(met[step][1][goes_on], landed[step - 1][goes_on])
         assert not torch.equal(met[step][1][begins], landed[step - 1][begins])
-
-
-def test_no_more_is_rehearsed_than_there_is(folder, rdm7, tmp_path):
-    trained(folder, "rdm-student", tmp_path / "run", "rehearsed=99", "own_past=0.5", "phases=2", steps=2)
 
 
 @pytest.mark.parametrize("wrong", [1.5, -0.1])

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from typing import Any, cast
 
 from moveset.cli.threads import wait_asleep
-from moveset.errors import InputError, MovesetError
+from moveset.errors import InputError, MovesetError, fail
 
 Command = Callable[..., Any]
 
@@ -72,15 +72,15 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         return _run(arguments)
     except MovesetError as error:
-        return _fail(str(error), error.exit_code)
+        return fail(str(error), error.exit_code)
     except KeyboardInterrupt:
-        return _fail("interrupted", 130)
+        return fail("interrupted", 130)
     except BrokenPipeError:
         # The reader of stdout is gone (`moveset models | head -1`): nothing is left to say, not even at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except Exception as error:
-        return _fail(f"{type(error).__name__}: {error} (MOVESET_DEBUG=1 shows where)", 1)
+        return fail(f"{type(error).__name__}: {error} (MOVESET_DEBUG=1 shows where)", 1)
 
 
 def _run(arguments: list[str]) -> int:
@@ -143,15 +143,6 @@ def _one_line(box: str) -> str:
     near = re.search(r"Perhaps you meant:\s+(--[\w-]+)", " ".join(lines[rule:]))
     said = " ".join(said.split()).rstrip(".") or "these arguments cannot be read"
     return f"{said} (did you mean {near[1]}?)" if near else said
-
-
-def _fail(message: str, code: int) -> int:
-    if os.environ.get("MOVESET_DEBUG"):
-        import traceback
-
-        traceback.print_exc()
-    print(f"moveset: {' '.join(message.split())}", file=sys.stderr)
-    return code
 
 
 if __name__ == "__main__":
