@@ -125,6 +125,19 @@ def test_what_comes_after_what_is_done_in_that_order(stream):
     assert said("walk, then bow", "--no-stages") == ["walk, then bow"] * 4
 
 
+def test_a_short_total_is_shared_by_all_there_is_to_do(stream):
+    def said(*given):
+        return [row["prompt"] for row in rows(stream(*given, "--json")[1])]
+
+    assert said("walk, then bow, then wave", "--total", "8.4") == ["walk"] * 2 + ["bow"] * 2 + ["wave"] * 2
+    assert said("walk", "bow, then wave", "--total", "7") == ["walk"] * 2 + ["bow"] * 2 + ["wave"]
+    # Durations that were asked for stay, and so do rounds.
+    assert said("walk", "bow", "--seconds", "4.2", "--total", "4.2") == ["walk"] * 3
+    assert said("walk", "bow", "--loop", "--total", "5.6") == ["walk"] * 4
+    # There is no segment for everyone: the last stay away, as they would with --seconds.
+    assert said("walk, then bow, then wave", "--total", "2.8") == ["walk", "bow"]
+
+
 def test_networks_and_guidance(stream):
     def evaluations(*more):
         return [row["network_evaluations"] for row in rows(stream("a", "--total", "2.8", *more, "--json")[1])]

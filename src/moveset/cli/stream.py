@@ -8,6 +8,7 @@ from collections import deque
 from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -54,7 +55,8 @@ def stream(
         output: File to write while it grows: .bvh .glb .npz or .html; give it several times for several files. What has
             been made so far is kept, however the stream ends.
         seconds: Duration of a prompt; once for all prompts, or once for each. Prompts change between two segments
-            (every 1.4 s), so durations are rounded; without it a prompt lasts four segments.
+            (every 1.4 s), so durations are rounded; without it a prompt lasts four segments, or what --total leaves
+            it if that is less.
         total: Seconds to make in all; without it as long as the prompts last.
         forever: Go on until interrupted.
         loop: Begin again after the last prompt, with --total or --forever.
@@ -95,10 +97,14 @@ def stream(
     if total is not None and not 0.0 < total <= MAX_SECONDS:
         raise InputError(f"a total of {total:g} seconds is not in 0 to {MAX_SECONDS:g}; give a duration such as 60")
     bundle = StreamBundle.find(model)
-    request = check_stream(
-        bundle.config, prompt or None, seconds or None, loop=loop, seed=seed, network=network, steps=steps,
+    check = partial(
+        check_stream, bundle.config, prompt or None, loop=loop, seed=seed, network=network, steps=steps,
         guidance=guidance, foot_lock=foot_lock, stages=stages,
     )  # fmt: skip
+    request = check(seconds or None)
+    if total is not None and total < request.seconds and not seconds and not loop:
+        # Nobody said how long each prompt lasts: so that all of them come, and not the first alone.
+        request = check([total * share / request.seconds for share in request.durations])
     one_thread()
     with ExitStack() as stack:
         lines = None if prompts is None else stack.enter_context(PromptLines(prompts))
