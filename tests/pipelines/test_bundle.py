@@ -5,10 +5,12 @@ import shutil
 
 import pytest
 import torch
+from safetensors.torch import save as save_safetensors
 
 from moveset.errors import FormatError, InputError
 from moveset.models.length import LengthPredictorConfig
 from moveset.pipelines.bundle import Bundle, BundleConfig, find_folder, save_folder
+from moveset.pipelines.verified_folder import write_whole
 from tests.bundles import tiny_bundle
 
 
@@ -50,6 +52,23 @@ def test_networks_come_back_in_half_precision(folder):
     assert not any(p.requires_grad for p in loaded.parameters())
     x = torch.randn(5, 8)
     torch.testing.assert_close(loaded(x), network.half().float()(x).detach(), atol=1e-5, rtol=1e-5)
+
+
+def test_words_of_the_training_are_optional_and_checked(folder):
+    captions = ["a person walks", "she bows"]
+
+    def known(**stored):
+        blobs = {name: (folder / name).read_bytes() for name in Bundle(folder).files}
+        blobs["prompts.json"] = json.dumps({"captions": captions, **stored}).encode()
+        blobs["prompts.safetensors"] = save_safetensors({"pooled": torch.eye(2, 384)})
+        write_whole(folder, blobs)
+        return Bundle(folder).captions
+
+    assert known().unread("a person crawls") == ()
+    assert known(words=["walk", "bow"]).unread("a person walks and crawls") == ("crawls",)
+    for words in ("walk", [1], {"walk": 1}):
+        with pytest.raises(FormatError, match="no list of words"):
+            known(words=words)
 
 
 def test_steps_are_those_of_the_students(folder):

@@ -15,6 +15,7 @@ from moveset.pipelines.stream_bundle import StreamBundle
 from moveset.rdm.grid import GridConfig
 from moveset.text.cache import EmbeddingCache
 from moveset.text.encoder import get_text_encoder
+from moveset.text.vocabulary import words_of
 from moveset.training import checkpoint, pack_stream
 from moveset.training.clips import FeatureStore
 from moveset.training.rdm import RDMConfig
@@ -95,7 +96,12 @@ def test_the_folder_holds_the_averaged_networks_of_the_latest_checkpoints(traine
     store = FeatureStore(trained / "runs" / "cache" / "features-native")
     assert torch.equal(bundle.normalizer["feature_mean"], store.normalizer.mean)
     assert torch.equal(bundle.normalizer["feature_std"], store.normalizer.std)
-    assert len(bundle.captions.sentences) == len(bundle.captions.pooled) > 10
+    known = bundle.captions
+    assert len(known.sentences) == len(known.pooled) > 10
+    # Paraphrases say what captions do not; what is kept out of both is missing.
+    assert not any(known.unread(sentence) for sentence in known.sentences)
+    assert known.words > {word for sentence in known.sentences for word in words_of(sentence)}
+    assert known.unread("a person saunters and walks") == ("saunters",)
     bundle.verify()
 
 

@@ -3,7 +3,7 @@
 ``config.json``             what the parts are; its ``task`` says what kind of folder it is
 ``<network>.safetensors``   weights in half precision, or as differences from another network's (``stored_weights``)
 ``normalizer.safetensors``  statistics of features (and latents)
-``prompts.json``            captions of the training data
+``prompts.json``            captions of the training data, and the words of all its captions
 ``prompts.safetensors``     ``pooled`` (P, C), their pooled text embeddings
 ``manifest.json``           sha256 and size of every other file
 
@@ -13,7 +13,7 @@ Only what is asked for is read, and what is read is verified. The kinds are ``bu
 
 import hashlib
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
@@ -238,14 +238,17 @@ class ModelFolder(VerifiedFolder, Generic[Config]):
 
     @cached_property
     def captions(self) -> KnownPrompts:
-        """Captions the model was trained on, with their pooled embeddings."""
-        captions = json_object(self.read("prompts.json"), self.path / "prompts.json").get("captions")
+        """Captions the model was trained on, with their pooled embeddings, and the words of all of them."""
+        stored = json_object(self.read("prompts.json"), self.path / "prompts.json")
+        captions, words = stored.get("captions"), stored.get("words", [])
         pooled = self.tensors("prompts.safetensors").get("pooled")
         if not isinstance(captions, list) or pooled is None or len(captions) != len(pooled):
             raise FormatError(
                 f"prompts.json and prompts.safetensors in {self.path} do not belong together; copy the model"
             )
-        return KnownPrompts(tuple(captions), pooled)
+        if not isinstance(words, list) or not all(isinstance(word, str) for word in words):
+            raise FormatError(f"the words in {self.path / 'prompts.json'} are no list of words; copy the model again")
+        return KnownPrompts(tuple(captions), pooled, frozenset(words))
 
 
 def shipped() -> dict[str, Path]:
@@ -284,6 +287,7 @@ def save_folder(
     captions: Sequence[str],
     pooled: Tensor,
     bases: Mapping[str, str] | None = None,
+    words: Collection[str] = (),
 ) -> Path:
     """Write a model folder; it appears whole or not at all, and replaces an older one of that name.
 
@@ -296,6 +300,7 @@ def save_folder(
         pooled: (P, C) their pooled text embeddings.
         bases: by name of a network, the one whose weights it was started from: it is stored as differences from those,
             in half the room.
+        words: of all captions of the training; a prompt with others gets a warning.
 
     Raises:
         ValueError: weights that half precision cannot hold, captions that do not fit their embeddings, or a base that
@@ -321,7 +326,7 @@ def save_folder(
             specs[name] = replace(specs[name], base=base, base_sha256=sha256)
             blobs[f"{name}.safetensors"] = save_safetensors(subtracted(module.state_dict(), whole[base]))
     blobs["normalizer.safetensors"] = save_safetensors({k: v.float().contiguous() for k, v in normalizer.items()})
-    blobs["prompts.json"] = json_bytes({"captions": list(captions)})
+    blobs["prompts.json"] = json_bytes({"captions": list(captions), "words": sorted(words)})
     blobs["prompts.safetensors"] = save_safetensors(halved({"pooled": pooled}))
     blobs["config.json"] = json_bytes({"format": FORMAT, "task": config.task, **asdict(replace(config, models=specs))})
     type(config).parse(blobs["config.json"], path / "config.json")

@@ -7,7 +7,7 @@ Networks, all but one of the denoisers optional:
 ``flow``         the invertible transport between segments; without it the transport is the identity
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Self
@@ -144,6 +144,7 @@ def save_stream_bundle(
     captions: Sequence[str],
     pooled: Tensor,
     bases: Mapping[str, str] | None = None,
+    words: Collection[str] = (),
 ) -> Path:
     """Write a stream's folder; it appears whole or not at all, and replaces an older one of that name.
 
@@ -155,6 +156,7 @@ def save_stream_bundle(
         captions: P sentences the model was trained on.
         pooled: (P, C) their pooled text embeddings.
         bases: by name of a student, the network it was started from ("rdm"): it is stored as differences.
+        words: of all captions of the training.
 
     Raises:
         ValueError: missing statistics, weights that half precision cannot hold, or captions that do not fit theirs.
@@ -162,4 +164,4 @@ def save_stream_bundle(
     """
     if missing := set(STATISTICS) - set(normalizer):
         raise ValueError(f"the normalizer lacks {sorted(missing)[0]!r}")
-    return save_folder(path, config, modules, normalizer, captions, pooled, bases)
+    return save_folder(path, config, modules, normalizer, captions, pooled, bases, words)

@@ -1,4 +1,6 @@
-"""What a user should know about a prompt: that it is unlike the training captions, or longer than can be read."""
+"""What a user should know about a prompt: that it is unlike the training captions, has other words, or is longer
+than can be read.
+"""
 
 from typing import Any
 
@@ -7,22 +9,32 @@ from torch import Tensor
 from moveset.pipelines.model_folder import ModelFolder
 from moveset.text.encoder import TextEncoder
 
+MOST_WORDS = 4  # of a prompt that are named
+
 
 def unfamiliar(bundle: ModelFolder[Any], prompts: tuple[str, ...], pooled: Tensor) -> list[str]:
-    """One warning for every prompt whose best cosine to the training captions is below ``config.far_prompt``.
+    """One warning for every prompt that is far from all training captions, or has words that were in none of them.
+
+    Far is a best cosine below ``config.far_prompt``. The nearest caption may well be near and yet another motion ("a
+    person is exercising" for riding a bicycle); then the words tell.
 
     Args:
         bundle: the model, with its captions.
         prompts: S sentences.
         pooled: (S, C) their pooled embeddings.
     """
-    best, where = bundle.captions.similarity(pooled.cpu())
-    return [
-        f"{prompt!r} is unlike anything this model was trained on (similarity {float(cosine):.2f}); "
-        f"the nearest it knows is {bundle.captions.sentences[k]!r}"
-        for prompt, cosine, k in zip(prompts, best, where.tolist(), strict=True)
-        if cosine < bundle.config.far_prompt
-    ]
+    known = bundle.captions
+    best, where = known.similarity(pooled.cpu())
+    out = []
+    for prompt, cosine, k in zip(prompts, best.tolist(), where.tolist(), strict=True):
+        nearest = f"the nearest it knows is {known.sentences[k]!r}"
+        if cosine < bundle.config.far_prompt:
+            out.append(f"{prompt!r} is unlike anything this model was trained on (similarity {cosine:.2f}); {nearest}")
+        elif words := known.unread(prompt):
+            named = ", ".join(map(repr, words[:MOST_WORDS])) + (" …" if len(words) > MOST_WORDS else "")
+            them, they = ("words", "they mean") if len(words) > 1 else ("word", "it means")
+            out.append(f"this model was never trained on the {them} {named} and guesses what {they}; {nearest}")
+    return out
 
 
 def too_long(encoder: TextEncoder, prompts: tuple[str, ...]) -> list[str]:

@@ -1,4 +1,4 @@
-"""How near a prompt is to the captions a model was trained on, and the nearest of them.
+"""How near a prompt is to the captions a model was trained on, the nearest of them, and words it was not trained on.
 
 Shapes: ``K`` known captions, ``P`` width of a pooled embedding.
 """
@@ -11,6 +11,7 @@ from torch import Tensor
 from torch.nn.functional import normalize
 
 from moveset.errors import InputError
+from moveset.text.vocabulary import unread
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,6 +21,7 @@ class KnownPrompts:
     Args:
         sentences: K captions.
         pooled: (K, P), float16 or float32.
+        words: of all captions of the training, these among them; empty if nobody wrote them down.
 
     Raises:
         InputError: no captions, or numbers that do not belong together.
@@ -27,6 +29,7 @@ class KnownPrompts:
 
     sentences: tuple[str, ...]
     pooled: Tensor
+    words: frozenset[str] = frozenset()
 
     def __post_init__(self) -> None:
         if not self.sentences or self.pooled.ndim != 2 or len(self.pooled) != len(self.sentences):
@@ -45,6 +48,10 @@ class KnownPrompts:
         """The most similar caption to one (P,) pooled embedding, and their cosine."""
         best, where = self.similarity(pooled[None])
         return self.sentences[int(where)], float(best)
+
+    def unread(self, sentence: str) -> tuple[str, ...]:
+        """Words of a sentence that were in no caption of the training, in no form (``text.vocabulary.unread``)."""
+        return unread(sentence, self.words)
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,9 @@
 
 import argparse
 import sys
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import torch
 from torch import nn
@@ -14,10 +16,12 @@ from moveset.pipelines.bundle import BundleConfig, save_folder
 from moveset.text.cache import EmbeddingCache, cache_file
 from moveset.text.encoder import get_text_encoder
 from moveset.text.familiarity import calibrate
+from moveset.text.vocabulary import words_of
 from moveset.training import checkpoint, frozen
 from moveset.training.clips import FeatureStore
 from moveset.training.latents import LatentSet
 from moveset.training.length import train_length
+from moveset.training.reading import Disturbance, wordings
 from moveset.training.tasks import Sources
 
 KNOWN_CAPTIONS = 2000
@@ -68,10 +72,8 @@ def pack(
     )
     text = EmbeddingCache.open(cache_file(sources.cache, text_encoder))
     shipped = frozen.load(decoder, "vae_ema") if decoder else vae
-    modules: dict[str, nn.Module] = {
-        "vae": shipped.module,
-        "teacher": frozen.load(sources.teacher, "teacher_ema").module,
-    }
+    teacher = frozen.load(sources.teacher, "teacher_ema")
+    modules: dict[str, nn.Module] = {"vae": shipped.module, "teacher": teacher.module}
     grids = set()
     for student, folder in students.items():
         found = frozen.load(folder, "student_ema" if averaged else "student")
@@ -108,7 +110,8 @@ def pack(
         "latent_std": latents.scale,
     }
     bases = dict.fromkeys(students, "teacher") if differences else None
-    return save_folder(out, config, modules, normalizer, known, known_pooled, bases)
+    words = trained_words(corpus, teacher.task)
+    return save_folder(out, config, modules, normalizer, known, known_pooled, bases, words)
 
 
 def student_phases(name: str) -> int:
@@ -154,6 +157,23 @@ def known_captions(corpus: Corpus) -> list[str]:
         written = list(captions)
         chosen.update(written[: each // 2] + written[each // 2 :: max(1, 2 * len(written) // each)])
     return sorted(chosen)
+
+
+def trained_words(corpus: Corpus, task: Mapping[str, Any]) -> set[str]:
+    """Words of all that a network was told in its training: captions, composed ones too, and their paraphrases.
+
+    Args:
+        corpus: of the training.
+        task: its configuration.
+    """
+    captions = {
+        caption
+        for composed in (False, True)
+        for k in corpus.indices("train", composed=composed)
+        for mirrored in (False, True)
+        for caption in corpus.captions(k, mirrored)
+    }
+    return {word for said in wordings(sorted(captions), Disturbance(**task["disturbance"])) for word in words_of(said)}
 
 
 def familiarity_limit(known: torch.Tensor, text_encoder: str) -> float:

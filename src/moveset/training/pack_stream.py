@@ -12,9 +12,10 @@ from moveset.data.corpus import Corpus
 from moveset.errors import InputError, exit_code_of
 from moveset.pipelines.stream_bundle import DEFAULT_STREAM, FLOW, StreamConfig, save_stream_bundle
 from moveset.text.cache import EmbeddingCache, cache_file
+from moveset.text.vocabulary import words_of
 from moveset.training import checkpoint, frozen
 from moveset.training.clips import FeatureStore
-from moveset.training.pack import familiarity_limit, known_captions
+from moveset.training.pack import familiarity_limit, known_captions, trained_words
 from moveset.training.stills import SENTENCES
 
 RDM, MD = "rdm", "md"
@@ -91,9 +92,10 @@ def pack_stream(
     corpus, encoder = Corpus.open(corpus_path), rdm.task["text_encoder"]
     store = FeatureStore(cache / f"features-{rdm.task['codec']}")
     text = EmbeddingCache.open(cache_file(cache, encoder))
-    known = known_captions(corpus)
+    known, words = known_captions(corpus), trained_words(corpus, rdm.task)
     if rdm.task["cutting"].get("stills"):
         known = sorted({*known, *SENTENCES})
+        words |= {word for sentence in SENTENCES for word in words_of(sentence)}
     pooled = text.lookup(known).pooled
     config = StreamConfig(
         name=name,
@@ -112,7 +114,7 @@ def pack_stream(
     )
     normalizer = {"feature_mean": store.normalizer.mean, "feature_std": store.normalizer.std}
     bases = dict.fromkeys(students, RDM) if differences else None
-    return save_stream_bundle(out, config, modules, normalizer, known, pooled, bases)
+    return save_stream_bundle(out, config, modules, normalizer, known, pooled, bases, words)
 
 
 def _check(network: str, found: frozen.Frozen, rdm: frozen.Frozen) -> None:

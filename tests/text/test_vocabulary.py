@@ -1,0 +1,49 @@
+"""Words that a model was never trained on, told from forms of those that it was."""
+
+import json
+
+import pytest
+
+from moveset.data.captions import heldout_captions
+from moveset.pipelines.model_folder import shipped
+from moveset.text.vocabulary import unread, words_of
+
+WORDS = ("walk", "waves", "carries", "stop", "quick", "left", "hand", "race", "swing", "huge", "kick")
+
+
+def test_words_of_any_script_and_no_others():
+    assert words_of("Somebody’s   two-step, 3×, über_alles (he said: 走)!") == [
+        "somebody", "two-step", "über", "alles", "he", "said", "走",
+    ]  # fmt: skip
+    assert words_of("") == words_of("42 …") == []
+
+
+@pytest.mark.parametrize(
+    "form",
+    ["walks", "walked", "walking", "walker", "waving", "wave", "carry", "carried", "carrying", "stopped", "stopping",
+     "quickly", "racing", "raced", "WALK", "walk's", "left-hand", "left-handed"],
+)  # fmt: skip
+def test_forms_of_known_words_are_known(form):
+    assert unread(f"a person {form}", WORDS) == ()
+
+
+@pytest.mark.parametrize("word", ["hug", "rack", "wing", "king", "leftover", "handful", "kickboxes", "waver-x", "sto"])
+def test_other_words_are_not(word):
+    assert unread(f"a person {word}", WORDS) == (word,)
+
+
+def test_each_word_once_in_their_order_and_without_grammar():
+    said = "The man, who is tired, climbs up a ladder and then climbs down the same ladder"
+    assert unread(said, WORDS) == ("tired", "climbs", "ladder")
+    assert unread(said, ()) == ()  # what the model was trained on was not written down
+
+
+@pytest.mark.parametrize("name", ["motionpcm-small", "rdm-small"])
+def test_shipped_models_know_their_captions_and_not_everything(name):
+    stored = json.loads((shipped()[name] / "prompts.json").read_text())
+    words = frozenset(stored["words"])
+    assert not {word for caption in stored["captions"] for word in unread(caption, words)}
+    # Words of the wordings that are kept out of training are out of the list too, or the warning would never come.
+    held = [caption for content in ("walk", "bow", "run") for caption in heldout_captions(content)]
+    assert sum(bool(unread(caption, words)) for caption in held) > 0.8 * len(held)
+    assert unread("a person does a cartwheel on a skateboard", words) == ("cartwheel", "skateboard")
