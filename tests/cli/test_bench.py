@@ -71,6 +71,7 @@ def test_a_report_that_cannot_be_written_any_more_is_printed(models, tmp_path, m
         (["-o", "taken.json"], "'taken.md': it is a folder"),
         (["--results", "nowhere"], "there is no folder nowhere"),
         (["--redraw", "nothing.json"], "cannot read nothing.json"),
+        (["--redraw", "costs.json", "--parts", "clips"], "--redraw measures nothing, so --parts has no use"),
         (["--threads", "0"], "0 threads"),
         (["--rounds", "0"], "0 rounds"),
         (["--processes", "-1"], "-1 processes"),

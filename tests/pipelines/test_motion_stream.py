@@ -328,6 +328,7 @@ def test_any_skeleton_and_rate_will_do(opened):
     ("motion", "said"),
     [
         (walking(27), "give at least 1.4 s"),
+        ("walk.bvh", "not from 'walk.bvh'; read a file by moveset.load"),
         (walking(41).resampled(60.0)[:80], "80 frames at 60 fps"),
         (Motion(rotations.identity(40, 2), torch.zeros(40, 3), 20.0, Skeleton("stick", ("a", "b"), (-1, 0),
          torch.tensor([[0.0, 0, 0], [0, 1, 0]]))), "stick"),

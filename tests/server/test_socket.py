@@ -156,6 +156,12 @@ def test_an_unfamiliar_prompt_is_warned_of(talk):
         assert "unlike anything" in one.until("prompt")[-1]["warnings"][0]
 
 
+def test_the_longest_prompt_fits_however_it_is_escaped(talk):
+    with talk() as one:
+        one.begin(prompt="🤸" * 512)
+        assert one.until("prompt")[-1]["text"] == "🤸" * 512
+
+
 def test_who_never_acknowledges_gets_the_buffer_and_no_more(talk):
     with talk() as one:
         one.begin(buffer=2.0)

@@ -63,5 +63,8 @@ def test_unknown_names_are_refused():
     nowhere = Sources(corpus=Path(), vae=Path(), teacher=Path(), cache=Path())
     with pytest.raises(InputError, match=f"choose one of {', '.join(TASKS)}"):
         task_maker("gan", None, nowhere)
+    for setting, said in (("batch=0", "batch=0 trains nothing"), ("lr=0", "lr=0 trains"), ("lr=-1", "lr=-1 trains")):
+        with pytest.raises(InputError, match=said):
+            task_maker("vae", with_settings(load_recipe("tiny", "vae").task, [setting]), nowhere)
     with pytest.raises(InputError, match="no recipe 'huge'"):
         load_recipe("huge", "vae")

@@ -61,6 +61,9 @@ def bench(
     for path in (output, redraw):
         if path is not None and path.suffix != ".json":
             raise InputError(f"a report is a .json file, not {path.name!r}; choose such a name")
+    measured = {"parts": parts, "rounds": rounds, "processes": processes, "endless": endless, "threads": threads}
+    if redraw is not None and (idle := [name for name, value in measured.items() if value not in (None, ())]):
+        raise InputError(f"--redraw measures nothing, so --{idle[0]} has no use; leave one of them out")
     output = output or redraw
     if output is not None:
         check_folder(output.parent)

@@ -108,6 +108,8 @@ class MotionStream(Iterator[Segment]):
         normalizer = bundle.normalizer
         self._mean, self._std = (normalizer[name].to(self.device) for name in ("feature_mean", "feature_std"))
         self._seed, self._timeline = request.seed, request.timeline
+        if seed_motion is not None and not isinstance(seed_motion, Motion):
+            raise InputError(f"a stream goes on from a Motion, not from {seed_motion!r}; read a file by moveset.load")
         seed = None if seed_motion is None else SeedMotion.of(seed_motion, self.codec, bundle.config.segment)
         self._begin(request.settings, seed)
 

@@ -39,7 +39,7 @@ class Limits:
     seconds: float = 60.0
     streams: int = 16
     connections: int = 64
-    message: int = 4096
+    message: int = 8192
     messages_per_second: float = 200.0
     bad_messages: int = 100
     idle: float = 120.0
