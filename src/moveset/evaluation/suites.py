@@ -153,6 +153,7 @@ def rdm() -> Suite:
     alike = replace(stream, group="Every variant, trained alike for a short time", repeats=FEWER,
                     against=("md-7-alike",))  # fmt: skip
     volume = replace(alike, network="denoiser")
+    other = replace(volume, group="Other methods, 4,600 steps of training", against=("md-7", "rdm-7"))
     # A segment enters one step after the one before it and goes through all of its own: best on validation items.
     entangled = {"start": 10, "lag": 1}
 
@@ -171,6 +172,8 @@ def rdm() -> Suite:
                 steps=2, repeats=None, against=("md-7", "rdm-7", "rdm-pcm-1")),
         replace(stream, key="whole-sentences", label="RDM-7's student, 1 step, whole sentences", network="pcm-1",
                 steps=1, settings={"stages": False}, against=("rdm-pcm-1",)),
+        replace(other, key="motiondiffuse", label="MotionDiffuse", model="motiondiffuse-small"),
+        replace(other, key="dip", label="DiP", model="dip-small"),
         overlapping("disentangled", "R = 0 (the flow alone)", 0, "parallelogram"),
         overlapping("triangle-1", "R = 1, triangle", 1, "triangle"),
         overlapping("triangle-2", "R = 2, triangle", 2, "triangle"),
@@ -178,10 +181,8 @@ def rdm() -> Suite:
         overlapping("parallelogram-4", "R = 4, parallelogram", 4, "parallelogram"),
         replace(staircase, key="sequential", label="RDM-7, one segment after the other", repeats=FEW,
                 against=("md-7", "rdm-7")),
-        replace(volume, key="motiondiffuse", label="MotionDiffuse", model="motiondiffuse-small"),
         replace(volume, key="rdm-1", label="RDM-1", model="rdm-1-small"),
         replace(volume, key="light-rdm-1", label="Light-RDM-1", model="light-rdm-1-small"),
-        replace(volume, key="dip", label="DiP", model="dip-small"),
         replace(alike, key="md-4", label="MD-4", model="rdm-4-small", network="md"),
         replace(alike, key="md-7-alike", label="MD-7, short training", model="rdm-7-alike", network="md", against=()),
         replace(alike, key="rdm-4", label="RDM-4", model="rdm-4-small", settings=entangled),
