@@ -276,8 +276,8 @@ def closed(one):
 @pytest.mark.parametrize(
     ("send", "word", "code"),
     [
-        (lambda socket: socket.send_text("x" * 4097), "too_large", 1009),
-        (lambda socket: socket.send_text("ü" * 2049), "too_large", 1009),
+        (lambda socket: socket.send_text("x" * 8193), "too_large", 1009),
+        (lambda socket: socket.send_text("ü" * 4097), "too_large", 1009),
         (lambda socket: socket.send_bytes(b"MVST"), "binary", 1008),
     ],
 )
