@@ -78,6 +78,18 @@ def test_being_stopped_tells_streams_and_is_no_failure(start):
     assert program.stop()[0] == 0
 
 
+def test_a_refused_websocket_is_no_fault_of_the_server(start):
+    program = start()
+
+    async def ask():
+        async with websockets.connect(f"ws://{program.address}/v1/stream", origin="https://evil.example"):
+            pass
+
+    with pytest.raises(websockets.InvalidStatus, match="403"):
+        loops.run(ask())
+    assert program.stop() == (0, "", "")
+
+
 @pytest.mark.parametrize("times", [1, 2, 3])
 def test_ctrl_c_is_no_failure_either(times, start):
     program = start()

@@ -107,7 +107,13 @@ def make_server(app: FastAPI, *, opened: Callable[[], None] | None = None, log_l
 
 
 class _Reading(WebSocketsSansIOProtocol):
-    """Reads no more from a client that does not read: answers to its pings would pile up."""
+    """Reads no more from a client that does not read: answers to its pings would pile up. Refuses without a log."""
+
+    async def send(self, message: Any) -> None:
+        await super().send(message)
+        if message["type"] == "websocket.http.response.body":
+            # Refused and answered, which is a whole handshake; uvicorn would log that there was none.
+            self.handshake_complete = True
 
     def pause_writing(self) -> None:
         super().pause_writing()
