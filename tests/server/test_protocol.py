@@ -1,6 +1,7 @@
 """Messages: what is understood, and that everything else is refused in a sentence."""
 
 import json
+import re
 
 import pytest
 from hypothesis import given, settings
@@ -60,6 +61,26 @@ def test_everything_else_is_refused_in_one_line(wrong):
     with pytest.raises(ValueError, match=r"^.{1,600}$") as error:
         read_message(wrong)
     str(error.value).encode()
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        ("x", "what was sent is no JSON"),
+        ("{}", "a message has a type; choose one of start, prompt"),
+        ('{"type":"strat"}', "there is no message 'strat'; choose one of start, prompt"),
+        ('{"type":"start","x":1}', "start.x: there is no such field; leave it out"),
+        ('{"type":"start","seed":-4}', "start.seed: -4 should be greater than or equal to 0"),
+        ('{"type":"start","seed":"' + "7" * 99 + '"}', 'start.seed: "' + "7" * 39 + "… should be a valid integer"),
+        ('{"type":"prompt"}', "prompt.text: this is missing"),
+        ('{"type":"prompt","text":""}', "prompt.text: this is empty"),
+        ('{"type":"prompt","text":"' + "x" * 600 + '"}', "600 characters are more than the limit of 512"),
+    ],
+    ids=lambda text: text[:40],
+)
+def test_a_refusal_names_the_value_and_the_limit(wrong, words):
+    with pytest.raises(ValueError, match=re.escape(words)):
+        read_message(wrong)
 
 
 @given(

@@ -198,7 +198,7 @@ def test_answers_that_wait_to_be_written_count(serving):
         ({"prompts": [WALK], "guidance": 31}, 422, "30"),
         ({"prompts": [WALK], "path": "/etc/passwd"}, 422, "path"),
         ({"prompts": [WALK], "\ud800": 1}, 422, "unicode"),
-        ([], 422, "dictionary"),
+        ([], 422, "object"),
     ],
     ids=str,
 )
@@ -255,8 +255,29 @@ def test_sizes_are_limited_by_what_is_said_and_by_what_is_sent(serving):
 
 def test_other_paths_and_methods(client):
     said(client.get("/v1/nothing"), 404, "not_found")
-    said(client.get("/v1/generate"), 405, "wrong_method")
     said(client.post("/healthz"), 405, "wrong_method")
+    refused = client.get("/v1/generate")
+    assert said(refused, 405, "wrong_method") == "'/v1/generate' does not take GET; use POST"
+    assert refused.headers["allow"] == "POST"
+    assert client.put("/v1/jobs/1").headers["allow"] == "GET, DELETE, HEAD"
+
+
+@pytest.mark.parametrize("path", ["/", "/healthz", "/metrics", "/v1/models", "/docs", "/openapi.json"])
+def test_who_asks_for_the_head_is_told_what_get_would_be(client, path):
+    head, got = client.head(path), client.get(path)
+    assert (head.status_code, head.content) == (200, b"")
+    assert head.headers["content-type"] == got.headers["content-type"]
+
+
+def test_refusals_are_for_people(client):
+    wrong = client.post("/v1/generate", content="x", headers={"Content-Type": "application/json"})
+    assert said(wrong, 422, "invalid") == "what was sent is no JSON; see /docs"
+    assert "prompts.0: this should be an object" in said(
+        client.post("/v1/generate", json={"prompts": ["a person walks"]}), 422, "invalid"
+    )
+    assert "100 should be less than or equal to 60" in said(
+        client.post("/v1/generate", json={"prompts": [{**WALK, "seconds": 100}]}), 422, "invalid"
+    )
 
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")

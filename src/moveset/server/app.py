@@ -7,6 +7,7 @@ from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
 from starlette.exceptions import HTTPException
+from starlette.routing import Match, Mount
 
 from moveset import __version__
 from moveset.errors import InputError, MovesetError
@@ -15,8 +16,6 @@ from moveset.server.failures import RequestError
 from moveset.server.guard import Guard
 from moveset.server.protocol import sentence
 from moveset.server.service import Options, Service
-
-_CODES = {404: "not_found", 405: "wrong_method"}
 
 
 def create_app(options: Options | None = None) -> FastAPI:
@@ -62,12 +61,24 @@ def create_app(options: Options | None = None) -> FastAPI:
 
 
 async def _refused(request: Request, error: Exception) -> JSONResponse:
-    found = _as_request_error(error)
+    found = _as_request_error(request, error)
     request.app.state.service.metrics.refused.labels(found.code).inc()
-    return JSONResponse(found.body(), found.status, found.headers())
+    headers = {"Allow": _methods(request)} if found.status == 405 else {}
+    return JSONResponse(found.body(), found.status, headers | found.headers())
 
 
-def _as_request_error(error: Exception) -> RequestError:
+def _methods(request: Request) -> str:
+    """Methods that this address takes, in whichever of its routes: the framework names those of one."""
+    routes = [route for route in request.app.routes if not isinstance(route, Mount)]
+    found = [
+        method
+        for method in ("GET", "POST", "DELETE")
+        if any(route.matches({**request.scope, "method": method})[0] is Match.FULL for route in routes)
+    ] or ["GET"]  # the page's files
+    return ", ".join(found + ["HEAD"] * ("GET" in found))
+
+
+def _as_request_error(request: Request, error: Exception) -> RequestError:
     if isinstance(error, RequestError):
         return error
     if isinstance(error, InputError):
@@ -75,9 +86,12 @@ def _as_request_error(error: Exception) -> RequestError:
     if isinstance(error, RequestValidationError):
         return RequestError(422, "invalid", sentence(list(error.errors())))
     if isinstance(error, HTTPException):
-        status = error.status_code
-        found = RequestError(status, _CODES.get(status, "invalid"), str(error.detail))
-        return found
+        if error.status_code == 404:
+            return RequestError(404, "not_found", "there is nothing at this address; /docs lists what there is")
+        if error.status_code == 405:
+            message = f"{request.url.path!r} does not take {request.method}; use {_methods(request)}"
+            return RequestError(405, "wrong_method", message)
+        return RequestError(error.status_code, "invalid", str(error.detail))
     return RequestError(500, "internal", str(error))
 
 

@@ -15,7 +15,7 @@ from moveset.server.metrics import Metrics
 from moveset.server.wire import MEDIA_TYPE
 
 _HOST = re.compile(r"(\[[0-9a-fA-F:.]+\]|[A-Za-z0-9.-]+)(?::(\d{1,5}))?")
-_SAFE = ("GET", "HEAD", "OPTIONS")
+_SAFE = ("GET", "OPTIONS")
 _TYPES = {"/v1/generate": "application/json", "/v1/jobs": "application/json", "/v1/export": MEDIA_TYPE}
 _HEADERS = {
     "X-Content-Type-Options": "nosniff",
@@ -40,6 +40,7 @@ class Guard:
     - Origin: other sites' pages may neither change anything nor open a WebSocket, nor read an answer; those that may
       are told so in CORS's words.
     - Size and type of what is sent.
+    - HEAD is GET without the body, everywhere.
 
     Args:
         app: what is guarded.
@@ -60,6 +61,9 @@ class Guard:
         if scope["type"] not in ("http", "websocket"):
             await self._app(scope, receive, send)
             return
+        if scope["type"] == "http" and scope["method"] == "HEAD":
+            # What asks whether the server runs often asks so. uvicorn, which has its own scope, sends no body.
+            scope = {**scope, "method": "GET"}
         headers = Headers(scope=scope)
         host = headers.get("host", "")
         answer = self._answering(scope, headers, send)

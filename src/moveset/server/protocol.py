@@ -1,5 +1,7 @@
 """What clients may send, validated strictly: unknown fields, wrong types and numbers out of range are refused."""
 
+import json
+import re
 import unicodedata
 from typing import Annotated, Literal
 
@@ -11,6 +13,17 @@ from moveset.server.limits import Limits
 
 LIMITS = Limits()
 _SPACE = {"\t", "\n", "\r"}
+_SHOWN = 40  # characters of a value that an error quotes
+_TYPES = "start, prompt, played, pause, resume, set, stop"
+_SAID = {
+    "missing": "this is missing; /docs lists what is needed",
+    "extra_forbidden": "there is no such field; leave it out, or see /docs",
+    "string_too_short": "this is empty; fill it in, or leave it out",
+    "model_type": "this should be an object; see /docs",
+    "model_attributes_type": "this should be an object; see /docs",
+    "union_tag_not_found": f"a message has a type; choose one of {_TYPES}",
+    "union_tag_invalid": f"there is no message {{tag!r}}; choose one of {_TYPES}",
+}
 
 
 def plain(text: str) -> str:
@@ -120,7 +133,7 @@ def read_message(text: str) -> Start | ChangePrompt | Played | Set | Plain:
     try:
         return _MESSAGES.validate_json(text)
     except ValidationError as error:
-        raise ValueError(sentence(error.errors(include_url=False, include_input=False))) from None
+        raise ValueError(sentence(error.errors(include_url=False))) from None
 
 
 def sentence(errors: list[dict]) -> str:
@@ -130,6 +143,21 @@ def sentence(errors: list[dict]) -> str:
         errors: as pydantic lists them.
     """
     first = errors[0]
+    kind, given = first["type"], first.get("input")
     where = ".".join(str(part) for part in first["loc"] if part != "body")
     what = str(first["msg"]).removeprefix("Value error, ")
+    if kind == "json_invalid":
+        where, what = "", "what was sent is no JSON; see /docs"
+    elif kind in _SAID:
+        what = _SAID[kind].format(**first.get("ctx", {}))
+    elif kind == "string_too_long":
+        what = f"{len(given or '')} characters are more than the limit of {first['ctx']['max_length']}; say it shorter"
+    elif given is not None:
+        # "-1 should be greater than or equal to 0": the value as it was sent, and its limit.
+        what = re.sub("^(Input|String|List)(?= should)", lambda _: _shown(given), what)
     return sayable(f"{where}: {what}" if where else what)
+
+
+def _shown(given: object) -> str:
+    text = json.dumps(given, ensure_ascii=False, default=str)
+    return text if len(text) <= _SHOWN else f"{text[:_SHOWN]}…"
