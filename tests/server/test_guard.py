@@ -125,6 +125,7 @@ def test_pages_load_nothing_from_elsewhere(client, path):
 
 def test_the_description_of_everything(client):
     text = client.get("/docs").text
+    assert "``" not in text
     for route in client.get("/openapi.json").json()["paths"]:
         assert route in text
     assert "GenerateBody" in text

@@ -1,6 +1,7 @@
 """The description of the interface as one plain page: no scripts, nothing from elsewhere."""
 
 import json
+import re
 from collections.abc import Iterator
 from html import escape
 from typing import Any
@@ -34,7 +35,7 @@ def _routes(paths: dict[str, Any]) -> Iterator[str]:
     for path, methods in paths.items():
         for method, route in methods.items():
             yield f"<h3><code>{method.upper()} {escape(path)}</code> {escape(route.get('summary', ''))}</h3>"
-            yield f"<p>{escape(route.get('description', ''))}</p>"
+            yield f"<p>{_words(route.get('description', ''))}</p>"
             rows = [
                 f"<tr><td><code>{escape(given['name'])}</code></td><td>{given['in']}</td>"
                 f"<td><code>{_type(given['schema'])}</code></td></tr>"
@@ -46,7 +47,7 @@ def _routes(paths: dict[str, Any]) -> Iterator[str]:
             for kind, content in body.items():
                 yield f"<p>Body: <code>{escape(kind)}</code> <code>{_type(content['schema'])}</code></p>"
             said = ", ".join(
-                f"{status} {escape(answer['description'])}" for status, answer in route["responses"].items()
+                f"{status} {escape(answer['description'].rstrip('.'))}" for status, answer in route["responses"].items()
             )
             yield f"<p>Answers: {said}</p>"
 
@@ -55,11 +56,16 @@ def _bodies(schemas: dict[str, Any]) -> Iterator[str]:
     for name, schema in schemas.items():
         if "properties" not in schema:
             continue
-        yield f"<h3><code>{escape(name)}</code></h3><p>{escape(schema.get('description', ''))}</p><table>"
+        yield f"<h3><code>{escape(name)}</code></h3><p>{_words(schema.get('description', ''))}</p><table>"
         for field, kind in schema["properties"].items():
             default = escape(json.dumps(kind["default"])) if "default" in kind else "required"
             yield f"<tr><td><code>{escape(field)}</code></td><td><code>{_type(kind)}</code></td><td>{default}</td></tr>"
         yield "</table>"
+
+
+def _words(text: str) -> str:
+    """A docstring's text, with what it quotes as code."""
+    return re.sub("``(.+?)``", r"<code>\1</code>", escape(text))
 
 
 def _type(schema: dict[str, Any]) -> str:
