@@ -6,6 +6,7 @@ import json
 import threading
 import time
 
+import numpy as np
 import pytest
 import torch
 
@@ -114,6 +115,16 @@ def test_frames_become_files(client, suffix, tmp_path):
     assert differ(opened(answer, suffix, tmp_path), take) < 1e-3
     answer = client.post(f"/v1/export?format={suffix}&skeleton=smpl", content=packets, headers=BYTES)
     assert differ(opened(answer, suffix, tmp_path), retarget(take, "smpl")) < 1e-3
+
+
+def test_amass_is_a_format_of_its_own(client, tmp_path):
+    assert "amass.npz" in client.get("/v1/models").json()["formats"]
+    take = wander(20, seed=5)
+    answer = client.post("/v1/export?format=amass.npz&title=a+walk", content=pack_packet(take), headers=BYTES)
+    assert answer.headers["content-disposition"] == 'attachment; filename="a-walk.amass.npz"'
+    with np.load(io.BytesIO(answer.content)) as found:
+        assert found["poses"].shape == (20, 156)
+    assert differ(opened(answer, "amass.npz", tmp_path), take) < 1e-3
 
 
 @pytest.mark.parametrize(("suffix", "magic"), [("png", b"\x89PNG"), ("gif", b"GIF8"), ("mp4", b"\0\0\0")])

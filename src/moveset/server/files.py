@@ -23,6 +23,7 @@ _TYPES = {
     "bvh": "text/plain; charset=utf-8",
     "glb": "model/gltf-binary",
     "npz": "application/octet-stream",
+    "amass.npz": "application/octet-stream",
     "html": "text/html; charset=utf-8",
     "mp4": "video/mp4",
     "gif": "image/gif",
@@ -32,7 +33,7 @@ _TYPES = {
 
 def formats() -> tuple[str, ...]:
     """Formats of files that can be asked for."""
-    return tuple(name for name in _TYPES if f".{name}" in WRITABLE)
+    return tuple(name for name in _TYPES if f".{name.rpartition('.')[2]}" in WRITABLE)
 
 
 def check_format(name: str) -> None:

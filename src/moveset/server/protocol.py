@@ -71,7 +71,7 @@ class GenerateBody(_Strict):
     guidance: Guidance | None = None
     seed: Seed | None = None
     num: Annotated[int, Field(ge=1, le=LIMITS.variants)] = 1
-    format: Annotated[str, Field(max_length=8)] = "json"
+    format: Annotated[str, Field(max_length=16)] = "json"
     fps: Annotated[float, Field(ge=1.0, le=240.0, allow_inf_nan=False)] | None = None
     skeleton: Name | None = None
     in_place: bool = False

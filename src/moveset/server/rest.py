@@ -133,7 +133,7 @@ async def cancel(the: The, number: Name) -> JSONResponse:
 async def export(
     the: The,
     request: Request,
-    format: Annotated[str, Query(max_length=8)],
+    format: Annotated[str, Query(max_length=16)],
     skeleton: Annotated[Name | None, Query()] = None,
     fps: Annotated[float | None, Query(ge=1.0, le=240.0, allow_inf_nan=False)] = None,
     in_place: bool = False,
