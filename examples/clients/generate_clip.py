@@ -1,7 +1,7 @@
 """A clip from a moveset server with nothing but the standard library: ``python generate_clip.py PROMPT -o walk.glb``.
 
-Whole files (.bvh .glb .npz .mp4 .gif .png) come straight from the server; without -o the numbers themselves are
-fetched and read, which is what an engine does.
+Whole files (.bvh .glb .npz .amass.npz .mp4 .gif .png) come straight from the server; without -o the numbers themselves
+are fetched and read, which is what an engine does.
 """
 
 import argparse
@@ -11,6 +11,7 @@ import struct
 import sys
 import urllib.error
 import urllib.request
+from pathlib import Path
 
 HEADER = struct.Struct("<4sHHIQffI")
 
@@ -47,18 +48,22 @@ def main() -> None:
     """Read the command line, ask, save or print."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("prompts", nargs="+", help="sentences that follow each other")
-    parser.add_argument("--server", default="http://127.0.0.1:8765")
+    parser.add_argument("--server", default="127.0.0.1:8765", type=lambda at: at if "//" in at else f"http://{at}")
     parser.add_argument("--seconds", type=float, help="of each sentence; without it the text decides")
     parser.add_argument("--seed", type=int)
-    parser.add_argument("-o", "--out", help="file to write; its extension is the format")
+    parser.add_argument("-o", "--out", type=Path, help="file to write; its extension is the format")
     given = parser.parse_args()
     body = {"prompts": [{"text": text, "seconds": given.seconds} for text in given.prompts], "seed": given.seed}
     if given.out:
-        data = ask(given.server, body | {"format": given.out.rpartition(".")[2]})
-        with open(given.out, "wb") as file:
-            file.write(data)
+        if not given.out.parent.is_dir():
+            sys.exit(f"there is no folder {given.out.parent}; make it first")
+        name = given.out.name.lower()
+        format = "amass.npz" if name.endswith(".amass.npz") else given.out.suffix.lower().removeprefix(".")
+        given.out.write_bytes(ask(given.server, body | {"format": format}))
         return
     answer = json.loads(ask(given.server, body))
+    for warning in answer["warnings"]:
+        print(f"warning: {warning}", file=sys.stderr)
     take = answer["takes"][0]
     rows = frames(base64.b64decode(take["data"]))
     print(f"{len(rows)} frames at {take['fps']:g} a second, seed {take['seed']}")

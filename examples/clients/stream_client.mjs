@@ -28,6 +28,7 @@ export function parsePacket(buffer) {
 /** Records prompts one after the other, `seconds` each; resolves to the packets. */
 export function record(server, prompts, seconds, log = console.log) {
   return new Promise((resolve, reject) => {
+    if (typeof WebSocket === "undefined") throw new Error("this Node has no WebSocket; add --experimental-websocket");
     const socket = new WebSocket(server.replace(/^http/, "ws") + "/v1/stream");
     let packets = [];
     let next = 1;
@@ -40,7 +41,7 @@ export function record(server, prompts, seconds, log = console.log) {
       if (typeof data === "string") {
         const event = JSON.parse(data);
         if (event.type === "error") reject(new Error(event.message));
-        if (event.type === "prompt") log(`"${event.text}" from frame ${event.takes_effect_at} on`);
+        if (event.type === "prompt") log([`"${event.text}" from frame ${event.takes_effect_at} on`, ...event.warnings].join("; "));
         if (event.type === "segment") log(`segment ${event.segment}: made in ${event.latency_ms.toFixed(0)} ms`);
         return;
       }
@@ -61,12 +62,17 @@ export function record(server, prompts, seconds, log = console.log) {
 }
 
 if (import.meta.filename === process.argv[1]) {
+  process.on("uncaughtException", ({ message }) => {
+    console.error(message);
+    process.exit(1);
+  });
   const files = process.argv.slice(2).filter((word) => /\.\w+$/.test(word));
   const prompts = process.argv.slice(2).filter((word) => !files.includes(word));
-  const server = process.env.MOVESET_SERVER ?? "http://127.0.0.1:8765";
+  const server = (process.env.MOVESET_SERVER ?? "http://127.0.0.1:8765").replace(/\/$/, "");
   const packets = await record(server, prompts.length ? prompts : ["a person walks forward"], 4);
   for (const file of files) {
-    const reply = await fetch(`${server}/v1/export?format=${file.split(".").pop()}`, {
+    const format = /(amass\.)?\w+$/i.exec(file)[0].toLowerCase();
+    const reply = await fetch(`${server}/v1/export?format=${format}`, {
       method: "POST",
       headers: { "Content-Type": "application/octet-stream" },
       body: new Blob(packets),

@@ -9,7 +9,6 @@ import struct
 import urllib.error
 import urllib.request
 from pathlib import Path
-from urllib.parse import urlsplit
 
 from websockets.sync.client import connect
 
@@ -18,9 +17,8 @@ HEADER = struct.Struct("<4sHHIQffI")  # magic, version, joints, frames, first fr
 
 def record(server: str, prompts: list[str], seconds: float, seed: int | None) -> list[bytes]:
     """The packets of a stream that goes on to the next prompt whenever its share of the time has been made."""
-    packets: list[bytes] = []
-    waiting, made, share = prompts[1:], 0, seconds / len(prompts)
-    with connect(f"ws://{urlsplit(server).netloc}/v1/stream", max_size=2**20) as socket:
+    packets, waiting, made, share = [], prompts[1:], 0, seconds / len(prompts)
+    with connect(f"{server.rstrip('/').replace('http', 'ws', 1)}/v1/stream", max_size=2**20) as socket:
         socket.send(json.dumps({"type": "start", "prompt": prompts[0], "seed": seed, "buffer": 2.0}))
         for message in socket:
             if isinstance(message, str):
@@ -30,7 +28,7 @@ def record(server: str, prompts: list[str], seconds: float, seed: int | None) ->
                 if event["type"] == "started":
                     print(f"stream of {event['model']}, seed {event['seed']}, {event['fps']:g} frames a second")
                 elif event["type"] == "prompt":
-                    print(f"{event['text']!r} from frame {event['takes_effect_at']} on", *event["warnings"])
+                    print(f"{event['text']!r} from frame {event['takes_effect_at']} on", *event["warnings"], sep="; ")
                 elif event["type"] == "segment":
                     print(f"segment {event['segment']}: {event['prompt']!r}, made in {event['latency_ms']:.0f} ms")
                 continue
@@ -51,17 +49,20 @@ def main() -> None:
     """Read the command line, stream, save."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("prompts", nargs="+")
-    parser.add_argument("--server", default="http://127.0.0.1:8765")
+    parser.add_argument("--server", default="127.0.0.1:8765", type=lambda at: at if "//" in at else f"http://{at}")
     parser.add_argument("--seconds", type=float, default=10.0)
     parser.add_argument("--seed", type=int)
-    parser.add_argument("-o", "--out", type=Path, help=".bvh .glb .npz …, or .mvst for the packets themselves")
+    parser.add_argument("-o", "--out", type=Path, help=".bvh .glb .npz .amass.npz …, or .mvst: the packets")
     given = parser.parse_args()
+    if given.out and not given.out.parent.is_dir():
+        raise SystemExit(f"there is no folder {given.out.parent}; make it first")
     try:
         data = b"".join(record(given.server, given.prompts, given.seconds, given.seed))
     except OSError as error:
         raise SystemExit(f"no server at {given.server} ({error}); start one with: moveset serve") from None
     if given.out and given.out.suffix != ".mvst":
-        url = f"{given.server.rstrip('/')}/v1/export?format={given.out.suffix.removeprefix('.')}"
+        kind = "amass.npz" if given.out.name.lower().endswith(".amass.npz") else given.out.suffix.lower()[1:]
+        url = f"{given.server.rstrip('/')}/v1/export?format={kind}"
         request = urllib.request.Request(url, data, {"Content-Type": "application/octet-stream"})
         try:
             with urllib.request.urlopen(request, timeout=120) as reply:

@@ -1,12 +1,14 @@
 """The clients of examples/clients against a server that runs: what they save is what the server made."""
 
 import json
+import os
 import re
 import shutil
 import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 from websockets.sync.client import connect
 
@@ -122,6 +124,29 @@ def test_a_stream_that_no_file_can_be_made_of_is_kept(served, tmp_path):
     assert len(unpack_packets((tmp_path / "take.mvst").read_bytes()).motion) == 28
 
 
+def test_amass_is_asked_for_by_name(node, served, tmp_path):
+    host = served.removeprefix("http://")
+    clients = {
+        "clip": (sys.executable, CLIENTS / "generate_clip.py", "a", "--seconds", 2, "--server", host, "-o"),
+        "stream": (sys.executable, CLIENTS / "stream_client.py", "a", "--seconds", 1, "--server", host, "-o"),
+        "script": (*node, CLIENTS / "stream_client.mjs", "a"),
+    }
+    for name, command in clients.items():
+        path = tmp_path / f"{name}.AMASS.npz"
+        done = run(*command, path, env={**os.environ, "MOVESET_SERVER": f"{served}/"})
+        assert done.returncode == 0, done.stderr
+        with np.load(path) as found:
+            assert found["poses"].shape[1] == 156
+
+
+def test_a_folder_that_is_missing_is_said_before_anything_is_made(served, tmp_path):
+    for client in ("generate_clip.py", "stream_client.py"):
+        done = run(sys.executable, CLIENTS / client, "a", "--server", served, "-o", tmp_path / "no" / "take.bvh")
+        assert done.returncode == 1
+        assert done.stderr == f"there is no folder {tmp_path / 'no'}; make it first\n"
+        assert done.stdout == ""
+
+
 def test_clients_say_what_is_wrong_in_one_sentence(node, served):
     nowhere = "http://127.0.0.1:9"
     cases = [
@@ -135,8 +160,8 @@ def test_clients_say_what_is_wrong_in_one_sentence(node, served):
         assert "Traceback" not in done.stderr
         assert len(done.stderr.strip().splitlines()) == 1
     done = run(*node, CLIENTS / "stream_client.mjs", "a", env={"MOVESET_SERVER": nowhere, "PATH": ""})
-    assert done.returncode != 0
-    assert "start one with: moveset serve" in done.stderr
+    assert done.returncode == 1
+    assert done.stderr == f"no server at {nowhere}; start one with: moveset serve\n"
 
 
 def events(socket, until):
