@@ -153,16 +153,16 @@ def test_every_format_is_taken_home_whole(studio, tmp_path):
     seen = drawn(studio, list(range(frames)))
     studio.click("#open-downloads")
     offered = studio.run("[...document.querySelectorAll('.format')].map(one => one.dataset.format)")
-    assert {"bvh", "glb", "npz", "mp4", "webm"} <= set(offered)
+    assert {"bvh", "glb", "npz", "amass.npz", "mp4", "webm"} <= set(offered)
     # Slow enough for a video of several pictures wherever these are drawn in software.
     studio.run("__moveset.player.speed = 0.5")
     for form in offered:
         with studio.page.expect_download() as download:
-            studio.click(f"[data-format={form}]")
+            studio.click(f'[data-format="{form}"]')
         path = tmp_path / f"take.{form}"
         download.value.save_as(path)
         assert download.value.suggested_filename.endswith(form)
-        if form in ("bvh", "glb", "npz"):
+        if form in ("bvh", "glb", "npz", "amass.npz"):
             motion = moveset.load(path)
             assert np.abs(positions(motion) - seen).max() < 1e-3, form
             assert motion.fps == pytest.approx(20, rel=1e-3)
@@ -170,7 +170,7 @@ def test_every_format_is_taken_home_whole(studio, tmp_path):
             assert video_frames(path) >= (frames if form == "mp4" else 1)
         else:
             assert path.read_text().startswith("<!doctype html>")
-        studio.wait(f"!document.querySelector('[data-format={form}]').disabled")
+        studio.wait(f"""!document.querySelector('[data-format="{form}"]').disabled""")
     # The preset and the frame rate of the panel arrive in the file.
     studio.run("document.querySelector('#skeleton').value = 'mixamo'; document.querySelector('#fps').value = '60'")
     with studio.page.expect_download() as download:
@@ -179,6 +179,21 @@ def test_every_format_is_taken_home_whole(studio, tmp_path):
     motion = moveset.load(tmp_path / "mixamo.bvh")
     assert motion.skeleton.joints[0].endswith("Hips")
     assert motion.fps == pytest.approx(60, rel=1e-3)
+
+
+def test_a_take_with_many_words_is_taken_home(studio):
+    text = ("a person walks forward and waves with the left hand " * 8).strip()
+    before = studio.run("__moveset.recent.added")
+    studio.run(
+        "text => __moveset.clip.restore([{ text, seconds: 1, made: null }, { text, seconds: 1, made: null }])", text
+    )
+    studio.run("__moveset.clip.submit()")
+    studio.wait(f"__moveset.recent.added > {before}")
+    assert studio.run("__moveset.stage.shown.title.length") > 512
+    studio.click("#open-downloads")
+    with studio.page.expect_download() as download:
+        studio.click("[data-format=bvh]")
+    assert download.value.suggested_filename.startswith("a-person-walks-forward")
 
 
 def video_frames(path):

@@ -116,6 +116,9 @@ def test_a_stream_pauses_goes_on_stops_and_is_kept(studio, tmp_path):
         studio.click("[data-format=npz]")
     download.value.save_as(tmp_path / "stream.npz")
     assert len(moveset.load(tmp_path / "stream.npz").root) > 20
+    # What was said of the last stream does not stand beside the next one.
+    start(studio, "a person bows")
+    assert studio.words("#made") == ""
 
 
 def test_a_lost_stream_is_told_and_found_again(studio):

@@ -134,6 +134,11 @@ def test_far_from_known_is_said_gently(studio):
     assert not studio.run("document.querySelector('#notice').hidden")
     assert "submarine" in studio.words("#notice")
     assert studio.run("document.querySelectorAll('.toast').length") == 0
+    studio.make("x" * 512)
+    assert (
+        studio.run("(({ scrollWidth, clientWidth }) => scrollWidth - clientWidth)(document.querySelector('#notice'))")
+        == 0
+    )
     studio.make("a person walks forward")
     assert studio.run("document.querySelector('#notice').hidden")
 
@@ -158,6 +163,15 @@ def test_a_lost_server_is_told_and_found_again(studio):
     studio.page.unroute("**/v1/generate")
     studio.click("#reconnect")
     studio.wait("document.querySelector('#gone').hidden && document.body.dataset.phase === 'shown'")
+    # A download is tried again, too, and its success is an answer.
+    studio.page.route("**/v1/export?*", lambda route: route.abort())
+    studio.click("#open-downloads")
+    studio.click("[data-format=bvh]")
+    studio.wait("!document.querySelector('#gone').hidden")
+    studio.page.unroute("**/v1/export?*")
+    with studio.page.expect_download():
+        studio.click("#reconnect")
+    studio.wait("document.querySelector('#gone').hidden")
 
 
 @pytest.mark.parametrize("path", ["/", "/assets"])

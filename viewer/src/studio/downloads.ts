@@ -1,7 +1,7 @@
 /** Taking home what is on the stage: files made by the server from the shown bytes, and a video recorded here. */
 import { exportFile } from "./api";
 import { announce, byId, icon, make, save } from "./dom";
-import { fault } from "./page";
+import { back, fault } from "./page";
 import { Popover } from "./popover";
 import { packets, type Shown, type ShownTake } from "./shown";
 import { toast } from "./toasts";
@@ -9,7 +9,8 @@ import { toast } from "./toasts";
 const FORMATS = [
   { format: "bvh", name: "BVH", use: "Blender, MotionBuilder, Maya" },
   { format: "glb", name: "GLB", use: "Unity, Godot, three.js" },
-  { format: "npz", name: "npz", use: "NumPy, AMASS tools" },
+  { format: "npz", name: "npz", use: "NumPy" },
+  { format: "amass.npz", name: "AMASS", use: "SMPL-H tools, as npz" },
   { format: "html", name: "HTML", use: "one page that plays anywhere" },
   { format: "mp4", name: "MP4", use: "video, drawn by the server" },
   { format: "webm", name: "WebM", use: "video, recorded as you see it" },
@@ -24,6 +25,8 @@ export const SKELETONS = [
   { value: "ue5", label: "Unreal 5" },
 ];
 const RATES = ["", "24", "30", "60"];
+/** Characters of a title that the server takes; all prompts of a timeline or a stream together may be longer. */
+const LONGEST_TITLE = 512;
 
 export interface Source {
   shown(): Shown | null;
@@ -97,9 +100,10 @@ export class Downloads {
           fps: Number(this.fps.value) || null,
           in_place: byId<HTMLInputElement>("in-place").checked,
           loop: byId<HTMLInputElement>("loop").checked,
-          title: shown.title,
+          title: shown.title.slice(0, LONGEST_TITLE),
         };
         const { blob, name } = await exportFile(format, packets(this.chosen(shown).take), options);
+        back();
         save(blob, name);
       }
       announce(`Saved as ${format}`);

@@ -93,6 +93,8 @@ export class Live {
     this.acknowledged = -1;
     this.marks = [];
     this.strip.follow(this.marks);
+    made("");
+    notice([]);
     this.enter("connecting");
     phase("busy");
     const seed = byId<HTMLInputElement>("live-seed");
