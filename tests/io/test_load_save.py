@@ -6,9 +6,11 @@ import subprocess
 import sys
 
 import pytest
+import torch
 
 from moveset.errors import FormatError, InputError, MovesetError
 from moveset.io import READABLE, WRITABLE, load, read_metadata, save
+from moveset.motion.clip import Motion
 from moveset.motion.retarget import retarget
 from moveset.motion.rigs import RIGS
 from tests.motions import gait, wander
@@ -124,6 +126,27 @@ def test_unwritable_places_are_said(motion, suffix, tmp_path):
     with pytest.raises(InputError, match="folder"):
         save(motion[:2], tmp_path / f"folder{suffix}")
     assert not (tmp_path / "missing").exists()
+
+
+@pytest.mark.parametrize("name", ["a.bvh", "a.glb", "a.npz", "a.amass.npz", "a.npy", "a.html", "a.png"])
+def test_a_motion_that_is_being_optimised_is_written_as_it_stands(name, tmp_path):
+    motion = gait(5)
+    save(motion, tmp_path / name)
+    expected = (tmp_path / name).read_bytes()
+    save(Motion(motion.rotations.clone().requires_grad_(), motion.root.clone().requires_grad_()), tmp_path / name)
+    assert (tmp_path / name).read_bytes() == expected
+
+
+def test_a_picture_is_drawn_at_the_slowest_rate(tmp_path):
+    assert save(Motion(gait(3).rotations, torch.zeros(3, 3), 0.01), tmp_path / "a.png").stat().st_size > 1000
+
+
+@pytest.mark.parametrize("fps", [0.01, 29.97, 1000.0])
+@pytest.mark.parametrize("name", ["a.bvh", "a.glb", "a.npz", "a.amass.npz", "a.html"])
+def test_rates_are_read_back(name, fps, tmp_path):
+    found = load(save(Motion(gait(5).rotations, torch.zeros(5, 3), fps), tmp_path / name))
+    # The time of a frame is written with nine decimals in BVH; in all other formats the rate comes back exactly.
+    assert (len(found), found.fps) == (5, pytest.approx(fps, rel=1e-8) if name == "a.bvh" else fps)
 
 
 def test_feet_stand_on_the_floor_in_every_format(tmp_path):

@@ -29,6 +29,30 @@ def test_transforming_moves_the_joints_rigidly():
     torch.testing.assert_close(motion.transformed(turn, shift).joints, expected, atol=1e-5, rtol=0)
 
 
+@pytest.mark.parametrize("kind", [torch.float64, list, "numpy"])
+def test_transforming_takes_numbers_of_any_type(kind):
+    motion, turn, shift = wander(5, 1), rotations.about("y", 70.0), torch.tensor([1.0, -2.0, 3.0])
+    given = [x.tolist() if kind is list else x.numpy() if kind == "numpy" else x.to(kind) for x in (turn, shift)]
+    found = motion.transformed(*given)
+    assert found.rotations.dtype == found.root.dtype == torch.float32
+    close(found, motion.transformed(turn, shift))
+
+
+def test_a_motion_made_in_inference_mode_can_be_changed_and_differentiated_by():
+    with torch.inference_mode():
+        motion = Motion(rotations.identity(3, 22), torch.ones(3, 3))
+        motion.joints  # noqa: B018  (kept, so made then)
+    weight = torch.ones((), requires_grad=True)
+    (weight * (motion.joints.sum() + motion.root.sum() + motion.rotations.sum())).backward()
+    motion.root[:, 1] += 1.0
+    assert motion.root[0].tolist() == [1.0, 2.0, 1.0]
+
+
+def test_what_is_shown_of_a_motion_is_one_line():
+    assert repr(wander(30, 0)) == "Motion(30 frames at 20 fps on 'hml22', 1.5 s)"
+    assert repr(HML22) == "Skeleton('hml22', 22 joints)"
+
+
 def test_canonical_starts_above_the_origin_and_faces_front():
     motion = wander(20, 2, turn=1.0).transformed(rotations.about("y", -130.0), torch.tensor([4.0, 0.0, 9.0]))
     canonical = motion.canonical()
@@ -98,9 +122,19 @@ def test_absurd_frame_rates_are_refused(fps):
         (rotations.identity(0, 22), torch.zeros(0, 3), 20.0, "F >= 1"),
         (rotations.identity(3, 22), torch.full((3, 3), torch.inf), 20.0, "finite"),
         (rotations.identity(3, 22) * torch.nan, torch.zeros(3, 3), 20.0, "finite"),
-        (rotations.identity(3, 22), torch.zeros(3, 3), 0.0, "above 0"),
+        (rotations.identity(3, 22) * 2.0, torch.zeros(3, 3), 20.0, "unit quaternions xyzw, not of lengths 2 to 2"),
+        (rotations.identity(3, 22).numpy(), torch.zeros(3, 3).numpy(), 20.0, "got ndarray and ndarray; convert them"),
+        (rotations.identity(3, 22), torch.zeros(3, 3).long(), 20.0, r"not torch.float32 and torch.int64; convert"),
+        (rotations.identity(3, 22), torch.tensor(0.0), 20.0, r"and \(\)"),
+        (rotations.identity(3, 22), torch.zeros(3, 3), 0.0, "frame rate 0 is not in 0.01 to 1000"),
+        (rotations.identity(3, 22), torch.zeros(3, 3), float("inf"), "frame rate inf"),
     ],
 )
 def test_broken_motions_are_refused(turned, root, fps, message):
     with pytest.raises(InputError, match=message):
         Motion(turned, root, fps)
+
+
+def test_one_frame_is_taken_as_a_slice():
+    with pytest.raises(InputError, match="frame 3 alone is no motion; take a slice"):
+        wander(5, 6)[3]

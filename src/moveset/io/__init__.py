@@ -63,7 +63,7 @@ def save(motion: "Motion", path: str | Path, *, metadata: Mapping[str, str | int
         InputError: an unknown extension, or a path that cannot be written to.
     """
     suffix, path = _suffix(path, WRITABLE, "write"), Path(path)
-    notes = dict(metadata or {})
+    motion, notes = motion.detached(), dict(metadata or {})
     if suffix == ".bvh":
         from moveset.io.bvh import write_bvh
 

@@ -147,8 +147,8 @@ def read_bvh(path: str | Path) -> BvhFile:
     reader.expect(b"Frame")
     reader.expect(b"Time:")
     frame_time = reader.number(reader.token())
-    if not 1e-4 <= frame_time <= 100:
-        reader.fail(f"a frame time of {frame_time:g} s is not in [0.0001, 100]; export with a true frame rate")
+    if not 1e-3 <= frame_time <= 100:
+        reader.fail(f"a frame time of {frame_time:g} s is not in [0.001, 100]; export with a true frame rate")
     if reader.tokens:
         reader.fail(f"unexpected {_show(reader.tokens[0])} after the frame time; the file is damaged")
     if frames * len(joints) > MAX_POSES:

@@ -10,7 +10,7 @@ A take is one or more packets whose frames follow one another.
 """
 
 import struct
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -151,6 +151,8 @@ def _header(data: bytes, at: int, joints: int) -> _Header:
     if magic != MAGIC or version != VERSION:
         raise FormatError(f"no packet of version {VERSION} begins at byte {at}; send what the server sent")
     packet = _Header(*numbers)
+    # The shortest decimal of that float, which is what was meant: 29.97, not 29.969999.
+    packet = replace(packet, fps=float(str(np.float32(packet.fps))))
     if packet.joints != joints:
         raise FormatError(f"a packet has {packet.joints} joints, not {joints}; send frames of the server's skeleton")
     if packet.frames < 1 or not 0 < packet.fps <= 1000 or packet.flags & ~CONTACTS:

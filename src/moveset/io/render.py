@@ -128,7 +128,7 @@ class Painter:
         self.shades = [np.minimum(ramp * _TONES[part.tone], 255.0) for part in parts]
         self.shapes = posed_shapes(parts, motion, view.axes, view.targets, frames)
         self.trail = motion.joints[:, 0].numpy().astype(np.float64) * (1.0, 0.0, 1.0)
-        self.memory = int(_MEMORY * motion.fps)
+        self.memory = max(1, int(_MEMORY * motion.fps))
         self._light = LIGHT @ view.axes
         self._floor = _floor(view)
 

@@ -1,6 +1,7 @@
 """``Motion``: local rotations and a root path on a skeleton. Metres, seconds, Y up, facing +Z, right-handed."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -13,6 +14,9 @@ from moveset.motion import rotations
 from moveset.motion.kinematics import fk
 from moveset.motion.skeleton import HML22, Skeleton
 
+# What every format that is written is also read with.
+_SLOWEST, _FASTEST = 0.01, 1000.0
+
 
 @dataclass(frozen=True, eq=False)
 class Motion:
@@ -20,12 +24,13 @@ class Motion:
 
     Args:
         rotations: (F, J, 4) local joint rotations, unit quaternions xyzw, float32; float64 in a stream's segments.
-        root: (F, 3) world position of the root joint, metres, likewise.
-        fps: frames per second.
+        root: (F, 3) world position of the root joint, metres, of the same type.
+        fps: frames per second, 0.01 to 1000.
         skeleton: the joint tree and its rest pose.
 
     Raises:
-        InputError: shapes that do not belong together, no frames, or values that are not finite.
+        InputError: other types, shapes that do not belong together, no frames, values that are not finite, quaternions
+            that are not of length 1, or another frame rate.
     """
 
     rotations: Tensor
@@ -34,16 +39,41 @@ class Motion:
     skeleton: Skeleton = HML22
 
     def __post_init__(self) -> None:
-        frames, joints = len(self.root), len(self.skeleton)
-        if frames < 1 or tuple(self.rotations.shape) != (frames, joints, 4) or tuple(self.root.shape) != (frames, 3):
+        turned, root = self.rotations, self.root
+        if not (isinstance(turned, Tensor) and isinstance(root, Tensor)):
+            raise InputError(
+                f"a motion needs rotations and root as tensors; got {type(turned).__name__} and {type(root).__name__}; "
+                "convert them by torch.as_tensor"
+            )
+        frames, joints = len(root) if root.ndim else 0, len(self.skeleton)
+        if frames < 1 or tuple(turned.shape) != (frames, joints, 4) or tuple(root.shape) != (frames, 3):
             raise InputError(
                 f"a motion on {self.skeleton.name!r} needs rotations (F, {joints}, 4) and root (F, 3) with F >= 1; got "
-                f"{tuple(self.rotations.shape)} and {tuple(self.root.shape)}"
+                f"{tuple(turned.shape)} and {tuple(root.shape)}"
             )
-        # Zero times anything finite is zero: two operations, where asking each number takes five.
-        zero = (self.rotations * 0.0).sum() + (self.root * 0.0).sum()
-        if not (self.fps > 0 and bool(zero == 0.0)):
-            raise InputError("a motion needs finite rotations and root positions and a frame rate above 0")
+        if not (turned.is_floating_point() and root.is_floating_point()):
+            raise InputError(f"a motion needs floats, not {turned.dtype} and {root.dtype}; convert them by .float()")
+        # A NaN among the rotations is a NaN among their lengths, and zero times anything finite is zero: few
+        # operations, where asking each number takes five.
+        shortest, longest = torch.linalg.vector_norm(turned.detach(), dim=-1).aminmax()
+        if not (math.isfinite(longest) and bool((root.detach() * 0.0).sum() == 0.0)):
+            raise InputError("a motion needs finite rotations and root positions; these hold NaN or infinite numbers")
+        if not 0.99 <= float(shortest) <= float(longest) <= 1.01:
+            raise InputError(
+                f"a motion's rotations are unit quaternions xyzw, not of lengths {float(shortest):.3g} to "
+                f"{float(longest):.3g}; divide them by their lengths"
+            )
+        if not _SLOWEST <= self.fps <= _FASTEST:
+            raise InputError(f"frame rate {self.fps:g} is not in {_SLOWEST:g} to {_FASTEST:g}; give one such as 20")
+        if torch.is_inference_mode_enabled():
+            # Whoever gets the motion may change it, or differentiate by it: tensors made in this mode forbid both.
+            with torch.inference_mode(False):
+                object.__setattr__(self, "rotations", turned.clone())
+                object.__setattr__(self, "root", root.clone())
+
+    def __repr__(self) -> str:
+        # Thousands of numbers say less.
+        return f"Motion({len(self)} frames at {self.fps:g} fps on {self.skeleton.name!r}, {self.seconds:g} s)"
 
     def __len__(self) -> int:
         return len(self.root)
@@ -55,7 +85,8 @@ class Motion:
 
     @cached_property
     def _world(self) -> tuple[Tensor, Tensor]:
-        return fk(self.rotations, self.root, self.skeleton)
+        with torch.inference_mode(False):  # kept beyond whoever asks first
+            return fk(self.rotations, self.root, self.skeleton)
 
     @property
     def joints(self) -> Tensor:
@@ -68,11 +99,20 @@ class Motion:
         return self._world[0]
 
     def __getitem__(self, frames: slice) -> "Motion":
-        """Frames of a slice, with nothing moved: ``motion[10:50]``."""
+        """Frames of a slice, with nothing moved: ``motion[10:50]``.
+
+        Raises:
+            InputError: no frames, or the number of one.
+        """
+        if isinstance(frames, int):
+            raise InputError(f"frame {frames} alone is no motion; take a slice such as motion[10:50]")
         return replace(self, rotations=self.rotations[frames], root=self.root[frames])
 
-    def transformed(self, rotation: Tensor, translation: Tensor) -> "Motion":
-        """The whole clip turned by one world rotation (4,), then shifted by (3,)."""
+    def transformed(self, rotation: Tensor | Sequence[float], translation: Tensor | Sequence[float]) -> "Motion":
+        """The whole clip turned by one world rotation (4,), then shifted by (3,) metres; of whatever type they are."""
+        rotation, translation = (
+            torch.as_tensor(x, dtype=self.root.dtype, device=self.root.device) for x in (rotation, translation)
+        )
         turned = torch.cat((rotations.mul(rotation, self.rotations[:, :1]), self.rotations[:, 1:]), dim=1)
         return replace(self, rotations=turned, root=rotations.rotate(rotation, self.root) + translation)
 
@@ -118,6 +158,12 @@ class Motion:
         root[:, [0, 2]] = self.root[0, [0, 2]]
         return replace(self, root=root)
 
+    def detached(self) -> "Motion":
+        """In the processor's memory and outside of any gradient, as files need it; itself if it is so already."""
+        if self.root.device.type == "cpu" and not (self.rotations.requires_grad or self.root.requires_grad):
+            return self
+        return replace(self, rotations=self.rotations.detach().cpu(), root=self.root.detach().cpu())
+
     def save(self, path: str | Path) -> Path:
         """Write to a file; the format follows the extension (see ``moveset.io.save``)."""
         from moveset.io import save
@@ -128,4 +174,4 @@ class Motion:
         """The player, for notebooks (see ``moveset.io.html.inline_player``)."""
         from moveset.io.html import inline_player
 
-        return inline_player(self)
+        return inline_player(self.detached())

@@ -43,6 +43,9 @@ class Skeleton:
     def __len__(self) -> int:
         return len(self.joints)
 
+    def __repr__(self) -> str:
+        return f"Skeleton({self.name!r}, {len(self)} joints)"
+
     def index(self, joint: str) -> int:
         """Index of a joint by name."""
         return self.joints.index(joint)
