@@ -32,6 +32,7 @@ def test_numbers_of_numpy_are_numbers():
     [made] = check_request(CONFIG, "a", np.float32(2.0), seed=np.int64(3))
     assert made == check_request(CONFIG, "a", 2.0, seed=3)[0]
     assert type(made.seed) is int
+    assert type(check_method(CONFIG, steps=np.int64(2)).steps) is int
 
 
 @pytest.mark.parametrize(
@@ -50,7 +51,11 @@ def test_numbers_of_numpy_are_numbers():
         ({"seconds": float("inf")}, "inf seconds"),
         ({"seconds": [1.0, 2.0]}, "2 durations do not fit 1 prompts"),
         ({"prompt": [None]}, "the prompt None is no text"),
+        ({"prompt": None}, "the prompt None is no text"),
+        ({"seconds": "3"}, r"duration '3' is not a number; give seconds from 1 to 9\.8"),
+        ({"seconds": [None, "3"], "prompt": ["a", "b"]}, "duration '3'"),
         ({"seed": 1.5}, "seed 1.5 is not a whole number"),
+        ({"num": 2.0}, "num 2.0 is not a whole number"),
         ({"seed": -1}, "seed -1 is not in 0 to"),
         ({"seed": 2**63}, "is not in 0 to"),
         ({"num": 0}, "num 0 is not in 1 to 1000"),
@@ -77,6 +82,9 @@ def test_methods():
         ({"solver": "euler"}, "unknown solver 'euler'; choose one of pcm, lcm, teacher"),
         ({"steps": 3}, "no pcm student for 3 steps; choose 1, 2, 4"),
         ({"steps": 0}, "no pcm student for 0 steps"),
+        ({"steps": 1.0}, "steps 1.0 is not a whole number; give one such as 1"),
+        ({"steps": "1"}, "steps '1' is not a whole number"),
+        ({"solver": "teacher", "steps": 9.5}, "steps 9.5 is not a whole number"),
         ({"solver": "lcm", "steps": 2}, "no lcm student for 2 steps; choose 1"),
         ({"solver": "teacher", "steps": 1}, "1 steps are not in 2 to 500"),
         ({"solver": "teacher", "steps": 10**9}, "not in 2 to 500"),

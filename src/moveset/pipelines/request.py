@@ -1,7 +1,7 @@
 """What may be asked of a model, checked before anything is computed. One sentence a refusal: value, limit, remedy."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from numbers import Integral, Real
 
@@ -55,20 +55,20 @@ def check_request(
     Raises:
         InputError: anything out of range.
     """
-    prompts = (prompt,) if isinstance(prompt, str) else tuple(prompt)
+    prompts = (prompt,) if isinstance(prompt, str) or not isinstance(prompt, Iterable) else tuple(prompt)
     if not 1 <= len(prompts) <= MAX_PROMPTS:
         raise InputError(
             f"{len(prompts)} prompts were given; give 1 to {MAX_PROMPTS}, such as 'a person walks forward'"
         )
     for text in prompts:
         check_prompt(text)
+    _check_whole("num", num)
     if not 1 <= num <= MAX_NUM:
         raise InputError(f"num {num} is not in 1 to {MAX_NUM}; run again with another seed for more")
-    if not isinstance(seed, Integral):
-        raise InputError(f"seed {seed!r} is not a whole number; give one such as 7")
+    _check_whole("seed", seed)
     if not 0 <= seed <= SEEDS - num:
         raise InputError(f"seed {seed} is not in 0 to {SEEDS - num}; give a smaller whole number")
-    given = (seconds,) * len(prompts) if seconds is None or isinstance(seconds, Real) else tuple(seconds)
+    given = (seconds,) if seconds is None or isinstance(seconds, str | Real) else tuple(seconds)
     if len(given) == 1:
         given *= len(prompts)
     if len(given) != len(prompts):
@@ -93,6 +93,9 @@ def check_method(
     """
     if solver not in SOLVERS:
         raise InputError(f"unknown solver {solver!r}; choose one of {', '.join(SOLVERS)}")
+    if steps is not None:
+        _check_whole("steps", steps)
+        steps = int(steps)
     if solver == "teacher":
         network, steps = "teacher", TEACHER_STEPS if steps is None else steps
         if "teacher" not in config.models:
@@ -138,8 +141,15 @@ def check_prompt(text: str) -> None:
         raise InputError("a prompt contains control characters; give plain text")
 
 
+def _check_whole(name: str, value: int) -> None:
+    if not isinstance(value, Integral):
+        raise InputError(f"{name} {value!r} is not a whole number; give one such as 1")
+
+
 def _frames(seconds: float, config: BundleConfig) -> int:
     low, high = config.min_frames / config.fps, config.max_frames / config.fps
+    if not isinstance(seconds, Real):
+        raise InputError(f"duration {seconds!r} is not a number; give seconds from {low:g} to {high:g}")
     if not math.isfinite(seconds) or not low <= seconds <= high:
         raise InputError(
             f"{seconds:g} seconds are not in {low:g} to {high:g} for a prompt; for a longer motion give several prompts"
