@@ -1,7 +1,7 @@
 """moveset in Blender: motion from a sentence into the scene, takes from files, retargeting to the armature in use.
 
-Modules that end up in Blender's data are ``scene``, ``body``, ``operators`` and ``panel``; all others know numpy and
-the standard library alone and can be imported, and are tested, without Blender.
+Modules that touch Blender are ``scene``, ``operators`` and ``panel``; all others know numpy and the standard library
+alone and can be imported, and are tested, without Blender.
 """
 
 
