@@ -38,6 +38,7 @@ def test_info_draws(corpus, tmp_path, capsys):
     ("arguments", "words"),
     [
         (["info", "nothing.safetensors"], "moveset data build"),
+        (["info", "{corpus}", "--captions", "-1"], "-1 sentences of each content cannot be shown; give 0 or more"),
         (["info", "README.md"], "corpus"),
         (["info", "{corpus}", "--plot", "a.pdf"], ".png"),
         (["info", "{folder}"], "new_joint_vecs"),

@@ -64,3 +64,13 @@ def test_mirror_order_undoes_itself():
 def test_broken_trees_are_refused(joints, parents, offsets, message):
     with pytest.raises(InputError, match=message):
         Skeleton("broken", joints, parents, offsets)
+
+
+def test_unknown_joints_are_refused_with_the_known_ones():
+    with pytest.raises(InputError, match="'hml22' has no joint 'right_hand'; it has pelvis, left_hip, .*right_wrist"):
+        HML22.index("right_hand")
+
+
+def test_offsets_of_numpy_are_refused():
+    with pytest.raises(InputError, match="needs its offsets as a tensor, not ndarray; convert"):
+        Skeleton("s", ("root",), (-1,), torch.zeros(1, 3).numpy())

@@ -151,7 +151,7 @@ def test_a_manifest_cannot_point_outside(folder):
 def test_unknown_models_are_named(tmp_path):
     with pytest.raises(InputError, match="unknown model 'nothing'"):
         find_folder("nothing")
-    with pytest.raises(FormatError, match="no manifest"):
+    with pytest.raises(FormatError, match=r"no manifest\.json; give a packed model"):
         Bundle.find(tmp_path)
 
 

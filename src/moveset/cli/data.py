@@ -89,6 +89,8 @@ def info(
     """
     if plot is not None and plot.suffix != ".png":
         raise InputError(f"a plot is a .png file, not {plot.name!r}; choose such a name")
+    if captions < 0:
+        raise InputError(f"{captions} sentences of each content cannot be shown; give 0 or more")
     if corpus.is_dir():
         if plot is not None:
             raise InputError("a plot is drawn of a corpus file only; leave --plot away for a folder")

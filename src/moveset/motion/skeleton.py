@@ -32,6 +32,11 @@ class Skeleton:
     feet: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
+        if not isinstance(self.offsets, Tensor):
+            raise InputError(
+                f"skeleton {self.name!r} needs its offsets as a tensor, not {type(self.offsets).__name__}; convert them "
+                "by torch.as_tensor"
+            )
         if len(self.joints) != len(self.parents) or tuple(self.offsets.shape) != (len(self.joints), 3):
             raise InputError(
                 f"skeleton {self.name!r}: {len(self.joints)} joints, {len(self.parents)} parents and offsets of shape "
@@ -47,7 +52,13 @@ class Skeleton:
         return f"Skeleton({self.name!r}, {len(self)} joints)"
 
     def index(self, joint: str) -> int:
-        """Index of a joint by name."""
+        """Index of a joint by name.
+
+        Raises:
+            InputError: there is no such joint.
+        """
+        if joint not in self.joints:
+            raise InputError(f"skeleton {self.name!r} has no joint {joint!r}; it has {', '.join(self.joints)}")
         return self.joints.index(joint)
 
     @cached_property

@@ -35,7 +35,7 @@ class VerifiedFolder:
     def __init__(self, path: Path) -> None:
         self.path = path
         if not (path / "manifest.json").is_file():
-            raise FormatError(f"{path} is no model folder: it has no manifest.json; give a folder made by save_folder")
+            raise FormatError(f"{path} is no model folder: it has no manifest.json; give a packed model")
 
     @cached_property
     def files(self) -> dict[str, tuple[str, int]]:
