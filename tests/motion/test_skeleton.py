@@ -67,7 +67,7 @@ def test_broken_trees_are_refused(joints, parents, offsets, message):
 
 
 def test_unknown_joints_are_refused_with_the_known_ones():
-    with pytest.raises(InputError, match="'hml22' has no joint 'right_hand'; it has pelvis, left_hip, .*right_wrist"):
+    with pytest.raises(InputError, match=r"'hml22' has no joint 'right_hand'; it has pelvis, .*right_wrist"):
         HML22.index("right_hand")
 
 

@@ -34,8 +34,8 @@ class Skeleton:
     def __post_init__(self) -> None:
         if not isinstance(self.offsets, Tensor):
             raise InputError(
-                f"skeleton {self.name!r} needs its offsets as a tensor, not {type(self.offsets).__name__}; convert them "
-                "by torch.as_tensor"
+                f"skeleton {self.name!r} needs its offsets as a tensor, not {type(self.offsets).__name__}; convert "
+                "them by torch.as_tensor"
             )
         if len(self.joints) != len(self.parents) or tuple(self.offsets.shape) != (len(self.joints), 3):
             raise InputError(
