@@ -92,6 +92,20 @@ def test_what_comes_after_what_is_marked_and_counted_down_to(studio):
     studio.wait("document.querySelector('#figure-prompt').textContent.startsWith('4.2 s, in')")
 
 
+def test_the_timeline_of_clips_is_not_there(studio):
+    entries = [{"text": text, "seconds": 2, "made": None} for text in ("a person walks", "a person bows")]
+    studio.run("entries => __moveset.clip.restore(entries)", entries)
+    hidden = "document.querySelector('#timeline').hidden"
+    drawn = "new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))"
+    studio.run(drawn)
+    assert not studio.run(hidden)
+    studio.click("#mode-live")
+    studio.run(drawn)
+    assert studio.run(hidden)
+    studio.click("#mode-clip")
+    assert not studio.run(hidden)
+
+
 def test_a_stream_pauses_goes_on_stops_and_is_kept(studio, tmp_path):
     kept = studio.run("__moveset.recent.added")
     start(studio, "a person walks forward")

@@ -73,6 +73,12 @@ def test_a_phone_has_nothing_beyond_its_edges(studio):
     assert fits(), studio.run(BEYOND)
 
 
+def test_a_phone_held_sideways_shows_the_figure(studio):
+    studio.page.set_viewport_size({"width": 844, "height": 390})
+    studio.wait("document.querySelector('.composer').getBoundingClientRect().height < 0.4 * innerHeight")
+    assert studio.run("document.querySelector('#open-settings').getClientRects().length") == 1
+
+
 def test_keys_alone_are_enough(studio):
     press = studio.page.keyboard.press
     press("Tab")

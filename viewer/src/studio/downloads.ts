@@ -11,7 +11,7 @@ const FORMATS = [
   { format: "glb", name: "GLB", use: "Unity, Godot, three.js" },
   { format: "npz", name: "npz", use: "NumPy" },
   { format: "amass.npz", name: "AMASS", use: "SMPL-H tools, as npz" },
-  { format: "html", name: "HTML", use: "one page that plays anywhere" },
+  { format: "html", name: "HTML", use: "a page that plays anywhere" },
   { format: "mp4", name: "MP4", use: "video, drawn by the server" },
   { format: "webm", name: "WebM", use: "video, recorded as you see it" },
 ];

@@ -43,7 +43,8 @@ export class Timeline {
     private readonly events: TimelineEvents,
   ) {
     root.append(this.track);
-    new ResizeObserver(() => this.draw()).observe(root);
+    // Being hidden is a change of size, too: live mode hides a timeline that has blocks.
+    new ResizeObserver(() => !root.hidden && this.draw()).observe(root);
   }
 
   /** Shortest and longest clip of the model in use, seconds. */
