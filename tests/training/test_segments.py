@@ -238,6 +238,27 @@ def test_pieces_are_prefix_and_frames_in_a_row(corpus):
     assert batch.captions == [f"clip {int(start) // 1000}" for start in starts]
 
 
+def test_some_pieces_begin_with_their_clip_after_a_person_who_stands(corpus):
+    model = DipDecoderConfig(prefix=5, frames=9)
+    found = PieceSet(corpus.source, "train", corpus.store, corpus.codec, model, PLAIN, corpus.folder, standing=0.3)
+    assert found.idle.shape == (5, 269)
+    numbered(found, [14, 100])
+    found.idle = torch.full((5, 1), -1.0)
+    batch = found.batch(300, 0, 0)
+    stands = (batch.prefix == -1).flatten(1).all(dim=1)
+    assert 60 < int(stands.sum()) < 120
+    first = batch.clean[:, 0, 0]
+    assert set(first[stands].tolist()) == {0.0, 1000.0}
+    assert not {0.0, 1000.0} & set(first[~stands].tolist())
+    assert batch.captions == [f"clip {int(start) // 1000}" for start in first]
+
+
+def test_nobody_stands_in_a_folder_of_features(kit):
+    model = DipDecoderConfig(prefix=5, frames=9)
+    with pytest.raises(InputError, match="only a corpus has people who stand"):
+        PieceSet(kit.source, "train", kit.store, kit.codec, model, PLAIN, kit.folder, standing=0.3)
+
+
 def test_short_clips_have_no_pieces(corpus):
     model = DipDecoderConfig(prefix=20, frames=60)
     found = PieceSet(corpus.source, "train", corpus.store, corpus.codec, model, PLAIN, corpus.folder)

@@ -136,7 +136,8 @@ def dip() -> Recipe:
     """DiP at width 256 and four layers: 40 frames from the 20 before."""
     model = DipDecoderConfig(text_dim=384, width=256, layers=4)
     return Recipe(
-        task=DiPConfig(model=model, lr=3e-4, ema=0.999, root=5.0, disturbance=DISTURBANCE), engine=_recurrent()
+        task=DiPConfig(model=model, lr=3e-4, ema=0.999, root=5.0, standing=0.2, disturbance=DISTURBANCE),
+        engine=_recurrent(),
     )
 
 

@@ -20,7 +20,7 @@ from moveset.models.registry import describe
 from moveset.motion.features import FeatureCodec
 from moveset.rdm.losses import masked_mse
 from moveset.text.encoder import TextEmbedding
-from moveset.training.clip_source import ClipSource
+from moveset.training.clip_source import ClipSource, CorpusClips
 from moveset.training.clips import FeatureStore
 from moveset.training.ema import Ema, ema_warmup
 from moveset.training.engine import Loop, Task
@@ -28,6 +28,7 @@ from moveset.training.optim import cosine_lr
 from moveset.training.rdm import SegmentData, feature_weights
 from moveset.training.reading import MAX_TOKENS, Disturbance
 from moveset.training.segments import ClipSet, CuttingConfig
+from moveset.training.stills import idle_pose
 from moveset.training.tasks import Sources
 
 
@@ -41,6 +42,8 @@ class DiPConfig:
         cutting: which clips are shown and what is said to them; where pieces are cut is not up to it.
         constant_lr: no cosine decay.
         text_drop: share of captions replaced by "", for guidance.
+        standing: share of pieces that are a clip's first frames, after a person who stands: how sampling begins.
+            Corpora only.
         root: weight of the four root features.
         max_tokens: as in ``RDMConfig``.
     """
@@ -54,6 +57,7 @@ class DiPConfig:
     warmup: int = 200
     constant_lr: bool = False
     text_drop: float = 0.1
+    standing: float = 0.0
     ema: float = 0.9999
     root: float = 1.0
     text_encoder: str = "minilm"
@@ -81,8 +85,11 @@ class PieceBatch:
 class PieceSet(ClipSet):
     """Pieces of m + n frames from anywhere in the clips that are as long; other arguments as for ``ClipSet``.
 
+    Args:
+        standing: share of pieces whose m frames are the idle pose, and whose n frames are the first of their clip.
+
     Raises:
-        InputError: no clip is, or as for ``ClipSet``.
+        InputError: no clip is as long, people are to stand in a folder of features, or as for ``ClipSet``.
     """
 
     def __init__(
@@ -95,9 +102,14 @@ class PieceSet(ClipSet):
         cutting: CuttingConfig,
         folder: Path,
         paraphrased: float = 0.0,
+        standing: float = 0.0,
     ) -> None:
         super().__init__(source, split, store, codec, cutting, folder, paraphrased)
-        self.prefix, self.frames = model.prefix, model.frames
+        self.prefix, self.frames, self.standing = model.prefix, model.frames, standing
+        if standing:
+            if not isinstance(source, CorpusClips):
+                raise InputError("only a corpus has people who stand; train on a folder with --set standing=0")
+            self.idle = idle_pose(source, store, codec).expand(self.prefix, -1)
         needed = self.prefix + self.frames
         self.weights = self.weights * torch.tensor([len(row.features) >= needed for row in self.rows])
         if not self.weights.any():
@@ -107,10 +119,14 @@ class PieceSet(ClipSet):
         """The batch of a step: a pure function of (seed, step)."""
         pieces, captions = [], []
         for clip, chance in self.draw(size, seed, step):
-            whole = self.prefix + self.frames
-            start = int(chance[0] * (len(clip.features) - whole + 1))
-            pieces.append(torch.from_numpy(np.array(clip.features[start : start + whole], np.float32)))
-            captions.append(self.say(clip, start + self.prefix, self.frames, chance[3:]))
+            stands = chance[1] < self.standing
+            room = len(clip.features) - self.prefix - self.frames
+            # First of the n frames.
+            start = 0 if stands else self.prefix + int(chance[0] * (room + 1))
+            shown = clip.features[max(start - self.prefix, 0) : start + self.frames]
+            piece = torch.from_numpy(np.array(shown, np.float32))
+            pieces.append(torch.cat((self.idle, piece)) if stands else piece)
+            captions.append(self.say(clip, start, self.frames, chance[3:]))
         prefix, clean = torch.stack(pieces).split((self.prefix, self.frames), dim=1)
         return PieceBatch(prefix, clean, captions)
 
@@ -122,7 +138,9 @@ class PieceData(SegmentData):
         self, config: DiPConfig, source: ClipSource, split: Split, store: FeatureStore, folder: Path, paraphrased: float
     ) -> PieceSet:
         """Pieces of a split."""
-        return PieceSet(source, split, store, self.codec, config.model, config.cutting, folder, paraphrased)
+        return PieceSet(
+            source, split, store, self.codec, config.model, config.cutting, folder, paraphrased, config.standing
+        )
 
 
 class DiPTask(Task):

@@ -5,17 +5,16 @@ import sys
 from pathlib import Path
 from typing import Any
 
-import torch
-from torch import Tensor
-
 from moveset.data.corpus import Corpus
 from moveset.errors import InputError, exit_code_of
-from moveset.motion.features import FeatureCodec, Normalizer, get_codec
+from moveset.motion.features import get_codec
 from moveset.pipelines.baseline_bundle import DENOISER, IDLE, BaselineConfig, save_baseline
 from moveset.text.cache import EmbeddingCache, cache_file
 from moveset.training import checkpoint, frozen
+from moveset.training.clip_source import CorpusClips
 from moveset.training.clips import FeatureStore
 from moveset.training.pack import familiarity_limit, known_captions
+from moveset.training.stills import idle_pose
 
 
 def pack_baseline(
@@ -50,8 +49,7 @@ def pack_baseline(
     pooled = text.lookup(known).pooled
     statistics = {"feature_mean": store.normalizer.mean, "feature_std": store.normalizer.std}
     if chunks:
-        first = [codec.encode(corpus.motion(k)[:2])[0] for k in corpus.indices("train", composed=False)]
-        statistics[IDLE] = idle_pose(torch.stack(first), codec, store.normalizer)
+        statistics[IDLE] = idle_pose(CorpusClips(corpus), store, codec)
     sampling: dict[str, Any] = (
         {"frames": task["model"]["frames"], "prefix": task["model"]["prefix"], "schedule": "cosine", "eta": 1.0,
          "timesteps": task["levels"], "sampler_steps": task["levels"]}
@@ -69,16 +67,6 @@ def pack_baseline(
         **sampling,
     )  # fmt: skip
     return save_baseline(out, config, found.module, statistics, known, pooled)
-
-
-def idle_pose(first_ND: Tensor, codec: FeatureCodec, normalizer: Normalizer) -> Tensor:
-    """Normalised features (D,) of standing still: of the first frames given, the one nearest to their mean, at rest."""
-    normal = normalizer.normalize(first_ND)
-    pose = first_ND[(normal - normal.mean(dim=0)).square().sum(dim=1).argmin()].clone()
-    for steps in ("root_yaw", "root_velocity", "velocities"):
-        pose[codec.groups[steps]] = 0.0
-    pose[codec.groups["contacts"]] = 1.0
-    return normalizer.normalize(pose)
 
 
 def main() -> None:
