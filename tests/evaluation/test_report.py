@@ -254,6 +254,16 @@ def test_rows_that_were_taken_from_elsewhere_are_named_and_say_so(tmp_path: Path
     assert said in markdown(table, [])
 
 
+def test_rows_that_other_code_made_and_todays_makes_alike_are_named(tmp_path: Path):
+    kept = {**RESULTS["teacher"], "kept": {"repeats": 3}}
+    folder = suite_folder(tmp_path, "motionpcm", {**RESULTS, "teacher": kept})
+    said = "the first repeat was made again and came out the same to the bit: "
+    assert f"{said}Teacher, 50 guided steps." in markdown(load_table(folder), [])
+    folder = suite_folder(tmp_path, "motionpcm", {key: {**row, "kept": {}} for key, row in RESULTS.items()})
+    assert f"{said}All rows." in markdown(load_table(folder), [])
+    assert said not in markdown(load_table(suite_folder(tmp_path, "motionpcm", RESULTS)), [])
+
+
 def test_a_row_whose_weights_are_not_at_hand_keeps_its_result(folder: Path):
     rows = {row.key: row for row in get_suite("motionpcm").rows}
     save_rows("motionpcm", [(rows["pcm-1"], "", "no weights given"), (rows["k20"], "", "no weights given")], folder)

@@ -4,6 +4,7 @@ import importlib.util
 import json as jsonlib
 import sys
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -17,6 +18,17 @@ if TYPE_CHECKING:
     from moveset.evaluation.job import Job
 
 _DASH = "–"
+
+
+@dataclass(frozen=True)
+class How:
+    """Where results go, whether repeats and results that are there are kept, and among how many processes they are
+    shared."""
+
+    out: Path
+    resume: bool
+    confirm: bool
+    processes: int | None
 
 
 def evaluate(
@@ -50,6 +62,7 @@ def evaluate(
     sanity: tyro.conf.FlagCreatePairsOff[bool] = False,
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("results"),
     resume: bool = True,
+    confirm: tyro.conf.FlagCreatePairsOff[bool] = False,
     processes: Annotated[int | None, tyro.conf.arg(metavar="N")] = None,
     batch: Annotated[int, tyro.conf.arg(metavar="N")] = 64,
     device: Annotated[str, tyro.conf.arg(metavar="NAME")] = "auto",
@@ -88,6 +101,7 @@ def evaluate(
         sanity: Check the evaluator itself: real, jittered, reversed and frozen motion, shuffled and wrong sentences.
         out: Where results go.
         resume: Keep repeats that are there already; --no-resume makes all of them anew.
+        confirm: Keep a result that other code made, if its first repeat, made anew, comes out the same to the bit.
         processes: Share the repeats among so many processes; by default as many as there are cores.
         batch: Motions evaluated at once; worth raising on a GPU.
         device: auto, cpu, cuda or mps.
@@ -113,14 +127,15 @@ def evaluate(
         raise InputError(f"--row {row[0]} is a row of a suite; add --suite motionpcm or --suite rdm")
     if sanity and suite is not None:
         raise InputError("--sanity checks the evaluator itself; leave --suite out")
+    how = How(out, resume, confirm, processes)
     if sanity:
         return _sanity(models, common, out, json)
     if suite is not None:
-        return _suite(suite, models, common, row, out, resume, processes, json)
+        return _suite(suite, models, common, row, how, json)
     jobs = _jobs(models, common)
     done = []
     for job in jobs:
-        result, path = _evaluate(job, out, resume, processes)
+        result, path = _evaluate(job, how)
         if result is None:
             print(f"moveset: other processes are still at work; the last one writes {path}", file=sys.stderr)
         else:
@@ -182,7 +197,7 @@ def _jobs(models: Sequence[str], common: "Job") -> "list[Job]":
     return jobs
 
 
-def _evaluate(job: "Job", out: Path, resume: bool, processes: int | None) -> tuple[dict[str, Any] | None, Path]:
+def _evaluate(job: "Job", how: How) -> tuple[dict[str, Any] | None, Path]:
     """One model, behind a progress bar where stderr is a terminal."""
     from tqdm import tqdm
 
@@ -195,7 +210,14 @@ def _evaluate(job: "Job", out: Path, resume: bool, processes: int | None) -> tup
             bar.total, bar.n = count, done
             bar.set_postfix_str(stage)
 
-        return run(job, out, share=share(), processes=processes, again=not resume, watch=watch)
+        def say(line: str) -> None:
+            bar.clear()
+            print(f"moveset: {line}", file=sys.stderr)
+
+        return run(
+            job, how.out, share=share(), processes=how.processes, again=not how.resume, confirmed=how.confirm,
+            watch=watch, say=say,
+        )  # fmt: skip
 
 
 def _suite(
@@ -203,9 +225,7 @@ def _suite(
     folders: Sequence[str],
     common: "Job",
     rows: Sequence[str],
-    out: Path,
-    resume: bool,
-    processes: int | None,
+    how: How,
     json: bool,
 ) -> int:
     """All rows of a paper's tables, one after the other, and the tables."""
@@ -229,15 +249,15 @@ def _suite(
             common, model=REAL if folder is None else str(folder), network=row.network, steps=row.steps,
             settings=tuple(row.settings.items()), protocol=protocol,
         )  # fmt: skip
-        result, path = _evaluate(job, out / name, resume, processes)
+        result, path = _evaluate(job, replace(how, out=how.out / name))
         return path.name if result is not None else ""
 
     settings = SuiteSettings(tuple(map(Path, folders)), common.protocol.repeats, tuple(rows))
     made = run_suite(name, settings, evaluate_row, lambda line: print(f"moveset: {line}", file=sys.stderr))
     entries = [(one.row, one.result or "", one.missing or unfinished(one.result)) for one in made]
-    with in_turn(out / name):
-        save_rows(name, entries, out / name)
-        path = write_report(out / name)
+    with in_turn(how.out / name):
+        save_rows(name, entries, how.out / name)
+        path = write_report(how.out / name)
     print(jsonlib.dumps({"suite": name, "table": str(path)}) if json else path.read_text())
     return 0
 

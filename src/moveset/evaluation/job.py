@@ -4,7 +4,8 @@ import multiprocessing
 import os
 import sys
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
@@ -13,6 +14,7 @@ import torch
 
 from moveset.data.splits import Split
 from moveset.errors import InputError, MovesetError
+from moveset.evaluation.confirm import confirm
 from moveset.evaluation.evaluator import DEFAULT_EVALUATOR, Evaluator
 from moveset.evaluation.generators import Clips, Generator, Given, Reconstruction, settings_slug
 from moveset.evaluation.items import ItemSet, open_items
@@ -223,7 +225,9 @@ def run(
     share: tuple[int, int] = (0, 1),
     processes: int | None = None,
     again: bool = False,
+    confirmed: bool = False,
     watch: Watch = lambda done, count, stage: None,
+    say: Callable[[str], None] = lambda line: None,
 ) -> tuple[dict[str, Any] | None, Path]:
     """Evaluate; the result (None if other processes of torchrun are still at work) and the path of its file.
 
@@ -233,7 +237,10 @@ def run(
         share: rank and number of the processes of torchrun, each of which makes its share of the repeats.
         processes: that share the repeats on this machine otherwise; None for as many as there are cores.
         again: make every repeat anew, although it is there; not with other processes of torchrun.
+        confirmed: keep the result that is there, if it is of other code and its first repeat, made anew, comes out
+            the same (``confirm``); likewise not with other processes.
         watch: told of progress: repeats done, repeats in all, and what is being done.
+        say: told what came of that.
 
     Raises:
         InputError: something does not exist, does not fit, or cannot be judged.
@@ -242,66 +249,82 @@ def run(
     """
     if processes is not None and not 1 <= processes <= MAX_CORES:
         raise InputError(f"{processes} processes are not in 1 to {MAX_CORES}; as many as there are cores is best")
-    if again and share[1] > 1:
+    if again and confirmed:
+        raise InputError("a result cannot be made anew and be kept; choose --no-resume or --confirm")
+    if (again or confirmed) and share[1] > 1:
         # Whoever is first done would take what another has still to delete for new.
-        raise InputError("several processes cannot make everything anew together; give a fresh --out instead")
+        what = "make everything anew together; give a fresh --out instead" if again else "confirm a result; take one"
+        raise InputError(f"several processes cannot {what}")
     session, on_cpu = open_session(job), pick_device(job.device).type == "cpu"
     results, (rank, world) = Results(session, out), share
     if again:
         results.forget()
-    if world == 1 and (processes or on_cpu):
-        world = max(1, min(processes or cores(), len(results.missing())))
-    threads = torch.get_num_threads()
-    helpers = [_start(job, out, k, world) for k in range(1, world)] if share[1] == 1 else []
-    try:
-        if on_cpu:
-            # Small networks gain little by more threads, and so sums come out the same however the work is shared.
-            torch.set_num_threads(1)
+    # Small networks gain little by more threads, and so sums come out the same however the work is shared.
+    with _threads(1 if on_cpu else torch.get_num_threads()):
+        if confirmed:
+            say(confirm(results, lambda number: make(session, results, number, watch)))
+        if world == 1 and (processes or on_cpu):
+            world = max(1, min(processes or cores(), len(results.missing())))
+        helpers = [_start(job, out, k, world) for k in range(1, world)] if share[1] == 1 else []
+        try:
 
-        def attend(done: int, count: int, stage: str) -> None:
-            # Told often, so that nobody waits for a whole share of repeats to hear that another has failed.
-            for number, helper in enumerate(helpers, start=1):
-                if helper.exitcode:
-                    raise MovesetError(
-                        f"process {number} of {world} ended with code {helper.exitcode}; run again to resume"
-                    )
-            watch(done, count, stage)
+            def attend(done: int, count: int, stage: str) -> None:
+                # Told often, so that nobody waits for a whole share of repeats to hear that another has failed.
+                for number, helper in enumerate(helpers, start=1):
+                    if helper.exitcode:
+                        raise MovesetError(
+                            f"process {number} of {world} ended with code {helper.exitcode}; run again to resume"
+                        )
+                watch(done, count, stage)
 
-        work(session, results, rank, world, attend)
-        for helper in helpers:
-            while helper.is_alive():
-                helper.join(0.5)
+            work(session, results, rank, world, attend)
+            for helper in helpers:
+                while helper.is_alive():
+                    helper.join(0.5)
+                    attend(len(results.done), results.repeats, "others")
+            if helpers:
                 attend(len(results.done), results.repeats, "others")
-        if helpers:
-            attend(len(results.done), results.repeats, "others")
-    finally:
-        torch.set_num_threads(threads)
-        for helper in helpers:
-            helper.terminate()
+        finally:
+            for helper in helpers:
+                helper.terminate()
     return results.finish(), results.path
 
 
 def work(session: Session, results: Results, rank: int, world: int, watch: Watch) -> None:
-    """The repeats of one process of several that are not there yet.
+    """The repeats of one process of several that are not there yet; raises what ``make`` does."""
+    for number in results.missing(rank, world):
+        results.add(make(session, results, number, watch))
+        watch(len(results.done), results.repeats, str(number))
+
+
+def make(session: Session, results: Results, number: int, watch: Watch) -> dict[str, Any]:
+    """One repeat.
 
     Raises:
         MovesetError: something that cannot be judged, or that nobody has thought of, in which repeat.
     """
-    make = run_rollout if session.protocol.split == "rollout" else run_repeat
-    for number in results.missing(rank, world):
 
-        def say(stage: str, done: int, count: int, number: int = number) -> None:
-            watch(len(results.done), results.repeats, f"{number}: {stage} {done}/{count}")
+    def say(stage: str, done: int, count: int) -> None:
+        watch(len(results.done), results.repeats, f"{number}: {stage} {done}/{count}")
 
-        try:
-            made = make(session, number, say)
-        except MovesetError:
-            raise
-        except Exception as error:
-            said = f"{type(error).__name__}: {error} (MOVESET_DEBUG=1 shows where)"
-            raise MovesetError(f"repeat {number} of {results.name} failed: {said}") from error
-        results.add(made)
-        watch(len(results.done), results.repeats, str(number))
+    try:
+        return (run_rollout if session.protocol.split == "rollout" else run_repeat)(session, number, say)
+    except MovesetError:
+        raise
+    except Exception as error:
+        said = f"{type(error).__name__}: {error} (MOVESET_DEBUG=1 shows where)"
+        raise MovesetError(f"repeat {number} of {results.name} failed: {said}") from error
+
+
+@contextmanager
+def _threads(count: int) -> Iterator[None]:
+    """So many threads of torch, and afterwards as many as before."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(count)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
 
 
 def cores() -> int:

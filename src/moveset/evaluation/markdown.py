@@ -76,6 +76,11 @@ def about(table: Table) -> str:
         )
     for source, taken in table.taken.items():
         lines.append(f"**Not measured with the rest, but taken from {source}:** {'; '.join(taken)}.")
+    if kept := table.kept:
+        rows = "All rows" if len(kept) == len(table.measured) else "; ".join(kept)
+        lines.append(
+            f"Made by earlier code, of which the first repeat was made again and came out the same to the bit: {rows}."
+        )
     if rough:
         lines.append(f"Rows that cost much have fewer repeats; fewer than {ROUGH} make a rough interval.")
     return "\n\n".join(lines)

@@ -10,7 +10,7 @@ Whoever finds all repeats there writes ``OUT/NAME.json``. Nothing but "seconds" 
 import hashlib
 import json
 import platform
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from importlib.util import find_spec
 from pathlib import Path
@@ -31,7 +31,9 @@ _MEASURES = (
     "moveset.evaluation.evaluator", "moveset.motion.hml",
 )  # fmt: skip
 
-Repeat = Callable[[int], Mapping[str, Any]]
+#: What ``confirm`` lets differ: what a result says of the code that made it.
+CODE = ("measures_sha256", "generator_sha256", "versions")
+_KEPT = "kept.json"
 
 
 class Results:
@@ -51,13 +53,13 @@ class Results:
         name = f"{session.generator.slug}-{session.protocol.split}"
         self.name = name + ("-held-out" if session.protocol.wording == "held-out" else "")
         self.head = head(session)
-        key = hashlib.sha256(json.dumps(_depends(self.head), sort_keys=True).encode()).hexdigest()[:12]
+        key = hashlib.sha256(json.dumps(depends(self.head), sort_keys=True).encode()).hexdigest()[:12]
         self.path, self._folder = out / f"{self.name}.json", out / "repeats" / f"{self.name}-{key}"
         self._refuse_another_question()
         try:
             self._folder.mkdir(parents=True, exist_ok=True)
             with atomic_write(self._folder / "about.json") as file:
-                file.write(_bytes(_depends(self.head)))
+                file.write(_bytes(depends(self.head)))
         except OSError as error:
             raise InputError(
                 f"cannot write to {str(out)!r}: {error.strerror or error}; choose another --out"
@@ -81,11 +83,21 @@ class Results:
         """Delete all repeats; no other process may be at work on them."""
         for number in self.done:
             self._file(number).unlink(missing_ok=True)
+        (self._folder / _KEPT).unlink(missing_ok=True)
 
     def add(self, repeat: Mapping[str, Any]) -> None:
         """Keep a repeat; its file appears whole or not at all."""
         with atomic_write(self._file(int(repeat["repeat"]))) as file:
             file.write(_bytes(repeat))
+
+    def keep(self, repeats: Sequence[Mapping[str, Any]], made: Mapping[str, Any] | None) -> None:
+        """Take repeats for one's own, and remember what made them if that was other code (``confirm``)."""
+        if made is not None:
+            # First, so that a result never has them without saying so.
+            with atomic_write(self._folder / _KEPT) as file:
+                file.write(_bytes(made))
+        for repeat in repeats:
+            self.add(repeat)
 
     def finish(self) -> dict[str, Any] | None:
         """Write and return the result, if every repeat is there.
@@ -97,6 +109,8 @@ class Results:
             return None
         repeats = [self._read(number) for number in range(self.repeats)]
         result = {**self.head, **summary(repeats, len(self._session.judged))}
+        if (kept := self._folder / _KEPT).is_file():
+            result["kept"] = json_object(read_limited(kept), kept)
         with atomic_write(self.path) as file:
             file.write(_bytes(result))
         return result
@@ -196,7 +210,7 @@ def code_sha256(modules: Sequence[str]) -> str:
     return hashlib.sha256(b"".join(Path(place).read_bytes() for place in places)).hexdigest()
 
 
-def _depends(described: Mapping[str, Any]) -> dict[str, Any]:
+def depends(described: Mapping[str, Any]) -> dict[str, Any]:
     """What one repeat is known to depend on: not how many there are."""
     protocol = {name: value for name, value in described["protocol"].items() if name != "repeats"}
     return {**described, "protocol": protocol}

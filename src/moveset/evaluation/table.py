@@ -47,6 +47,7 @@ class Measured:
         feet: whether planted feet were held; None where nothing could be held.
         seconds: what an item took to generate, in batches, on average; None if nothing was generated.
         source: where it was taken from, if it was not measured with the others; "" if it was.
+        kept: whether other code made its repeats, and the first came out the same with today's (``confirm``).
     """
 
     metrics: Mapping[str, Interval]
@@ -67,6 +68,7 @@ class Measured:
     seconds: float | None
     feet: bool | None = None
     source: str = ""
+    kept: bool = False
 
     @classmethod
     def of(cls, raw: Mapping[str, Any], where: str) -> "Measured":
@@ -96,6 +98,7 @@ class Measured:
                 seconds=float(raw["seconds_per_item"]) if raw["weights_sha256"] else None,
                 feet=raw.get("settings", {}).get("foot_lock"),
                 source=str(raw.get("source", "")),
+                kept="kept" in raw,
             )
         except (KeyError, TypeError, ValueError, AttributeError, InputError) as error:
             raise FormatError(f"{where} is no result of an evaluation: {error}; evaluate that row again") from error
@@ -194,6 +197,11 @@ class Table:
             if row.source:
                 found.setdefault(row.source, []).append(self.labels[key])
         return found
+
+    @property
+    def kept(self) -> list[str]:
+        """Labels of the rows that other code made, and of which today's makes the first repeat alike."""
+        return [self.labels[key] for key, row in self.measured.items() if row.kept]
 
     def _unlike(self, name: str) -> list[str]:
         """Labels of the rows whose results differ in a field from the first."""
