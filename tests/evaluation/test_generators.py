@@ -1,6 +1,7 @@
 """Whatever makes motion gives joints of the length and frame rate that are asked for, each from its own seed."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from moveset.evaluation.generators import Clips, Given, Reconstruction, Remember
 from moveset.evaluation.items import open_items
 from moveset.evaluation.job import Job, clip_method, open_generator
 from moveset.evaluation.streams import Streams, timeline
+from moveset.motion.features import get_codec
 from moveset.pipelines.bundle import Bundle
 from moveset.pipelines.motion_stream import MotionStream
 from moveset.pipelines.request import check_method, check_request
@@ -167,6 +169,18 @@ def test_reconstructions_keep_their_items(bundle, items):
         [Wanted((("", draws[3].frames),), 9, draws[3])], 20.0
     )
     assert torch.allclose(made[3], alone[0], atol=1e-4)
+
+
+@pytest.mark.parametrize("start", [0, 7])
+def test_reconstructions_of_stored_features_lose_no_frame(bundle, items, start):
+    whole = items.draw(torch.Generator().manual_seed(0))[0]
+    features = get_codec("native").encode(whole.item.motion())[:30]
+    item = replace(whole.item, codec="native", rows=30 - start, features=lambda: features, motion=None)
+    # A crop has the row after it; the last row of what is stored stands for that.
+    for rows in (20, 30 - start):
+        draw = replace(whole, item=item, start=start, rows=rows)
+        (made,) = Reconstruction(bundle, device="cpu").generate([Wanted((("", draw.frames),), 0, draw)], 20.0)
+        assert made.shape == (rows + 1, 22, 3)
 
 
 def test_real_motion_is_itself(items):

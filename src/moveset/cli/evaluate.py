@@ -325,7 +325,8 @@ def notes(result: dict[str, Any]) -> list[str]:
             f"{title(result)}: {result['shortened']} motions are shorter than asked for; the model has a limit."
         )
     if "multimodality" in result["metrics"]:
-        said.append(f"Multimodality over {protocol['multimodality']} texts with {protocol['samples']} motions each.")
+        texts = result.get("texts", protocol["multimodality"])
+        said.append(f"Multimodality over {texts} texts with {protocol['samples']} motions each.")
     if protocol["diversity"] < 300:
         said.append(f"Diversity over {protocol['diversity']} pairs, for want of items.")
     return said

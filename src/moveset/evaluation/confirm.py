@@ -11,11 +11,9 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from moveset.errors import FormatError
-from moveset.evaluation.results import CODE, Results, depends
+from moveset.evaluation.results import CODE, COUNTS, Results, depends
 from moveset.io.limits import read_limited
 from moveset.pipelines.verified_folder import json_object
-
-COUNTS = ("groups", "rollouts", "windows", "shortened")
 
 Make = Callable[[int], Mapping[str, Any]]
 
@@ -46,8 +44,10 @@ def confirm(results: Results, make: Make) -> str:
         seconds = {
             "generating": float(there["seconds_per_item"]) * int(there["items"]), "all": there["seconds"] / count,
         }  # fmt: skip
+        # Older code may have counted less.
+        counts = {name: there[name] for name in COUNTS if name in there}
         kept = [
-            {"repeat": k, "metrics": dict(values), **{c: there[c] for c in COUNTS if c in there}, "seconds": seconds}
+            {"repeat": k, "metrics": dict(values), **counts, "seconds": seconds}
             for k, values in enumerate(there["repeats"])
         ]
         if not all(one["metrics"] for one in kept):
@@ -56,7 +56,7 @@ def confirm(results: Results, make: Make) -> str:
         raise FormatError(f"{results.path} is no result of an evaluation ({error!r}); give another --out") from error
     anew = make(0)
     results.add(anew)
-    if differ := _differ(kept[0]["metrics"], anew["metrics"]) or _differ(kept[0], anew, COUNTS):
+    if differ := _differ(kept[0]["metrics"], anew["metrics"]) or _differ(kept[0], anew, tuple(counts)):
         return f"{results.name}: the first repeat came out otherwise ({differ}), so every repeat is made"
     other_code = any(made[code] != results.head[code] for code in CODE)
     results.keep(kept, {"repeats": count, **made} if other_code else None)

@@ -212,12 +212,16 @@ class Reconstruction:
         return made
 
     def _features(self, wanted: Wanted, codec: str) -> Tensor:
-        """(F, D) of the item in the autoencoder's own features; one of the set's own features is a row short."""
+        """(F, D) of the item in the autoencoder's own features, a row for each frame that is wanted.
+
+        Of the set's own features, the last row of what is stored stands for the frame after it too.
+        """
         draw = wanted.draw
         assert draw is not None
         limit = self._bundle.config.max_frames
         if draw.item.codec == codec:
-            return draw.features()[:limit]
+            stored = draw.item.features()[draw.start : draw.start + draw.frames]
+            return torch.cat((stored, stored[-1:]))[: min(draw.frames, limit)]
         if draw.item.motion is None:
             raise InputError(
                 f"model {self.model!r} reads {codec!r} features, and the items have {draw.item.codec!r} ones alone; "

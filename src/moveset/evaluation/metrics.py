@@ -44,7 +44,7 @@ def group(
     if len(names) < size:
         raise InputError(
             f"R-precision needs groups of {size} items of different labels, and the {count} items have {len(names)} "
-            "distinct ones; give items of more kinds"
+            "distinct ones; give more items, of more kinds"
         )
     members: dict[Hashable, list[int]] = {name: [] for name in names}
     for item in torch.randperm(count, generator=generator).tolist():

@@ -179,8 +179,9 @@ def run_repeat(session: Session, number: int, say: Say = lambda stage, done, cou
     found["fid"] = frechet_distance(session.real(real), motion)
     pairs = min(protocol.diversity, len(asked))
     found["diversity"] = metrics.diversity(motion, random_of(protocol, number, "diversity"), pairs)
+    texts = {}
     if protocol.multimodality:
-        found["multimodality"] = _multimodality(session, asked, number, say)
+        found["multimodality"], texts["texts"] = _multimodality(session, asked, number, say)
     found |= physical(made, session.items.codec, generator.segment or protocol.seams)
     if isinstance(generator, Reconstruction):
         found |= _errors(asked, made)
@@ -188,6 +189,7 @@ def run_repeat(session: Session, number: int, say: Say = lambda stage, done, cou
         "repeat": number,
         "metrics": found,
         "groups": len(groups),
+        **texts,
         "shortened": 0 if isinstance(generator, Given) else _shorter(made, asked),
         "seconds": {"generating": round(generated, 4), "all": round(time.perf_counter() - begun, 4)},
     }
@@ -252,8 +254,8 @@ def _made(session: Session, wanted: Sequence[Wanted], asked: Sequence[Draw], say
     return made
 
 
-def _multimodality(session: Session, asked: Sequence[Draw], number: int, say: Say) -> float:
-    """Of texts drawn at random, each with the length of its item."""
+def _multimodality(session: Session, asked: Sequence[Draw], number: int, say: Say) -> tuple[float, int]:
+    """Of texts drawn at random, each with the length of its item; and how many these are."""
     protocol = session.protocol
     order = torch.randperm(len(asked), generator=random_of(protocol, number, "texts")).tolist()
     # A prompt that two items happen to share counts once.
@@ -266,7 +268,7 @@ def _multimodality(session: Session, asked: Sequence[Draw], number: int, say: Sa
     made = _made(session, wanted, draws, say)
     motion = session.evaluator.embed_motions(encoded(made, session.items.codec))
     motion_TnE = motion.view(len(chosen), protocol.samples, -1)
-    return metrics.multimodality(motion_TnE, random_of(protocol, number, "pairs"), protocol.pairs)
+    return metrics.multimodality(motion_TnE, random_of(protocol, number, "pairs"), protocol.pairs), len(chosen)
 
 
 def _shorter(made: Sequence[Tensor], asked: Sequence[Draw]) -> int:

@@ -33,6 +33,8 @@ _MEASURES = (
 
 #: What ``confirm`` lets differ: what a result says of the code that made it.
 CODE = ("measures_sha256", "generator_sha256", "versions")
+#: What a repeat counts besides what it measures.
+COUNTS = ("groups", "texts", "rollouts", "windows", "shortened")
 _KEPT = "kept.json"
 
 
@@ -195,7 +197,7 @@ def summary(repeats: Sequence[Mapping[str, Any]], items: int) -> dict[str, Any]:
     columns = {name: [float(repeat["metrics"][name]) for repeat in repeats] for name in names}
     spent = [repeat["seconds"] for repeat in repeats]
     return {
-        **{name: repeats[0][name] for name in ("groups", "rollouts", "windows", "shortened") if name in repeats[0]},
+        **{name: repeats[0][name] for name in COUNTS if name in repeats[0]},
         "metrics": {name: Interval.of(values).to_json() for name, values in columns.items()},
         "repeats": [{name: float(repeat["metrics"][name]) for name in names} for repeat in repeats],
         "seconds": round(sum(s["all"] for s in spent), 1),

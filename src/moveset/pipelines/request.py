@@ -62,10 +62,10 @@ def check_request(
         )
     for text in prompts:
         check_prompt(text)
-    _check_whole("num", num)
+    check_whole("num", num)
     if not 1 <= num <= MAX_NUM:
         raise InputError(f"num {num} is not in 1 to {MAX_NUM}; run again with another seed for more")
-    _check_whole("seed", seed)
+    check_whole("seed", seed)
     if not 0 <= seed <= SEEDS - num:
         raise InputError(f"seed {seed} is not in 0 to {SEEDS - num}; give a smaller whole number")
     given = (seconds,) if seconds is None or isinstance(seconds, str | Real) else tuple(seconds)
@@ -94,7 +94,7 @@ def check_method(
     if solver not in SOLVERS:
         raise InputError(f"unknown solver {solver!r}; choose one of {', '.join(SOLVERS)}")
     if steps is not None:
-        _check_whole("steps", steps)
+        check_whole("steps", steps)
         steps = int(steps)
     if solver == "teacher":
         network, steps = "teacher", TEACHER_STEPS if steps is None else steps
@@ -141,9 +141,24 @@ def check_prompt(text: str) -> None:
         raise InputError("a prompt contains control characters; give plain text")
 
 
-def _check_whole(name: str, value: int) -> None:
+def check_whole(name: str, value: object) -> None:
+    """Refuse what is no whole number.
+
+    Raises:
+        InputError: it is none.
+    """
     if not isinstance(value, Integral):
         raise InputError(f"{name} {value!r} is not a whole number; give one such as 1")
+
+
+def check_real(name: str, value: object) -> None:
+    """Refuse what is no number.
+
+    Raises:
+        InputError: it is none.
+    """
+    if not isinstance(value, Real):
+        raise InputError(f"{name} {value!r} is not a number; give one such as 1.5")
 
 
 def _frames(seconds: float, config: BundleConfig) -> int:

@@ -2,14 +2,14 @@
 
 import math
 from bisect import bisect_right
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain, pairwise
 
 from moveset.diffusion.phases import PhaseGrid
 from moveset.diffusion.schedule import Schedule, cosine, linear
 from moveset.errors import InputError
-from moveset.pipelines.request import MAX_GUIDANCE, MAX_PROMPTS, SEEDS, check_prompt
+from moveset.pipelines.request import MAX_GUIDANCE, MAX_PROMPTS, SEEDS, check_prompt, check_real, check_whole
 from moveset.pipelines.stream_bundle import FLOW, StreamConfig
 from moveset.rdm.staircase import Staircase, levels
 from moveset.text.stages import split_stages
@@ -164,8 +164,17 @@ def check_stream(
         stages: "walks, then waves" is two things to do, one after the other; False says all of it to every segment.
 
     Raises:
-        InputError: anything out of range.
+        InputError: anything out of range, or of another type.
     """
+    check_whole("seed", seed)
+    check_whole("buffer", buffer)
+    check_real("blend_seconds", blend_seconds)
+    for name, value, check in (
+        ("steps", steps, check_whole), ("start", start, check_whole), ("lag", lag, check_whole),
+        ("eta", eta, check_real), ("guidance", guidance, check_real),
+    ):  # fmt: skip
+        if value is not None:
+            check(name, value)
     timeline, durations, counts = _timeline(config, prompt, seconds, loop, stages)
     if not 0 <= seed < SEEDS:
         raise InputError(f"seed {seed} is not in 0 to {SEEDS - 1}; give a smaller whole number")
@@ -206,7 +215,8 @@ def _timeline(
 ) -> tuple[Timeline, tuple[float, ...], tuple[int, ...]]:  # fmt: skip
     """The timeline, and of each prompt the duration asked for and its segments."""
     prompt = config.idle if prompt is None else prompt
-    prompts = (prompt,) if isinstance(prompt, str) else tuple(prompt)
+    # A number is no text, and is refused as such below.
+    prompts = tuple(prompt) if isinstance(prompt, Iterable) and not isinstance(prompt, str | bytes) else (prompt,)
     if not 1 <= len(prompts) <= MAX_PROMPTS:
         raise InputError(
             f"{len(prompts)} prompts were given; give 1 to {MAX_PROMPTS}, such as 'a person walks forward'"
@@ -218,7 +228,10 @@ def _timeline(
     if seconds is None:
         given = tuple(each * (STAGE_SEGMENTS * len(parts) if len(parts) > 1 else SEGMENTS) for parts in said)
     else:
-        given = (float(seconds),) if isinstance(seconds, int | float) else tuple(map(float, seconds))
+        of_each = tuple(seconds) if isinstance(seconds, Iterable) and not isinstance(seconds, str) else (seconds,)
+        for s in of_each:
+            check_real("the duration", s)
+        given = tuple(map(float, of_each))
     if len(given) == 1:
         given *= len(prompts)
     if len(given) != len(prompts):

@@ -1,7 +1,8 @@
 """What a sentence says happens one after the other: "walks, then waves" has two *stages*.
 
 A stream says one thing to each of its segments, so a sentence of several stages must be taken apart first. Only words
-that always mean an order do that ("then", "after that", "before waving"); a plain "and" may mean at the same time.
+that always mean an order do that ("then", "after that", "before waving"); a plain "and" may mean at the same time. A
+turn to one side is no stage of its own where somebody walks or runs before it: it is how the way goes on.
 """
 
 import re
@@ -34,6 +35,15 @@ _NEXT = re.compile(
 _AFTER = re.compile(r"\s*,?\s+after\s+(?=\w+ing\b)", re.I)
 _AFTER_FIRST = re.compile(r"after\s+(?P<first>\w+ing\b[^,;]*)[,;]\s*(?P<second>.+)", re.I | re.S)
 
+_TRAVELS = re.compile(r"\b(?:(?:walk|jog|stroll|march|wander|sprint|strid|step)\w*|runs?|ran|running|strode)\b", re.I)
+# And nothing besides, of which only the manner may be told.
+_TURNS = re.compile(
+    r"""(?: (?:turn|veer|swerve|curve?)(?:s|ed|ing)?\s+(?:(?:to|towards?)\s+)?(?:(?:the|his|her|their|its)\s+)?
+          | (?:mak(?:es?|ing)|made|tak(?:es?|ing)|took)\s+an?\s+ )(?:left|right)\b
+        (?!.*\b(?:and|while|as|but)\b)""",
+    re.I | re.X | re.S,
+)
+
 
 def split_stages(sentence: str) -> tuple[str, ...]:
     """The stages of a sentence in order of time, each a sentence of its own; a sentence of one stage as it is.
@@ -47,6 +57,8 @@ def split_stages(sentence: str) -> tuple[str, ...]:
     ('a man running', 'a man bows')
     >>> split_stages("a woman walks and waves")
     ('a woman walks and waves',)
+    >>> split_stages("someone runs, then turns left, then bows")
+    ('someone runs and then turns left', 'someone bows')
     """
     text = sentence.strip().rstrip(".!")
     subject = _SUBJECT.match(text)
@@ -61,15 +73,34 @@ def split_stages(sentence: str) -> tuple[str, ...]:
         for part in _NEXT.split(piece):
             # What is named last in "bows after running" comes first.
             ordered += reversed(_AFTER.split(part))
-    stages = [stage for part in ordered if (stage := _alone(part, who))]
+    stages = [stage for part in _on_their_way(ordered) if (stage := _alone(part, who))]
     if len(stages) < 2:
         return (sentence,)
     return (*stages[: MOST - 1], ", then ".join(stages[MOST - 1 :])) if len(stages) > MOST else tuple(stages)
 
 
+def _on_their_way(parts: list[str]) -> list[str]:
+    """The parts, with a turn in one with the walking before it."""
+    out: list[str] = []
+    turned = False
+    for part in parts:
+        who = _SUBJECT.match(bare := _bare(part))
+        turns = _TURNS.match(bare[who.end() :].strip() if who else bare)
+        if out and turns and not turned and _TRAVELS.search(out[-1]):
+            out[-1], turned = f"{_bare(out[-1])} and then {bare}", True
+        else:
+            turned = False
+            out.append(part)
+    return out
+
+
+def _bare(part: str) -> str:
+    return part.strip(" \t\n,;.")
+
+
 def _alone(part: str, who: str) -> str:
     """A part as a sentence of its own: about ``who``, unless it is a command or says itself whom it is about."""
-    part = part.strip(" \t\n,;.")
+    part = _bare(part)
     if pronoun := _PRONOUN.match(part):
         part = part[pronoun.end() :]
         # "they wave" has the form of a command, and "a person wave" would be no English.
