@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from moveset.data import phrases
 from moveset.data.captions import composed_captions, heldout_composed_captions, train_captions
 from moveset.data.paraphrase import paraphrase
 from moveset.text.stages import MOST, split_stages
@@ -56,6 +57,7 @@ def test_stages_in_order_of_time(sentence, stages):
         "walk forward, then turn right",
         "An old woman jogged slowly. Then she turned to her left like a dancer.",
         "a person turns left after running",
+        "a man is walking, then is turning to his left",
         "a person walks, then ",
         "then a person",
         "walk. wave. bow.",
@@ -75,6 +77,13 @@ def _trained(key):
 
 def _held_out(key):
     return heldout_composed_captions("in_time", (WALK, WAVE))
+
+
+def test_what_training_says_of_one_action_has_one_stage():
+    for content in phrases.TRAIN:
+        for sentence in train_captions(content):
+            assert split_stages(sentence) == (sentence,)
+            assert len(split_stages(paraphrase(sentence))) == 1
 
 
 @pytest.mark.parametrize("say", [_trained, _held_out])

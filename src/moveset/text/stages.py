@@ -35,10 +35,15 @@ _NEXT = re.compile(
 _AFTER = re.compile(r"\s*,?\s+after\s+(?=\w+ing\b)", re.I)
 _AFTER_FIRST = re.compile(r"after\s+(?P<first>\w+ing\b[^,;]*)[,;]\s*(?P<second>.+)", re.I | re.S)
 
-_TRAVELS = re.compile(r"\b(?:(?:walk|jog|stroll|march|wander|sprint|strid|step)\w*|runs?|ran|running|strode)\b", re.I)
+_TRAVELS = re.compile(
+    r"\b(?:(?:walk|stroll|hik|trek|tramp|parad|promenad|march|wander|strid|step|jog|sprint|scamper|gallop|hustl)\w*"
+    r"|tread(?:s|ing)?|trod|zip(?:s|ping|ped)?|runs?|ran|running|strode|go|goes|going|went)\b", re.I
+)  # fmt: skip
 # And nothing besides, of which only the manner may be told.
 _TURNS = re.compile(
-    r"""(?: (?:turn|veer|swerve|curve?)(?:s|ed|ing)?\s+(?:(?:to|towards?)\s+)?(?:(?:the|his|her|their|its)\s+)?
+    r"""(?:(?:is|are|was|were)\s+)?
+        (?: (?:turn|veer|swerv|curv|pivot|rotat|swivel)(?:e|s|es|ed|ing)?\s+
+            (?:(?:to|towards?)\s+)?(?:(?:the|his|her|their|its)\s+)?
           | (?:mak(?:es?|ing)|made|tak(?:es?|ing)|took)\s+an?\s+ )(?:left|right)\b
         (?!.*\b(?:and|while|as|but)\b)""",
     re.I | re.X | re.S,
