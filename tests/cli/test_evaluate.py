@@ -90,7 +90,23 @@ def test_a_folder_of_ones_own(evaluate, tmp_path):
     code, out, err = evaluate("--motions", str(folder), "--repeats", "1")
     assert code == 0, err
     assert "| mine | " in out
-    assert "40 items of 40 kinds with 40 distinct texts" in out
+    assert "40 items of 40 kinds with 40 distinct texts of mine; FID to 80 items of corpus.safetensors, test; " in out
+    assert "; 1 group of 32;" in out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["mine", "--wording", "held-out"], "mine has prompts of its own, so there is no other wording"),
+        (["mine", "--split", "rollout"], "mine cannot be rolled out"),
+        ([None, "tiny", "--network", "vae", "--split", "rollout"], "tiny-vae cannot be rolled out"),
+    ],
+)
+def test_what_no_repeat_could_judge_is_refused_before_anything_is_written(evaluate, tmp_path, arguments, message):
+    folder, *rest = arguments
+    code, out, err = evaluate(*(["--motions", str(motion_folder(tmp_path / folder))] if folder else []), *rest)
+    assert (code, out, message in err) == (2, "", True), err
+    assert not (tmp_path / "results").exists()
 
 
 @pytest.mark.parametrize(("given", "name"), [(".", "mine"), ("../real/", "real-motions")])

@@ -304,18 +304,31 @@ def tell(done: Sequence[tuple[dict[str, Any], Path]], json: bool) -> None:
 
 def title(result: dict[str, Any]) -> str:
     """A result's row."""
-    steps = "" if result["steps"] is None else f", {result['steps']} step{'s' * (result['steps'] != 1)}"
+    steps = "" if result["steps"] is None else f", {counted(result['steps'], 'step')}"
     return " ".join(filter(None, (result["model"], result["network"]))) + steps
+
+
+def counted(count: int, what: str) -> str:
+    """So many of them.
+
+    >>> counted(1, "group"), counted(2, "group")
+    ('1 group', '2 groups')
+    """
+    return f"{count} {what}{'s' * (count != 1)}"
 
 
 def notes(result: dict[str, Any]) -> list[str]:
     """How much there was to judge, and what the protocol could not do as asked for."""
-    protocol, count = result["protocol"], len(result["repeats"])
+    protocol, count, data = result["protocol"], len(result["repeats"]), result["data"]
     labels = f" of {result['labels']} kinds" if result["labels"] else ""
+    texts = f"{result['items']} items{labels} with {result['distinct_texts']} distinct texts of"
+    how = f"{data['name']}, {protocol['split']}"
+    # Motions with prompts of their own: FID is larger the fewer real ones it is to, so it must be said how many.
+    given = result.get("settings", {}).get("motions")
+    how = f"{given}; FID to {data['items']} items of {how}" if given else f"{how}, {protocol['wording']} wording"
     said = [
-        f"{result['items']} items{labels} with {result['distinct_texts']} distinct texts of {result['data']['name']}, "
-        f"{protocol['split']}, {protocol['wording']} wording; {result['groups']} groups of {protocol['group']}; mean ± "
-        f"95 % interval of {count} repeat{'s' * (count != 1)}; judged by {result['evaluator']['name']}."
+        f"{texts} {how}; {counted(result['groups'], 'group')} of {protocol['group']}; mean ± 95 % interval of "
+        f"{counted(count, 'repeat')}; judged by {result['evaluator']['name']}."
     ]
     if "rollouts" in result:
         said.append(f"{result['rollouts']} rollouts of the items one after the other, {result['windows']} windows.")
