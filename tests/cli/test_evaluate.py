@@ -219,6 +219,24 @@ def test_a_suite_writes_its_tables(evaluate, tmp_path, suite, seams):
     assert (result["protocol"]["seams"], "boundary_jerk" in result["metrics"]) == (seams, seams > 0)
 
 
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--wording", "held-out"], "such as Real, with wording known instead of held-out"),
+        (["--items", "70"], "with items 80 instead of 70"),
+        (["--no-mirrored"], "instead of"),
+    ],
+)
+def test_a_row_that_no_table_could_hold_is_refused_before_it_is_made(evaluate, tmp_path, arguments, message):
+    usual = ["--suite", "motionpcm", "--repeats", "1", "--multimodality", "0"]
+    assert evaluate(*usual, "--row", "real")[0] == 0
+    folder = tmp_path / "results/motionpcm"
+    before = {path: path.read_bytes() for path in folder.rglob("*.*") if path.is_file()}
+    code, out, err = evaluate(*usual, "--row", "vae", *arguments)
+    assert (code, out, err.count("\n"), message in err) == (2, "", 1, True), err
+    assert {path: path.read_bytes() for path in folder.rglob("*.*") if path.is_file()} == before
+
+
 def test_a_suite_of_rows_without_weights(evaluate):
     code, out, err = evaluate("--suite", "rdm", "--row", "md-4")
     assert code == 0, err
