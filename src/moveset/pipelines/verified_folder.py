@@ -108,8 +108,11 @@ def json_bytes(data: Mapping[str, object]) -> bytes:
     return (json.dumps(data, indent=1, ensure_ascii=False) + "\n").encode()
 
 
-def json_object(data: bytes, where: Path) -> dict[str, Any]:
+def json_object(data: bytes, where: Path, remedy: str = "copy the model folder again") -> dict[str, Any]:
     """The JSON object in the bytes of a file.
+
+    Args:
+        remedy: what to do where it is none.
 
     Raises:
         FormatError: anything else.
@@ -117,7 +120,7 @@ def json_object(data: bytes, where: Path) -> dict[str, Any]:
     try:
         raw = json.loads(data)
     except (ValueError, RecursionError) as error:
-        raise FormatError(f"{where} is not JSON: {error}; copy the model folder again") from error
+        raise FormatError(f"{where} is not JSON: {error}; {remedy}") from error
     if not isinstance(raw, dict):
-        raise FormatError(f"{where} is not a JSON object; copy the model folder again")
+        raise FormatError(f"{where} is not a JSON object; {remedy}")
     return raw
