@@ -147,9 +147,13 @@ def test_the_answer_to_another_question_stays(items, oracle, tmp_path, monkeypat
     with pytest.raises(InputError, match=r"evaluator oracle \(00000000\) instead of oracle \(33333333\)"):
         opened(items, oracle, tmp_path)
     assert (tmp_path / "painter-test.json").read_bytes() == kept
-    (tmp_path / "painter-test.json").write_text("{}")
-    with pytest.raises(FormatError, match="is no result of an evaluation"):
-        opened(items, oracle, tmp_path)
+    for damaged, message in (
+        ("{}", "is no result of an evaluation"),
+        ("[]", "no.* JSON object; delete it, or give ano"),
+    ):
+        (tmp_path / "painter-test.json").write_text(damaged)
+        with pytest.raises(FormatError, match=message):
+            opened(items, oracle, tmp_path)
 
 
 @pytest.mark.parametrize("what", ["weights", "describe"])

@@ -34,6 +34,7 @@ _MEASURES = (
 #: What ``confirm`` lets differ: what a result says of the code that made it.
 CODE = ("measures_sha256", "generator_sha256", "versions")
 _KEPT = "kept.json"
+REMEDY = "delete it, or give another --out"
 
 
 class Results:
@@ -110,7 +111,7 @@ class Results:
         repeats = [self._read(number) for number in range(self.repeats)]
         result = {**self.head, **summary(repeats, len(self._session.judged))}
         if (kept := self._folder / _KEPT).is_file():
-            result["kept"] = json_object(read_limited(kept), kept)
+            result["kept"] = json_object(read_limited(kept), kept, REMEDY)
         with atomic_write(self.path) as file:
             file.write(_bytes(result))
         return result
@@ -124,7 +125,7 @@ class Results:
         if not self.path.is_file():
             return
         try:
-            there, now = asked(json_object(read_limited(self.path), self.path)), asked(self.head)
+            there, now = asked(json_object(read_limited(self.path), self.path, REMEDY)), asked(self.head)
         except (KeyError, TypeError, AttributeError) as error:
             raise FormatError(f"{self.path} is no result of an evaluation ({error!r}); give another --out") from error
         # An older version may not have known all of it.

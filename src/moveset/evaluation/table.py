@@ -307,7 +307,7 @@ def _staying(index: Path, suite: Suite) -> dict[str, Any]:
     Raises:
         FormatError: it cannot be read, or is of another suite.
     """
-    raw = json_object(index.read_bytes(), index)
+    raw = json_object(index.read_bytes(), index, "give another --out, or delete it")
     if raw.get("suite") != suite.name:
         raise FormatError(f"{index} is of the suite {raw.get('suite')!r}; write {suite.name!r} to another folder")
     known, models = {row.key for row in suite.rows}, {row.model for row in suite.rows}
@@ -328,7 +328,7 @@ def load_table(folder: Path) -> Table:
     index = folder / ROWS
     if not index.is_file():
         raise InputError(f"{folder} has no {ROWS}; run `moveset evaluate --suite …` first")
-    raw = json_object(index.read_bytes(), index)
+    raw = json_object(index.read_bytes(), index, "give another --out, or delete it")
     try:
         entries = [
             (Row(**{k: v for k, v in e.items() if k not in OWN}), e["result"], e["missing"]) for e in raw["rows"]
@@ -345,4 +345,4 @@ def _read(folder: Path, name: str | None) -> Measured | None:
     file = folder / name
     if not file.is_file():
         raise FormatError(f"{folder / ROWS} names {name}, which is not there; evaluate that row again")
-    return Measured.of(json_object(file.read_bytes(), file), str(file))
+    return Measured.of(json_object(file.read_bytes(), file, "evaluate that row again"), str(file))
