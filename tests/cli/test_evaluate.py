@@ -94,6 +94,14 @@ def test_a_folder_of_ones_own(evaluate, tmp_path):
     assert "; 1 group of 32;" in out
 
 
+def test_what_the_evaluator_does_not_read_of_long_motions_is_said(evaluate, tmp_path):
+    folder = motion_folder(tmp_path / "mine")
+    np.save(folder / "m-007.npy", np.tile(np.load(folder / "m-007.npy"), (6, 1, 1)))
+    code, out, err = evaluate("--motions", str(folder), "--repeats", "1")
+    assert code == 0, err
+    assert "Left out: 1 (what lies behind frame 196 of a motion, which the evaluator does not read)." in out
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

@@ -170,9 +170,9 @@ def test_a_newer_answer_to_the_same_question_takes_the_place_of_the_older(items,
 
 def test_making_everything_anew(items, oracle, tmp_path):
     whole(items, oracle, tmp_path)
-    results = opened(items, oracle, tmp_path)[1]
-    results.forget()
-    assert results.done == []
+    # Fewer than there are: none of the others may be taken for new when as many are asked for again.
+    opened(items, oracle, tmp_path, replace(PROTOCOL, repeats=2))[1].forget()
+    assert opened(items, oracle, tmp_path)[1].done == []
 
 
 def test_a_damaged_repeat_is_named(items, oracle, tmp_path):
@@ -331,6 +331,8 @@ def test_what_does_not_fit_is_refused_before_anything_is_made(job, tmp_path):
     with pytest.raises(InputError, match="20 items, and R-precision needs 32"):
         run(few, tmp_path, processes=1)
     assert os.listdir(tmp_path) == []
+    with pytest.raises(InputError, match=r"33 items drawn at random show \d+ different things, .*; raise --items"):
+        open_session(replace(job, items=33, protocol=Protocol()))
     with pytest.raises(InputError, match="unknown evaluator"):
         open_session(replace(job, evaluator="nobody"))
     with pytest.raises(InputError, match="there is no corpus"):

@@ -105,9 +105,18 @@ def open_session(job: Job) -> Session:
             "would be away from one; give more"
         )
     evaluator = Evaluator.open(job.evaluator, pick_device(job.device))
+    if isinstance(generator, Given) and generator.items is not None:
+        generator.items = _as_read(generator.items, evaluator.card.max_frames)
     judged: ItemSet = (generator.items if isinstance(generator, Given) else None) or items
     _check_fit(job, generator, judged, items)
     return Session(job.protocol.fitted(judged, generator.random), items, generator, evaluator)
+
+
+def _as_read(given: ItemSet, most: int) -> ItemSet:
+    """Given motions, with how many of them an evaluator of so many frames reads in part."""
+    long = sum(item.rows > most for item in given.items)
+    note = {f"what lies behind frame {most} of a motion, which the evaluator does not read": long} if long else {}
+    return replace(given, dropped={**given.dropped, **note})
 
 
 def _check_fit(job: Job, generator: Generator, judged: ItemSet, items: ItemSet) -> None:
@@ -121,6 +130,12 @@ def _check_fit(job: Job, generator: Generator, judged: ItemSet, items: ItemSet) 
         raise InputError(
             f"{judged.name} has joints of {judged.codec.skeleton.name!r}, and {items.name} of "
             f"{items.codec.skeleton.name!r}; a folder of motions is judged by HumanML3D's evaluators alone"
+        )
+    few = job.items is not None and judged is items and len(items) >= job.protocol.group
+    if few and items.labels and (kinds := len(set(items.labels))) < job.protocol.group:
+        raise InputError(
+            f"{len(items)} items drawn at random show {kinds} different things, and R-precision needs "
+            f"{job.protocol.group} that differ; raise --items, or leave it out for all of them"
         )
     if job.protocol.wording == "held-out":
         if judged is not items:

@@ -82,8 +82,9 @@ class Results:
 
     def forget(self) -> None:
         """Delete all repeats; no other process may be at work on them."""
-        for number in self.done:
-            self._file(number).unlink(missing_ok=True)
+        # Of more repeats than are asked for now, too: they would be taken for new when more are asked for again.
+        for path in self._folder.glob("[0-9]*.json"):
+            path.unlink(missing_ok=True)
         (self._folder / _KEPT).unlink(missing_ok=True)
 
     def add(self, repeat: Mapping[str, Any]) -> None:
