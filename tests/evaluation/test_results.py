@@ -331,7 +331,7 @@ def test_what_does_not_fit_is_refused_before_anything_is_made(job, tmp_path):
     with pytest.raises(InputError, match="20 items, and R-precision needs 32"):
         run(few, tmp_path, processes=1)
     assert os.listdir(tmp_path) == []
-    with pytest.raises(InputError, match=r"33 items drawn at random show \d+ different things, .*; raise --items"):
+    with pytest.raises(InputError, match=r"the 33 drawn at random have \d+ distinct ones; raise --items"):
         open_session(replace(job, items=33, protocol=Protocol()))
     with pytest.raises(InputError, match="unknown evaluator"):
         open_session(replace(job, evaluator="nobody"))

@@ -134,8 +134,8 @@ def _check_fit(job: Job, generator: Generator, judged: ItemSet, items: ItemSet) 
     few = job.items is not None and judged is items and len(items) >= job.protocol.group
     if few and items.labels and (kinds := len(set(items.labels))) < job.protocol.group:
         raise InputError(
-            f"{len(items)} items drawn at random show {kinds} different things, and R-precision needs "
-            f"{job.protocol.group} that differ; raise --items, or leave it out for all of them"
+            f"R-precision needs groups of {job.protocol.group} items of different labels, and the {len(items)} drawn "
+            f"at random have {kinds} distinct ones; raise --items, or leave it out for all of them"
         )
     if job.protocol.wording == "held-out":
         if judged is not items:
