@@ -7,8 +7,7 @@ with the same seeds.
     python benchmarks/content.py --model src/moveset/weights/motionpcm-small --out results/content.json
 """
 
-import argparse
-import json
+import sys
 import time
 from dataclasses import asdict
 from itertools import combinations
@@ -17,8 +16,10 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
+from arguments import SPLITS, Parser, at_least, between, known, report_path, write_report
 from moveset.data.captions import heldout_captions, train_captions
 from moveset.data.corpus import Corpus
+from moveset.errors import InputError, exit_code_of
 from moveset.evaluation.content_classifier import ContentClassifier
 from moveset.evaluation.content_training import clip_features, content_class, labelled_clips, pad
 from moveset.evaluation.frechet import frechet_distance
@@ -87,30 +88,36 @@ def reconstructed(bundle: Bundle, motion: Motion) -> Motion:
 
 def main() -> None:
     """See the module."""
-    parser = argparse.ArgumentParser()
+    parser = Parser()
     parser.add_argument("--model", type=Path, required=True)
     parser.add_argument("--corpus", type=Path, default=Path("data/corpus.safetensors"))
     parser.add_argument("--classifier", type=Path, default=Path("runs/classifier"))
     parser.add_argument("--networks", nargs="*", default=["teacher", "lcm-1", "pcm-1", "pcm-2", "pcm-4"])
-    parser.add_argument("--guidance", type=float, nargs="*", default=[], help="instead of the model's own scales")
-    parser.add_argument("--splits", nargs="*", default=["test"])
-    parser.add_argument("--copies", type=int, default=2)
+    parser.add_argument(
+        "--guidance", type=between(0, 30), nargs="*", default=[], help="instead of the model's own scales"
+    )
+    parser.add_argument("--splits", nargs="+", choices=SPLITS, default=["test"])
+    parser.add_argument("--copies", type=at_least(1), default=2)
     parser.add_argument("--wording", choices=("held-out", "known"), default="held-out")
-    parser.add_argument("--threads", type=int, default=2)
-    parser.add_argument("--out", type=Path)
+    parser.add_argument("--threads", type=at_least(1), default=2)
+    parser.add_argument("--out", type=report_path)
     given = parser.parse_args()
     torch.set_num_threads(given.threads)
-    corpus, classifier = Corpus.open(given.corpus), ContentClassifier.load(given.classifier)
+    bundle, corpus = Bundle.find(given.model), Corpus.open(given.corpus)
+    classifier = ContentClassifier.load(given.classifier)
+    known(given.networks, bundle.config.guidance, f"network of {bundle.config.name!r}")
     clips = [c for split in given.splits for c in labelled_clips(corpus, split) if c.label in classifier.labels]
+    if not clips:
+        raise InputError(f"{given.corpus} shows nothing that {given.classifier} knows in {', '.join(given.splits)}")
     real_features = clip_features(classifier, [c.joints for c in clips]).double()
     wanted = prompts_of(corpus, given.splits, set(classifier.labels), given.copies, given.wording)
     requests = [Request((text,), (frames,), seed) for seed, (_, text, frames, _) in enumerate(wanted)]
     labels, takes = [label for label, *_ in wanted], [take for *_, take in wanted]
-    t2m = TextToMotion(Bundle.find(given.model), "cpu")
+    t2m = TextToMotion(bundle, "cpu")
     real_motions = [corpus.motion(k) for s in given.splits for k in corpus.indices(s, composed=False)]
-    known = [content_class(corpus.contents(k)[0]) for s in given.splits for k in corpus.indices(s, composed=False)]
-    keep = [k for k, c in enumerate(known) if c in classifier.labels and len(real_motions[k]) >= 24]
-    rows = {"real": report(classifier, [real_motions[k] for k in keep], [known[k] for k in keep], None)}
+    shown = [content_class(corpus.contents(k)[0]) for s in given.splits for k in corpus.indices(s, composed=False)]
+    keep = [k for k, c in enumerate(shown) if c in classifier.labels and len(real_motions[k]) >= 24]
+    rows = {"real": report(classifier, [real_motions[k] for k in keep], [shown[k] for k in keep], None)}
     print(
         "real",
         {k: v for k, v in rows["real"].items() if k not in ("per_class", "hits")},
@@ -119,7 +126,7 @@ def main() -> None:
         flush=True,
     )
     made_again = [reconstructed(t2m.bundle, real_motions[k]) for k in keep]
-    rows["reconstructed"] = report(classifier, made_again, [known[k] for k in keep], real_features)
+    rows["reconstructed"] = report(classifier, made_again, [shown[k] for k in keep], real_features)
     print(
         "reconstructed", {k: v for k, v in rows["reconstructed"].items() if k not in ("per_class", "hits")}, flush=True
     )
@@ -147,14 +154,9 @@ def main() -> None:
     for row in rows.values():
         row.pop("hits")
     if given.out:
-        given.out.parent.mkdir(parents=True, exist_ok=True)
-        given.out.write_text(
-            json.dumps(
-                {"splits": given.splits, "clips": len(requests), "rows": rows, "comparisons": comparisons}, indent=1
-            )
-            + "\n"
-        )
+        found = {"splits": given.splits, "clips": len(requests), "rows": rows, "comparisons": comparisons}
+        write_report(given.out, found)
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(exit_code_of(main))

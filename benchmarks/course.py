@@ -10,14 +10,16 @@ likewise.
 """
 
 import argparse
-import json
 import statistics
+import sys
 from pathlib import Path
 
 import torch
 from torch import Tensor
 
+from arguments import Parser, at_least, report_path, write_report
 from moveset.data.corpus import Corpus
+from moveset.errors import exit_code_of
 from moveset.evaluation.physical import jerk, skating
 from moveset.pipelines.stream_bundle import DEFAULT_STREAM, StreamBundle
 from moveset.pipelines.stream_group import StreamGroup
@@ -79,16 +81,19 @@ def takes(corpus: Corpus) -> dict[str, dict[str, float]]:
 
 def main() -> None:
     """See the module."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = Parser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--model", default=DEFAULT_STREAM, help="a shipped stream, or a folder")
     parser.add_argument("--networks", nargs="*", default=["pcm-1"])
     parser.add_argument("--sentences", nargs="*", default=list(SENTENCES))
-    parser.add_argument("--copies", type=int, default=24)
+    parser.add_argument("--copies", type=at_least(1), default=24)
     parser.add_argument("--corpus", type=Path, help="measure its walks and runs too")
-    parser.add_argument("--out", type=Path)
+    parser.add_argument("--out", type=report_path)
     given = parser.parse_args()
     torch.set_num_threads(1)
     bundle = StreamBundle.find(given.model)
+    for network in given.networks:
+        for sentence in given.sentences:
+            check_stream(bundle.config, sentence, network=network)
     rows = takes(Corpus.open(given.corpus)) if given.corpus else {}
     for name, row in rows.items():
         print(name, row, flush=True)
@@ -98,8 +103,8 @@ def main() -> None:
             rows[f"{network}: {sentence}"] = row
             print(f"{network}: {sentence}", row, flush=True)
     if given.out:
-        given.out.write_text(json.dumps({"copies": given.copies, "seconds": SECONDS, "rows": rows}, indent=1) + "\n")
+        write_report(given.out, {"copies": given.copies, "seconds": SECONDS, "rows": rows})
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(exit_code_of(main))

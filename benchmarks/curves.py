@@ -3,11 +3,14 @@
 python benchmarks/curves.py --runs runs/small --out docs/training
 """
 
-import argparse
 import json
+import sys
 from pathlib import Path
 
 import matplotlib
+
+from arguments import Parser, report_path, write_report
+from moveset.errors import FormatError, InputError, exit_code_of
 
 matplotlib.use("Agg")
 from matplotlib import pyplot as plt
@@ -38,17 +41,24 @@ PANELS = {
 
 def points(path: Path, split: str, name: str) -> list[tuple[int, float]]:
     """(step, value) of one metric."""
-    rows = [json.loads(line) for line in path.read_text().splitlines()]
-    return [(row["step"], row[name]) for row in rows if row["split"] == split and name in row]
+    try:
+        rows = [json.loads(line) for line in path.read_text().splitlines()]
+        return [(row["step"], row[name]) for row in rows if row["split"] == split and name in row]
+    except (ValueError, KeyError, TypeError) as error:
+        raise FormatError(f"{path} is no log of a training ({error!r}); leave it out") from error
 
 
 def main() -> None:
     """See the module."""
-    parser = argparse.ArgumentParser()
+    parser = Parser()
     parser.add_argument("--runs", type=Path, default=Path("runs/small"))
     parser.add_argument("--out", type=Path, default=Path("docs/training"))
     given = parser.parse_args()
+    # Its folder must be one that can be written to.
+    report = report_path(str(given.out / "curves.json"))
     found = {k: v for k, v in PANELS.items() if (given.runs / k.strip() / "metrics.jsonl").is_file()}
+    if not found:
+        raise InputError(f"{given.runs} holds no run with a metrics.jsonl; give a folder of runs")
     figure, axes = plt.subplots(2, -(-len(found) // 2), figsize=(3.2 * -(-len(found) // 2), 5), squeeze=False)
     kept = {}
     for axis, (run, (split, name, title)) in zip(axes.flat, found.items(), strict=False):
@@ -62,10 +72,9 @@ def main() -> None:
     for axis in axes.flat[len(found) :]:
         axis.set_visible(False)
     figure.tight_layout()
-    given.out.mkdir(parents=True, exist_ok=True)
     figure.savefig(given.out / "curves.png", dpi=110)
-    (given.out / "curves.json").write_text(json.dumps(kept) + "\n")
+    write_report(report, kept, indent=None)
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(exit_code_of(main))

@@ -34,9 +34,12 @@ from typing import NamedTuple
 
 import torch
 
+from arguments import Parser, at_least, positive, report_path
 from efficiency_methods import HORIZON, PARALLELOGRAM, ROWS, SIZES, TRIANGLE, Methods, Row, expected, pieces, staircase
 from efficiency_tally import Meter, Tally
+from moveset.errors import exit_code_of
 from moveset.evaluation.machine import cpu_name, peak_mb
+from moveset.pipelines.verified_folder import json_object
 
 LENGTH_ROWS = (
     *(Row(f"RDM-{n}", TRIANGLE) for n in (4, 7, 14)),
@@ -272,11 +275,11 @@ def measure(size: str, plan: Plan, threads: int) -> dict:
 
 def main() -> None:
     """Measure one size and write the report of all."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = Parser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--size", choices=SIZES, default="small")
-    parser.add_argument("--out", type=Path, default=Path("docs/streaming/efficiency"))
-    parser.add_argument("--threads", type=int, default=2)
-    parser.add_argument("--minutes", type=float, help="no further round begins after this")
+    parser.add_argument("--out", type=report_path, default=Path("docs/streaming/efficiency"))
+    parser.add_argument("--threads", type=at_least(1), default=2)
+    parser.add_argument("--minutes", type=positive, help="no further round begins after this")
     parser.add_argument("--quick", action="store_true", help="one round of the shortest runs")
     parser.add_argument("--peak", type=int, nargs=3, help=argparse.SUPPRESS)
     given = parser.parse_args()
@@ -288,9 +291,9 @@ def main() -> None:
     plan = quick(PLANS[given.size]) if given.quick else PLANS[given.size]
     plan = replace(plan, minutes=given.minutes or plan.minutes)
     path = given.out.with_suffix(".json")
-    found = json.loads(path.read_text()) if path.is_file() else {}
+    found = json_object(path.read_bytes(), path, "delete it, or give another --out") if path.is_file() else {}
     print(write({**found, given.size: measure(given.size, plan, given.threads)}, given.out))
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(exit_code_of(main))

@@ -10,16 +10,18 @@ are. "flagging" is the share of streams whose last half minute has less than 60 
 first half minute, or of its jerk where that pace is below 0.3 m/s.
 """
 
-import argparse
 import json
-from pathlib import Path
+import sys
 
 import torch
 from torch import Tensor
 
+from arguments import Parser, at_least, positive, report_path, write_report
 from course import FPS, streams
+from moveset.errors import exit_code_of
 from moveset.evaluation.physical import jerk_sizes
 from moveset.pipelines.stream_bundle import DEFAULT_STREAM, StreamBundle
+from moveset.pipelines.stream_settings import check_stream
 
 SENTENCES = (
     "a person walks", "a person walks forward", "someone walks at a normal pace", "a person runs", "an old man walks",
@@ -65,26 +67,28 @@ def measured(clips: list[Tensor]) -> dict[str, object]:
 
 def main() -> None:
     """See the module."""
-    parser = argparse.ArgumentParser(description=main.__doc__)
+    parser = Parser(description=main.__doc__)
     parser.add_argument("--model", default=DEFAULT_STREAM, help="a shipped stream, or a folder")
     parser.add_argument("--networks", nargs="*", default=["pcm-1"])
     parser.add_argument("--sentences", nargs="*", default=list(SENTENCES))
-    parser.add_argument("--copies", type=int, default=24)
-    parser.add_argument("--minutes", type=float, default=5.0)
-    parser.add_argument("--out", type=Path)
+    parser.add_argument("--copies", type=at_least(1), default=24)
+    parser.add_argument("--minutes", type=positive, default=5.0)
+    parser.add_argument("--out", type=report_path)
     given = parser.parse_args()
     torch.set_num_threads(1)
     bundle, rows = StreamBundle.find(given.model), {}
+    for network in given.networks:
+        for sentence in given.sentences:
+            check_stream(bundle.config, sentence, network=network)
     for network in given.networks:
         for sentence in given.sentences:
             clips = streams(bundle, network, sentence, given.copies, 60 * given.minutes)
             rows[f"{network}: {sentence}"] = found = measured(clips)
             print(f"{network}: {sentence}", json.dumps(found), flush=True)
     if given.out:
-        given.out.parent.mkdir(parents=True, exist_ok=True)
         report = {"model": bundle.config.name, "minutes": given.minutes, "rows": rows}
-        given.out.write_text(json.dumps(report, indent=1) + "\n")
+        write_report(given.out, report)
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(exit_code_of(main))

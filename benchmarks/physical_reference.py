@@ -8,14 +8,16 @@ Means over takes, each weighing the same, and the median and 95th percentile ove
 28-frame segments would have them.
 """
 
-import argparse
 import json
+import sys
 from pathlib import Path
 
 import torch
 from torch import Tensor
 
+from arguments import SPLITS, Parser, report_path, write_report
 from moveset.data.corpus import Corpus
+from moveset.errors import InputError, exit_code_of
 from moveset.evaluation.physical import boundary_jerk, measure, skating
 from moveset.motion.features import get_codec
 
@@ -76,15 +78,17 @@ def rounded(value):
 
 def main() -> None:
     """See the module."""
-    parser = argparse.ArgumentParser()
+    parser = Parser()
     parser.add_argument("--corpus", type=Path, default=Path("data/corpus.safetensors"))
-    parser.add_argument("--splits", nargs="+", default=["train", "val", "test"])
-    parser.add_argument("--out", type=Path)
+    parser.add_argument("--splits", nargs="+", choices=SPLITS, default=["train", "val", "test"])
+    parser.add_argument("--out", type=report_path)
     given = parser.parse_args()
     corpus, codec = Corpus.open(given.corpus), get_codec("hml")
     rows: dict = {}
     for split in given.splits:
         takes = [k for k in corpus.indices(split, composed=False) if corpus.records[k].frames >= SHORTEST]
+        if not takes:
+            raise InputError(f"{given.corpus} has no {split} takes of {SHORTEST} or more frames; leave the split out")
         motions = [corpus.motion(k) for k in takes]
         stored = [m.joints for m in motions]
         seen = [codec.joints(codec.encode(m).double()).float() for m in motions]
@@ -97,9 +101,8 @@ def main() -> None:
     rows = rounded(rows)
     print(json.dumps(rows, indent=1))
     if given.out:
-        given.out.parent.mkdir(parents=True, exist_ok=True)
-        given.out.write_text(json.dumps(rows, indent=1) + "\n")
+        write_report(given.out, rows)
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(exit_code_of(main))

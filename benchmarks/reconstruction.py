@@ -3,14 +3,15 @@
 python benchmarks/reconstruction.py --model src/moveset/weights/motionpcm-small --out results/reconstruction.json
 """
 
-import argparse
-import json
+import sys
 from pathlib import Path
 from typing import cast
 
 import torch
 
+from arguments import Parser, at_least, report_path, write_report
 from moveset.data.corpus import Corpus
+from moveset.errors import InputError, exit_code_of
 from moveset.motion.features import Normalizer, get_codec
 from moveset.pipelines.bundle import Bundle
 from moveset.training.clips import Crop, FeatureStore
@@ -19,12 +20,12 @@ from moveset.training.vae import MotionVAE, reconstruction_report
 
 def main() -> None:
     """See the module."""
-    parser = argparse.ArgumentParser()
+    parser = Parser()
     parser.add_argument("--model", type=Path, required=True)
     parser.add_argument("--corpus", type=Path, default=Path("data/corpus.safetensors"))
     parser.add_argument("--cache", type=Path, default=Path("runs/small/cache"))
-    parser.add_argument("--threads", type=int, default=2)
-    parser.add_argument("--out", type=Path)
+    parser.add_argument("--threads", type=at_least(1), default=2)
+    parser.add_argument("--out", type=report_path)
     given = parser.parse_args()
     torch.set_num_threads(given.threads)
     bundle, corpus = Bundle.find(given.model), Corpus.open(given.corpus)
@@ -33,7 +34,7 @@ def main() -> None:
     n = bundle.normalizer
     trained = Normalizer(n["feature_mean"], n["feature_std"])
     if not (torch.allclose(trained.mean, store.normalizer.mean) and torch.allclose(trained.std, store.normalizer.std)):
-        raise SystemExit("the feature cache has other statistics than the model; delete the cache")
+        raise InputError("the feature cache has other statistics than the model; delete the cache")
     vae, rows = cast(MotionVAE, bundle.module("vae")), {}
     for split in ("val", "test"):
         takes = corpus.indices(split, composed=False)
@@ -46,9 +47,8 @@ def main() -> None:
             rows[f"{split} {source}"]["takes"] = len(some)
             print(split, source, rows[f"{split} {source}"])
     if given.out:
-        given.out.parent.mkdir(parents=True, exist_ok=True)
-        given.out.write_text(json.dumps(rows, indent=1) + "\n")
+        write_report(given.out, rows)
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(exit_code_of(main))

@@ -9,9 +9,8 @@ and the share of windows of four segments that are judged to show what was said.
 seams smoothed and feet locked.
 """
 
-import argparse
-import json
 import math
+import sys
 import time
 from itertools import islice, pairwise
 from pathlib import Path
@@ -20,8 +19,11 @@ import matplotlib
 import torch
 from torch import Tensor
 
+from arguments import Parser, at_least, between, known, pairs, positive, report_path, write_report
+from moveset.data import phrases
 from moveset.data.captions import train_captions
 from moveset.data.corpus import Corpus
+from moveset.errors import InputError, exit_code_of
 from moveset.evaluation.content_classifier import ContentClassifier
 from moveset.evaluation.content_training import content_class, pad
 from moveset.evaluation.physical import skating
@@ -139,7 +141,7 @@ def picture(path: Path, rows: dict[str, dict[str, dict]]) -> None:
 
 def main() -> None:
     """See the module."""
-    parser = argparse.ArgumentParser()
+    parser = Parser()
     parser.add_argument("--runs", type=Path, default=Path("runs/small"))
     parser.add_argument("--model", type=Path, help="a packed stream instead of the runs' latest checkpoints")
     parser.add_argument("--folder", nargs="*", default=[], metavar="NETWORK=FOLDER")
@@ -147,24 +149,29 @@ def main() -> None:
     parser.add_argument("--classifier", type=Path, default=Path("runs/classifier"))
     parser.add_argument("--networks", nargs="*", default=["rdm", "md", "pcm-1", "pcm-2", "pcm-4"])
     parser.add_argument("--contents", nargs="*", default=["walk", "wave-both-hands", "run", STAND])
-    parser.add_argument("--minutes", type=float, default=10.0)
-    parser.add_argument("--steps", type=int, default=10)
-    parser.add_argument("--start", type=int, help="R of rdm; K by default")
-    parser.add_argument("--lag", type=int, default=0, help="of rdm; K by default")
-    parser.add_argument("--eta", type=float, default=0.0)
+    parser.add_argument("--minutes", type=positive, default=10.0)
+    parser.add_argument("--steps", type=at_least(1), default=10)
+    parser.add_argument("--start", type=at_least(0), help="R of rdm; K by default")
+    parser.add_argument("--lag", type=at_least(0), default=0, help="of rdm; K by default")
+    parser.add_argument("--eta", type=between(0, 1), default=0.0)
     parser.add_argument("--guidance", nargs="*", default=[], metavar="[NETWORK=]W", help="instead of the model's own")
     parser.add_argument("--half", action="store_true", help="networks in bfloat16")
-    parser.add_argument("--threads", type=int, default=2)
-    parser.add_argument("--out", type=Path)
+    parser.add_argument("--threads", type=at_least(1), default=2)
+    parser.add_argument("--out", type=report_path)
     given = parser.parse_args()
     torch.set_num_threads(given.threads)
-    networks = Networks(given.runs, given.model, dict(pair.split("=", 1) for pair in given.folder))
+    networks = Networks(given.runs, given.model, pairs(given.folder, "--folder"))
+    known(given.contents, (*phrases.TRAIN, STAND), "content")
+    if not (asked := [name for name in given.networks if networks.has(name)]):
+        raise InputError(
+            f"none of {', '.join(given.networks)} is there; give --model, or --runs with their checkpoints"
+        )
     classifier, w = ContentClassifier.load(given.classifier), scales(given.guidance, networks)
     n, fps = networks.frames, networks.codec.fps
     lines, count = rollouts(given.contents, n, fps), math.floor(given.minutes * 60 * fps / n)
     rows: dict[str, dict] = {"real": _real(networks, Corpus.open(given.corpus))}
     print("real", rows["real"], flush=True)
-    for network in (name for name in given.networks if networks.has(name)):
+    for network in asked:
         student = network.startswith("pcm-")
         steps = int(network.removeprefix("pcm-")) if student else given.steps
         plan = {"start": given.start, "lag": given.lag} if network == "rdm" else {}
@@ -184,8 +191,7 @@ def main() -> None:
             _say(method.name, name, found[name])
         rows[method.name] = {"seconds": round(spent, 1), "rollouts": found}
         if given.out:
-            given.out.parent.mkdir(parents=True, exist_ok=True)
-            given.out.write_text(json.dumps({"minutes": given.minutes, "rows": rows}, indent=1) + "\n")
+            write_report(given.out, {"minutes": given.minutes, "rows": rows})
             picture(given.out.with_suffix(".png"), {k: v for k, v in rows.items() if "rollouts" in v})
 
 
@@ -211,4 +217,4 @@ def _say(method: str, rollout: str, kinds: dict[str, dict]) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(exit_code_of(main))

@@ -22,11 +22,12 @@ import sys
 import time
 import urllib.request
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import websockets
 
+from arguments import Parser, at_least, positive, report_path, write_report
+from moveset.errors import InputError, exit_code_of
 from moveset.evaluation.machine import describe_machine
 from moveset.server.wire import HEADER
 
@@ -59,7 +60,7 @@ class Server:
         assert self._process.stdout is not None
         line = self._process.stdout.readline()
         if "serves at" not in line:
-            raise SystemExit("the server did not start")
+            raise InputError("the server did not start, for what it said above")
         url = line.split()[3].rstrip("/")
         while not json.load(urllib.request.urlopen(f"{url}/healthz"))["ready"]:
             time.sleep(0.1)
@@ -183,25 +184,26 @@ async def measure(given: argparse.Namespace, url: str) -> dict[str, Any]:
 
 def main() -> None:
     """Measure, and print JSON."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--out", type=Path)
+    parser = Parser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--out", type=report_path)
     parser.add_argument("--model", help="a stream model; by default the shipped one")
-    parser.add_argument("--steps", type=int)
-    parser.add_argument("--streams", type=int, default=10)
-    parser.add_argument("--seconds", type=float, default=30.0, help="of each level")
-    parser.add_argument("--buffer", type=float, default=2.0)
-    parser.add_argument("--segments", type=int, default=100, help="for the transport")
-    parser.add_argument("--most", type=int, default=256, help="streams at which the ramp ends")
+    parser.add_argument("--steps", type=at_least(1))
+    parser.add_argument("--streams", type=at_least(1), default=10)
+    parser.add_argument("--seconds", type=positive, default=30.0, help="of each level")
+    parser.add_argument("--buffer", type=positive, default=2.0)
+    parser.add_argument("--segments", type=at_least(1), default=100, help="for the transport")
+    parser.add_argument("--most", type=at_least(1), default=256, help="streams at which the ramp ends")
     parser.add_argument("--no-ramp", action="store_true")
     given = parser.parse_args()
     with Server(max(given.most, given.streams), given.model) as url:
         found = asyncio.run(measure(given, url))
     settings = {"steps": given.steps, "buffer": given.buffer, "model": given.model}
-    text = json.dumps({"machine": describe_machine(), "settings": settings, **found}, indent=1)
+    report = {"machine": describe_machine(), "settings": settings, **found}
+    # Printed first: what took minutes to measure must not be lost to a disk that has filled up meanwhile.
+    print(json.dumps(report, indent=1), flush=True)
     if given.out:
-        given.out.write_text(text + "\n")
-    print(text)
+        write_report(given.out, report)
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(exit_code_of(main))

@@ -18,6 +18,7 @@ from moveset.data.captions import mirror_text
 from moveset.diffusion.guidance import cfg
 from moveset.diffusion.phases import PhaseGrid
 from moveset.diffusion.schedule import linear
+from moveset.errors import InputError
 from moveset.models.symmetric import Symmetric
 from moveset.motion.clip import Motion
 from moveset.motion.features import FeatureCodec, Normalizer, get_codec
@@ -114,6 +115,8 @@ class Networks:
         """Whether there is such a network."""
         if self._bundle:
             return name in self._bundle.config.models
+        if name not in self._folders:
+            raise InputError(f"no network {name!r} is known; there are {', '.join(self._folders)}, or give --folder")
         return any((self._runs / self._folders[name]).glob("step_*/manifest.json"))
 
     def module(self, name: str) -> nn.Module:

@@ -15,6 +15,7 @@ import argparse
 import json
 import math
 import random
+import sys
 import time
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -23,9 +24,11 @@ import matplotlib
 import torch
 from torch import Tensor
 
+from arguments import SPLITS, Parser, at_least, between, pairs, report_path, scale, write_report
 from content import prompts_of, report
 from moveset.data.captions import train_captions
 from moveset.data.corpus import Corpus
+from moveset.errors import InputError, exit_code_of
 from moveset.evaluation.content_classifier import ContentClassifier
 from moveset.evaluation.content_training import clip_features, content_class, labelled_clips
 from moveset.evaluation.paired import paired_difference
@@ -47,6 +50,8 @@ class Judge:
     def __init__(self, networks: Networks, corpus: Corpus, classifier: ContentClassifier, given: argparse.Namespace):
         self.networks, self.corpus, self.classifier, self.given = networks, corpus, classifier, given
         clips = [c for s in given.splits for c in labelled_clips(corpus, s) if c.label in classifier.labels]
+        if not clips:
+            raise InputError(f"{given.corpus} shows nothing that {given.classifier} knows in {', '.join(given.splits)}")
         self.real_features = clip_features(classifier, [c.joints for c in clips]).double()
         wanted = prompts_of(corpus, given.splits, set(classifier.labels), given.copies, given.wording)
         if given.items and given.items < len(wanted):
@@ -200,46 +205,67 @@ def scales(given: list[str], networks: Networks) -> dict[str, float]:
     out = dict.fromkeys(("rdm", "md", "pcm"), 1.5) | own
     for item in given:
         name, equals, w = item.rpartition("=")
-        out |= {name: float(w)} if equals else dict.fromkeys(("rdm", "md", "pcm"), float(w))
+        out |= {name: scale(w)} if equals else dict.fromkeys(("rdm", "md", "pcm"), scale(w))
     return out
+
+
+def method_of(text: str) -> Method:
+    """A row by hand.
+
+    Raises:
+        InputError: no JSON object of the fields of ``Method``.
+    """
+    try:
+        method = Method(**json.loads(text))
+        method.staircase(HORIZON)
+    except (ValueError, TypeError) as error:
+        raise InputError(f"--methods {text!r} is no JSON object of fields of Method ({error})") from error
+    return method
 
 
 def main() -> None:
     """See the module."""
-    parser = argparse.ArgumentParser()
+    parser = Parser()
     parser.add_argument("--runs", type=Path, default=Path("runs/small"))
     parser.add_argument("--model", type=Path, help="a packed stream instead of the runs' latest checkpoints")
     parser.add_argument("--folder", nargs="*", default=[], metavar="NETWORK=FOLDER")
     parser.add_argument("--corpus", type=Path, default=Path("data/corpus.safetensors"))
     parser.add_argument("--classifier", type=Path, default=Path("runs/classifier"))
-    parser.add_argument("--splits", nargs="*", default=["test"])
+    parser.add_argument("--splits", nargs="+", choices=SPLITS, default=["test"])
     parser.add_argument("--wording", choices=("held-out", "known"), default="held-out")
-    parser.add_argument("--copies", type=int, default=2)
-    parser.add_argument("--items", type=int, default=0, help="only so many sequences, drawn at random")
-    parser.add_argument("--spread", type=int, default=12, help="samples of one sentence; 0 leaves the spread out")
-    parser.add_argument("--steps", type=int, nargs="*", default=[10, 50], help="K of the table")
+    parser.add_argument("--copies", type=at_least(1), default=2)
+    parser.add_argument("--items", type=at_least(0), default=0, help="only so many sequences, drawn at random")
+    parser.add_argument(
+        "--spread", type=at_least(0), default=12, help="samples of one sentence; 0 leaves the spread out"
+    )
+    parser.add_argument("--steps", type=at_least(1), nargs="+", default=[10, 50], help="K of the table")
     parser.add_argument("--guidance", nargs="*", default=[], metavar="[NETWORK=]W", help="instead of the model's own")
-    parser.add_argument("--eta", type=float, default=0.0)
+    parser.add_argument("--eta", type=between(0, 1), default=0.0)
     parser.add_argument("--only", nargs="*", default=[], metavar="WORD", help="only rows whose names hold all of these")
     parser.add_argument("--methods", nargs="*", default=[], metavar="JSON", help="rows by hand: fields of Method")
     parser.add_argument("--curves", action="store_true", help="R, lag and K instead of the table")
-    parser.add_argument("--curve-steps", type=int, default=20)
+    parser.add_argument("--curve-steps", type=at_least(1), default=20)
     parser.add_argument("--finished", action="store_true", help="judge with seams smoothed and feet locked, too")
     parser.add_argument("--half", action="store_true", help="networks in bfloat16")
-    parser.add_argument("--threads", type=int, default=2)
-    parser.add_argument("--out", type=Path)
+    parser.add_argument("--threads", type=at_least(1), default=2)
+    parser.add_argument("--out", type=report_path)
     given = parser.parse_args()
     torch.set_num_threads(given.threads)
-    networks = Networks(given.runs, given.model, dict(pair.split("=", 1) for pair in given.folder))
+    by_hand = [method_of(text) for text in given.methods]
+    networks = Networks(given.runs, given.model, pairs(given.folder, "--folder"))
     judge = Judge(networks, Corpus.open(given.corpus), ContentClassifier.load(given.classifier), given)
     w, drawn = scales(given.guidance, networks), {}
     asked: list[tuple[str, float, Method]] = [("", 0.0, m) for m in methods(networks, given.steps, w, given.eta)]
     if given.curves:
         found = curves(given.curve_steps, w["rdm"], given.eta)
         asked = [(curve, x, method) for curve, points in found.items() for x, method in points]
-    if given.methods:
-        asked = [("", 0.0, Method(**json.loads(text))) for text in given.methods]
+    if by_hand:
+        asked = [("", 0.0, method) for method in by_hand]
     asked = [one for one in asked if all(word in one[2].name.split() for word in given.only)]
+    if not asked:
+        raise InputError("no row is left of those asked for; leave --only out, or give runs or a model that has them")
+    for _, _, method in asked:
+        method.staircase(HORIZON)
     rows = judge.reference()
     for name, row in rows.items():
         _say(name, row)
@@ -273,8 +299,7 @@ def _write(
         "comparisons": comparisons(judge, names, rows),
         "curves": {curve: [[x, m.name] for c, x, m in asked if c == curve] for curve in drawn if curve},
     }
-    given.out.parent.mkdir(parents=True, exist_ok=True)
-    given.out.write_text(json.dumps(found, indent=1) + "\n")
+    write_report(given.out, found)
     if given.curves:
         picture(given.out.with_suffix(".png"), drawn, rows)
 
@@ -296,4 +321,4 @@ def _say(name: str, row: dict) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(exit_code_of(main))

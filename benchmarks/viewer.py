@@ -18,6 +18,7 @@ card's place and say nothing about a graphics card. On a busy machine those by t
 import argparse
 import json
 import os
+import re
 import statistics
 import subprocess
 import sys
@@ -28,6 +29,8 @@ from typing import Any
 
 from playwright.sync_api import Browser, Page, sync_playwright
 
+from arguments import Parser, at_least, positive, report_path, write_report
+from moveset.errors import InputError, exit_code_of
 from moveset.evaluation.machine import describe_machine, load
 
 CHROMIUM = "/usr/bin/chromium"
@@ -133,7 +136,7 @@ def opened(browser: Browser, path: Path, size: str) -> Page:
     end = time.monotonic() + 120
     while not page.evaluate("__moveset.player.frameTimes().work.length > 2"):
         if time.monotonic() > end:
-            raise SystemExit("the page draws nothing")
+            raise InputError(f"{path} draws nothing; give a page that moveset wrote")
         time.sleep(0.1)
     return page
 
@@ -174,14 +177,19 @@ def measure(page: Page, seconds: float, pictures: int, repeats: int) -> dict[str
 
 def main() -> None:
     """Measure, and print JSON."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--out", type=Path)
+    parser = Parser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--out", type=report_path)
     parser.add_argument("--page", type=Path, help="a page that moveset wrote; by default one is made")
     parser.add_argument("--sizes", nargs="+", default=SIZES, help="of the window, in CSS pixels")
-    parser.add_argument("--seconds", type=float, default=6.0, help="of play, each time")
-    parser.add_argument("--pictures", type=int, default=20, help="drawn, each time")
-    parser.add_argument("--repeats", type=int, default=3, help="of which the best median counts")
+    parser.add_argument("--seconds", type=positive, default=6.0, help="of play, each time")
+    parser.add_argument("--pictures", type=at_least(1), default=20, help="drawn, each time")
+    parser.add_argument("--repeats", type=at_least(1), default=3, help="of which the best median counts")
     given = parser.parse_args()
+    for size in given.sizes:
+        if not re.fullmatch(r"[1-9]\d{1,3}x[1-9]\d{1,3}", size):
+            raise InputError(f"size {size!r} is not WIDTHxHEIGHT of 10 to 9999 pixels, such as {SIZES[0]}")
+    if given.page and not given.page.is_file():
+        raise InputError(f"there is no page {given.page}; leave --page out, and one is made")
     found: dict[str, Any] = {}
     with tempfile.TemporaryDirectory() as folder, sync_playwright() as running:
         path = given.page
@@ -200,11 +208,11 @@ def main() -> None:
         browser.close()
     settings = {"seconds": given.seconds, "pictures": given.pictures, "repeats": given.repeats}
     drawn_by = {"chromium": version, "surface": surface, "load": load()}
-    text = json.dumps({"machine": describe_machine(), **drawn_by, "settings": settings, "sizes": found}, indent=1)
+    report = {"machine": describe_machine(), **drawn_by, "settings": settings, "sizes": found}
+    print(json.dumps(report, indent=1), flush=True)
     if given.out:
-        given.out.write_text(text + "\n")
-    print(text)
+        write_report(given.out, report)
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(exit_code_of(main))

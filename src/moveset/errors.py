@@ -37,4 +37,8 @@ def exit_code_of(main: Callable[[], None]) -> int:
         main()
     except MovesetError as error:
         return fail(str(error), error.exit_code)
+    except KeyboardInterrupt:
+        return fail("interrupted", 130)
+    except Exception as error:
+        return fail(f"{type(error).__name__}: {error} (MOVESET_DEBUG=1 shows where)", 1)
     return 0

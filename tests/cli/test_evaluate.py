@@ -90,7 +90,31 @@ def test_a_folder_of_ones_own(evaluate, tmp_path):
     code, out, err = evaluate("--motions", str(folder), "--repeats", "1")
     assert code == 0, err
     assert "| mine | " in out
-    assert "40 items of 40 kinds with 40 distinct texts" in out
+    assert "40 items of 40 kinds with 40 distinct texts of mine; FID to 80 items of corpus.safetensors, test; " in out
+    assert "; 1 group of 32;" in out
+
+
+def test_what_the_evaluator_does_not_read_of_long_motions_is_said(evaluate, tmp_path):
+    folder = motion_folder(tmp_path / "mine")
+    np.save(folder / "m-007.npy", np.tile(np.load(folder / "m-007.npy"), (6, 1, 1)))
+    code, out, err = evaluate("--motions", str(folder), "--repeats", "1")
+    assert code == 0, err
+    assert "Left out: 1 (what lies behind frame 196 of a motion, which the evaluator does not read)." in out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["mine", "--wording", "held-out"], "mine has prompts of its own, so there is no other wording"),
+        (["mine", "--split", "rollout"], "mine cannot be rolled out"),
+        ([None, "tiny", "--network", "vae", "--split", "rollout"], "tiny-vae cannot be rolled out"),
+    ],
+)
+def test_what_no_repeat_could_judge_is_refused_before_anything_is_written(evaluate, tmp_path, arguments, message):
+    folder, *rest = arguments
+    code, out, err = evaluate(*(["--motions", str(motion_folder(tmp_path / folder))] if folder else []), *rest)
+    assert (code, out, message in err) == (2, "", True), err
+    assert not (tmp_path / "results").exists()
 
 
 @pytest.mark.parametrize(("given", "name"), [(".", "mine"), ("../real/", "real-motions")])
@@ -201,6 +225,24 @@ def test_a_suite_writes_its_tables(evaluate, tmp_path, suite, seams):
     # Jerk at the seams of streams needs real motion's, as far apart, beside it.
     result = json.loads((folder / "real-test.json").read_text())
     assert (result["protocol"]["seams"], "boundary_jerk" in result["metrics"]) == (seams, seams > 0)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--wording", "held-out"], "such as Real, with wording known instead of held-out"),
+        (["--items", "70"], "with items 80 instead of 70"),
+        (["--no-mirrored"], "instead of"),
+    ],
+)
+def test_a_row_that_no_table_could_hold_is_refused_before_it_is_made(evaluate, tmp_path, arguments, message):
+    usual = ["--suite", "motionpcm", "--repeats", "1", "--multimodality", "0"]
+    assert evaluate(*usual, "--row", "real")[0] == 0
+    folder = tmp_path / "results/motionpcm"
+    before = {path: path.read_bytes() for path in folder.rglob("*.*") if path.is_file()}
+    code, out, err = evaluate(*usual, "--row", "vae", *arguments)
+    assert (code, out, err.count("\n"), message in err) == (2, "", 1, True), err
+    assert {path: path.read_bytes() for path in folder.rglob("*.*") if path.is_file()} == before
 
 
 def test_a_suite_of_rows_without_weights(evaluate):

@@ -5,6 +5,7 @@ import json
 import pytest
 import torch
 
+from moveset.data.humanml3d import parse_caption
 from moveset.errors import FormatError, InputError
 from moveset.evaluation.evaluator import Evaluator, EvaluatorCard
 from moveset.models.evaluator import EvaluatorConfig
@@ -119,3 +120,9 @@ def test_parts_must_fit(evaluator, monkeypatch):
         Evaluator(EvaluatorCard(name="x", codec="kit"), evaluator.module, evaluator.words)
     with pytest.raises(FormatError, match="words"):
         make(monkeypatch, word_width=9)
+
+
+def test_captions_of_a_text_file_are_read_by_their_sentence(evaluator):
+    said = ["a person walks", "someone waves"]
+    captions = [parse_caption(f"{text}.#a/DET#0.0#0.0") for text in said]
+    assert torch.equal(evaluator.embed_texts(captions), evaluator.embed_texts([f"{text}." for text in said]))

@@ -276,6 +276,24 @@ def test_prompts_that_differ_by_a_dot_are_one_label(tmp_path):
     assert first.label == second.label
 
 
+@pytest.mark.parametrize(
+    "prompts",
+    [
+        ("he jumps 2 times", "he jumps 3 times"),
+        ("ein Mann läuft", "ein Mann lauft"),
+        ("A: ひとが歩く", "A: ひとが走る"),
+    ],
+)
+def test_prompts_that_differ_in_a_number_or_an_alphabet_are_two_labels(tmp_path, prompts):
+    folder = motion_folder(tmp_path / "motions", 2)
+    lines = [json.dumps({"name": f"00{k}", "prompt": prompt}) for k, prompt in enumerate(prompts)]
+    # As editors on Windows save it: with a mark before the first line.
+    (folder / "prompts.jsonl").write_text("\n".join(lines), "utf-8-sig")
+    first, second = folder_motions(folder, None, 20.0).items
+    assert first.label != second.label
+    assert (first.captions, second.captions) == ((prompts[0],), (prompts[1],))
+
+
 def test_other_frame_rates_are_resampled(tmp_path):
     folder = motion_folder(tmp_path / "motions", 1, frames=61)
     joints = folder_motions(folder, None, 30.0).items[0].joints()
@@ -296,6 +314,12 @@ def write(folder, name, array):
         (lambda f: write(f, "m-000.npy", np.zeros((40, 263))), InputError, r"not joints \(frames, 22, 3\)"),
         (lambda f: write(f, "m-000.npy", np.zeros((3, 22, 3))), InputError, "at least 5"),
         (lambda f: write(f, "new.npy", np.zeros((40, 22, 3))), InputError, "new.npy has no prompt"),
+        (lambda f: write(f, "m-000.npy", 1000 * np.load(f / "m-000.npy")), InputError, "give joints in metres"),
+        (
+            lambda f: write(f, "m-000.npy", np.zeros((40, 22, 3))),
+            InputError,
+            "m-000.npy holds a body whose bones are 0",
+        ),
         (lambda f: (f / "prompts.jsonl").unlink(), InputError, "m-000.npy has no prompt"),
         (lambda f: (f / "prompts.jsonl").write_text("nonsense"), FormatError, "line 1"),
         (lambda f: (f / "prompts.jsonl").write_text('{"name": "000", "prompt": []}'), FormatError, "line 1"),

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from moveset.errors import FormatError, InputError
+from moveset.errors import FormatError, InputError, MovesetError
 from moveset.evaluation.columns import ALL, Column, places
 from moveset.evaluation.intervals import Interval
 from moveset.evaluation.latex import latex
@@ -201,6 +201,31 @@ def test_a_report_is_files_and_plots_and_can_be_written_again(folder: Path):
     assert {path.name: path.read_bytes() for path in folder.iterdir()} == first
 
 
+def test_what_cannot_stand_in_one_table_leaves_the_older_report(folder: Path):
+    write_report(folder)
+    names = ("table.md", "table.tex", "table.json", "motionpcm-bars.png", "motionpcm-time.png")
+    before = {name: (folder / name).read_bytes() for name in names}
+    (folder / "pcm-4.json").write_text(json.dumps(RESULTS["pcm-4"] | {"items": 7}))
+    for write in (write_report, lambda path: page([path], path.parent / "page.md")):
+        with pytest.raises(InputError, match="other items"):
+            write(folder)
+    assert {name: (folder / name).read_bytes() for name in names} == before
+    assert [path.name for path in folder.parent.iterdir()] == [folder.name]
+
+
+def test_a_disk_that_fills_up_leaves_the_older_report(folder: Path, monkeypatch):
+    write_report(folder)
+    before = {path.name: path.read_bytes() for path in folder.iterdir()}
+
+    def full(handle: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("os.fsync", full)
+    with pytest.raises(MovesetError, match="No space left on device; free some space"):
+        write_report(folder)
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
+
+
 def test_rows_may_be_added_one_by_one_and_stay_in_order(folder: Path):
     rows = {row.key: row for row in get_suite("motionpcm").rows}
     before = [entry.row.key for entry in load_table(folder).rows]
@@ -310,7 +335,7 @@ def test_only_distances_that_lie_far_apart_are_logarithmic(metric, values, wide)
 @pytest.mark.parametrize(
     ("name", "text", "message"),
     [
-        ("pcm-4.json", "{", "is not JSON"),
+        ("pcm-4.json", "{", "pcm-4.json is not JSON: .*; evaluate that row again"),
         ("pcm-4.json", "{}", "is no result of an evaluation"),
         ("pcm-4.json", None, "names pcm-4.json, which is not there"),
         ("rows.json", '{"suite": "motionpcm", "rows": [{"key": "x"}]}', "is no list of rows"),

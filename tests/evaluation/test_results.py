@@ -147,9 +147,13 @@ def test_the_answer_to_another_question_stays(items, oracle, tmp_path, monkeypat
     with pytest.raises(InputError, match=r"evaluator oracle \(00000000\) instead of oracle \(33333333\)"):
         opened(items, oracle, tmp_path)
     assert (tmp_path / "painter-test.json").read_bytes() == kept
-    (tmp_path / "painter-test.json").write_text("{}")
-    with pytest.raises(FormatError, match="is no result of an evaluation"):
-        opened(items, oracle, tmp_path)
+    for damaged, message in (
+        ("{}", "is no result of an evaluation"),
+        ("[]", "no.* JSON object; delete it, or give ano"),
+    ):
+        (tmp_path / "painter-test.json").write_text(damaged)
+        with pytest.raises(FormatError, match=message):
+            opened(items, oracle, tmp_path)
 
 
 @pytest.mark.parametrize("what", ["weights", "describe"])
@@ -166,9 +170,9 @@ def test_a_newer_answer_to_the_same_question_takes_the_place_of_the_older(items,
 
 def test_making_everything_anew(items, oracle, tmp_path):
     whole(items, oracle, tmp_path)
-    results = opened(items, oracle, tmp_path)[1]
-    results.forget()
-    assert results.done == []
+    # Fewer than there are: none of the others may be taken for new when as many are asked for again.
+    opened(items, oracle, tmp_path, replace(PROTOCOL, repeats=2))[1].forget()
+    assert opened(items, oracle, tmp_path)[1].done == []
 
 
 def test_a_damaged_repeat_is_named(items, oracle, tmp_path):
@@ -327,6 +331,8 @@ def test_what_does_not_fit_is_refused_before_anything_is_made(job, tmp_path):
     with pytest.raises(InputError, match="20 items, and R-precision needs 32"):
         run(few, tmp_path, processes=1)
     assert os.listdir(tmp_path) == []
+    with pytest.raises(InputError, match=r"the 33 drawn at random have \d+ distinct ones; raise --items"):
+        open_session(replace(job, items=33, protocol=Protocol()))
     with pytest.raises(InputError, match="unknown evaluator"):
         open_session(replace(job, evaluator="nobody"))
     with pytest.raises(InputError, match="there is no corpus"):

@@ -172,3 +172,22 @@ def test_a_failed_save_leaves_the_old_folder(folder):
         save_folder(folder, BundleConfig(name="tiny"), {"length": module}, {}, [], torch.zeros(0, 384))
     Bundle(folder).verify()
     assert [p.name for p in folder.parent.iterdir()] == ["tiny"]
+
+
+@pytest.mark.parametrize("inside", [None, "new_joint_vecs/000000.npy"])
+def test_what_is_no_model_folder_is_never_replaced(tmp_path, inside):
+    path = tmp_path / "HumanML3D"
+    kept = path / inside if inside else path
+    kept.parent.mkdir(parents=True, exist_ok=True)
+    kept.write_text("hours of work")
+    with pytest.raises(InputError, match="HumanML3D is there already and is no model folder"):
+        write_whole(path, {"config.json": b"{}"})
+    assert [path.name for path in tmp_path.iterdir()] == ["HumanML3D"]
+    assert kept.read_text() == "hours of work"
+
+
+def test_an_empty_folder_may_be_filled(tmp_path):
+    write_whole(tmp_path / "new", {"config.json": b"{}"})
+    (tmp_path / "empty").mkdir()
+    write_whole(tmp_path / "empty", {"config.json": b"{}"})
+    assert (tmp_path / "empty/config.json").read_bytes() == b"{}"

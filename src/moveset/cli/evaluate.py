@@ -16,6 +16,7 @@ from moveset.errors import InputError
 
 if TYPE_CHECKING:
     from moveset.evaluation.job import Job
+    from moveset.evaluation.suites import SuiteSettings
 
 _DASH = "–"
 
@@ -253,6 +254,7 @@ def _suite(
         return path.name if result is not None else ""
 
     settings = SuiteSettings(tuple(map(Path, folders)), common.protocol.repeats, tuple(rows))
+    _check_alike(name, settings, common, how.out / name)
     made = run_suite(name, settings, evaluate_row, lambda line: print(f"moveset: {line}", file=sys.stderr))
     entries = [(one.row, one.result or "", one.missing or unfinished(one.result)) for one in made]
     with in_turn(how.out / name):
@@ -260,6 +262,31 @@ def _suite(
         path = write_report(how.out / name)
     print(jsonlib.dumps({"suite": name, "table": str(path)}) if json else path.read_text())
     return 0
+
+
+def _check_alike(name: str, settings: "SuiteSettings", common: "Job", out: Path) -> None:
+    """Rows that could not stand beside those that are there are refused before any is evaluated."""
+    from moveset.evaluation.evaluator import Evaluator
+    from moveset.evaluation.job import open_set
+    from moveset.evaluation.suites import chosen_rows
+    from moveset.evaluation.table import ROWS, check_alike
+    from moveset.pipelines.device import pick_device
+
+    rows = [row for row, _, missing in chosen_rows(name, settings) if not missing]
+    if not rows or not (out / ROWS).is_file():
+        return
+    items, judge, protocol = (
+        open_set(common),
+        Evaluator.open(common.evaluator, pick_device(common.device)),
+        common.protocol,
+    )
+    asked = {
+        "items": len(items), "texts": items.texts,
+        "labels": None if items.labels is None else len(set(items.labels)),
+        "evaluator": (judge.card.name, str(judge.sha256)), "data": (items.name, items.sha256),
+        "wording": protocol.wording, "split": protocol.split, "group": protocol.group,
+    }  # fmt: skip
+    check_alike(out, name, rows, asked, common.foot_lock)
 
 
 def unfinished(result: str | None) -> str:
@@ -304,18 +331,31 @@ def tell(done: Sequence[tuple[dict[str, Any], Path]], json: bool) -> None:
 
 def title(result: dict[str, Any]) -> str:
     """A result's row."""
-    steps = "" if result["steps"] is None else f", {result['steps']} step{'s' * (result['steps'] != 1)}"
+    steps = "" if result["steps"] is None else f", {counted(result['steps'], 'step')}"
     return " ".join(filter(None, (result["model"], result["network"]))) + steps
+
+
+def counted(count: int, what: str) -> str:
+    """So many of them.
+
+    >>> counted(1, "group"), counted(2, "group")
+    ('1 group', '2 groups')
+    """
+    return f"{count} {what}{'s' * (count != 1)}"
 
 
 def notes(result: dict[str, Any]) -> list[str]:
     """How much there was to judge, and what the protocol could not do as asked for."""
-    protocol, count = result["protocol"], len(result["repeats"])
+    protocol, count, data = result["protocol"], len(result["repeats"]), result["data"]
     labels = f" of {result['labels']} kinds" if result["labels"] else ""
+    texts = f"{result['items']} items{labels} with {result['distinct_texts']} distinct texts of"
+    how = f"{data['name']}, {protocol['split']}"
+    # Motions with prompts of their own: FID is larger the fewer real ones it is to, so it must be said how many.
+    given = result.get("settings", {}).get("motions")
+    how = f"{given}; FID to {data['items']} items of {how}" if given else f"{how}, {protocol['wording']} wording"
     said = [
-        f"{result['items']} items{labels} with {result['distinct_texts']} distinct texts of {result['data']['name']}, "
-        f"{protocol['split']}, {protocol['wording']} wording; {result['groups']} groups of {protocol['group']}; mean ± "
-        f"95 % interval of {count} repeat{'s' * (count != 1)}; judged by {result['evaluator']['name']}."
+        f"{texts} {how}; {counted(result['groups'], 'group')} of {protocol['group']}; mean ± 95 % interval of "
+        f"{counted(count, 'repeat')}; judged by {result['evaluator']['name']}."
     ]
     if "rollouts" in result:
         said.append(f"{result['rollouts']} rollouts of the items one after the other, {result['windows']} windows.")

@@ -34,7 +34,7 @@ def load_report(path: Path) -> dict[str, Any]:
         InputError: there is no such file.
         FormatError: it is no report.
     """
-    report = json_object(read_limited(path), path)
+    report = json_object(read_limited(path), path, "measure again")
     if report.get("format") != 1 or not {"machine", "models", "plan"} <= set(report):
         raise FormatError(f"{path} is no report of `moveset bench`; measure again with -o")
     return report

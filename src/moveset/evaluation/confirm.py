@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from moveset.errors import FormatError
-from moveset.evaluation.results import CODE, COUNTS, Results, depends
+from moveset.evaluation.results import CODE, COUNTS, REMEDY, Results, depends
 from moveset.io.limits import read_limited
 from moveset.pipelines.verified_folder import json_object
 
@@ -35,7 +35,7 @@ def confirm(results: Results, make: Make) -> str:
         return f"{results.name}: every repeat is of this code already"
     if not results.path.is_file():
         return f"{results.name}: no result to confirm, so every repeat is made"
-    there = json_object(read_limited(results.path), results.path)
+    there = json_object(read_limited(results.path), results.path, REMEDY)
     try:
         if other := _other(there, results.head):
             return f"{results.name}: the result that is there is of other {other}, so every repeat is made"

@@ -16,7 +16,6 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from moveset.data.captions import normal_form
 from moveset.data.humanml3d import Caption, parse_caption
 from moveset.data.numpy_files import read_npy
 from moveset.errors import FormatError, InputError
@@ -28,6 +27,9 @@ from moveset.motion.hml import HmlCodec
 
 LIST = "prompts.jsonl"
 MIN_FRAMES = 5
+#: Metres that all bones of a body are long together: a grown one's are 5, and broken motion has some leeway. Joints in
+#: centimetres, or of nobody, would be judged without an error.
+BONES = (0.5, 50.0)
 
 
 def folder_motions(folder: Path, prompts: Path | None, fps: float, codec: str = "hml") -> ItemSet:
@@ -72,7 +74,7 @@ def _item(name: str, joints: Tensor, caption: Caption | str, codec: HmlCodec) ->
         captions=(caption,),
         prompts=(text,),
         # Two motions of one prompt are never told apart.
-        label=(normal_form(text) or text,),
+        label=(words(text) or text,),
         codec=codec.name,
         features=lambda: codec.encode_world([joints])[0],
         joints=lambda: joints,
@@ -90,7 +92,23 @@ def _joints(path: Path, codec: HmlCodec, fps: float) -> Tensor:
     joints = resampled(joints, fps, codec.fps)
     if len(joints) < MIN_FRAMES:
         raise InputError(f"{path} has {len(joints)} frames at {codec.fps:g} fps; at least {MIN_FRAMES} can be judged")
+    parents = codec.skeleton.parents
+    bones = joints[:, 1:] - joints[:, list(parents[1:])]
+    if not BONES[0] <= (long := float(bones.double().norm(dim=-1).sum(-1).median())) <= BONES[1]:
+        raise InputError(
+            f"{path} holds a body whose bones are {long:.3g} long in all, not {BONES[0]:g} to {BONES[1]:g} m; give "
+            "joints in metres and in HumanML3D's order"
+        )
     return joints
+
+
+def words(text: str) -> str:
+    """A prompt without case and punctuation, in any alphabet; numbers stay.
+
+    >>> words("A person jumps 3 times."), words("ひとが、歩く。")
+    ('a person jumps 3 times', 'ひとが 歩く')
+    """
+    return " ".join(re.findall(r"[\w'-]+", text.casefold()))
 
 
 def _beside(path: Path) -> Caption | str:
@@ -98,7 +116,7 @@ def _beside(path: Path) -> Caption | str:
     if not text.is_file():
         raise InputError(f"{path.name} has no prompt; write it to {text.name}, or all prompts to {LIST}")
     try:
-        lines = [line.strip() for line in read_limited(text, 2**20).decode().split("\n") if line.strip()]
+        lines = [line.strip() for line in read_limited(text, 2**20).decode("utf-8-sig").split("\n") if line.strip()]
     except UnicodeDecodeError:
         raise FormatError(f"{text} is not UTF-8 text; save it as UTF-8") from None
     if not lines:
@@ -115,7 +133,7 @@ def _listed(path: Path) -> dict[str, str]:
     prompts: dict[str, str] = {}
     try:
         # Not splitlines: a JSON string may hold other line breaks than this one.
-        lines = read_limited(path).decode().split("\n")
+        lines = read_limited(path).decode("utf-8-sig").split("\n")
     except UnicodeDecodeError:
         raise FormatError(f"{path} is not UTF-8 text; save it as UTF-8") from None
     for number, line in enumerate(lines, start=1):

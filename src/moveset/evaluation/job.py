@@ -105,8 +105,47 @@ def open_session(job: Job) -> Session:
             "would be away from one; give more"
         )
     evaluator = Evaluator.open(job.evaluator, pick_device(job.device))
+    if isinstance(generator, Given) and generator.items is not None:
+        generator.items = _as_read(generator.items, evaluator.card.max_frames)
     judged: ItemSet = (generator.items if isinstance(generator, Given) else None) or items
+    _check_fit(job, generator, judged, items)
     return Session(job.protocol.fitted(judged, generator.random), items, generator, evaluator)
+
+
+def _as_read(given: ItemSet, most: int) -> ItemSet:
+    """Given motions, with how many of them an evaluator of so many frames reads in part."""
+    long = sum(item.rows > most for item in given.items)
+    note = {f"what lies behind frame {most} of a motion, which the evaluator does not read": long} if long else {}
+    return replace(given, dropped={**given.dropped, **note})
+
+
+def _check_fit(job: Job, generator: Generator, judged: ItemSet, items: ItemSet) -> None:
+    """What no repeat could judge is refused before anything is made or written.
+
+    Raises:
+        InputError: motions on another skeleton than the data, prompts in other words where there are none, or what
+            cannot be rolled out.
+    """
+    if judged.codec.name != items.codec.name:
+        raise InputError(
+            f"{judged.name} has joints of {judged.codec.skeleton.name!r}, and {items.name} of "
+            f"{items.codec.skeleton.name!r}; a folder of motions is judged by HumanML3D's evaluators alone"
+        )
+    few = job.items is not None and judged is items and len(items) >= job.protocol.group
+    if few and items.labels and (kinds := len(set(items.labels))) < job.protocol.group:
+        raise InputError(
+            f"R-precision needs groups of {job.protocol.group} items of different labels, and the {len(items)} drawn "
+            f"at random have {kinds} distinct ones; raise --items, or leave it out for all of them"
+        )
+    if job.protocol.wording == "held-out":
+        if judged is not items:
+            raise InputError(f"{judged.name} has prompts of its own, so there is no other wording; leave --wording out")
+        if lacking := [item.name for item in items.items if not item.prompts]:
+            raise InputError(
+                f"item {lacking[0]!r} has no held-out wordings; only our own corpus has, so use --wording known"
+            )
+    if job.protocol.split == "rollout" and (isinstance(generator, Reconstruction) or judged is not items):
+        raise InputError(f"{generator.slug} cannot be rolled out; evaluate a model that makes motion, or real motion")
 
 
 def open_set(job: Job) -> ItemSet:

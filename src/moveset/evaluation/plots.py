@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from moveset.evaluation.columns import ALL, Column
 from moveset.evaluation.suites import REAL
 from moveset.evaluation.table import Table
+from moveset.io.limits import atomic_write
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -47,7 +48,8 @@ def draw(table: Table, folder: Path) -> list[str]:
             figure = Figure(figsize=(10.0, max(3.4, 0.26 * len(keys) + 1.2)), layout="constrained")
             plot(table, keys, figure)
             out.append(f"{table.suite.name}-{name}.png")
-            figure.savefig(folder / out[-1], dpi=100, transparent=True)
+            with atomic_write(folder / out[-1]) as file:
+                figure.savefig(file, format="png", dpi=100, transparent=True)
     return out
 
 

@@ -17,6 +17,7 @@ from moveset.evaluation.latex import latex
 from moveset.evaluation.markdown import markdown
 from moveset.evaluation.plots import draw
 from moveset.evaluation.table import Table, load_table
+from moveset.io.limits import atomic_write
 
 PAGE = """# Results
 
@@ -32,11 +33,11 @@ def write_report(folder: Path) -> Path:
         InputError: no such folder, or rows that were judged by different evaluators or on different data.
         FormatError: something in it cannot be read.
     """
-    table = load_table(folder)
+    table = _whole(folder)
     pictures = draw(table, folder)
-    (folder / "table.md").write_text(markdown(table, pictures))
-    (folder / "table.tex").write_text(latex(table))
-    (folder / "table.json").write_text(json.dumps(to_json(table), indent=1, ensure_ascii=False) + "\n")
+    _write(folder / "table.md", markdown(table, pictures))
+    _write(folder / "table.tex", latex(table))
+    _write(folder / "table.json", json.dumps(to_json(table), indent=1, ensure_ascii=False) + "\n")
     return folder / "table.md"
 
 
@@ -75,11 +76,24 @@ def page(folders: Sequence[Path], path: Path) -> None:
     """
     parts = [PAGE]
     for folder in folders:
-        table = load_table(folder)
+        table = _whole(folder)
         images = path.parent / "images"
         names = [f"{images.name}/{name}" for name in draw(table, images)]
         parts.append(markdown(table, names, level=2))
-    path.write_text("\n\n".join(part.strip() for part in parts) + "\n")
+    _write(path, "\n\n".join(part.strip() for part in parts) + "\n")
+
+
+def _whole(folder: Path) -> Table:
+    """A table whose rows may stand in one, which is asked before older files go."""
+    table = load_table(folder)
+    if table.measured:
+        table.common()
+    return table
+
+
+def _write(path: Path, text: str) -> None:
+    with atomic_write(path) as file:
+        file.write(text.encode())
 
 
 def main() -> None:

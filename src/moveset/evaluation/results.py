@@ -36,6 +36,7 @@ CODE = ("measures_sha256", "generator_sha256", "versions")
 #: What a repeat counts besides what it measures.
 COUNTS = ("groups", "texts", "rollouts", "windows", "shortened")
 _KEPT = "kept.json"
+REMEDY = "delete it, or give another --out"
 
 
 class Results:
@@ -83,8 +84,9 @@ class Results:
 
     def forget(self) -> None:
         """Delete all repeats; no other process may be at work on them."""
-        for number in self.done:
-            self._file(number).unlink(missing_ok=True)
+        # Of more repeats than are asked for now, too: they would be taken for new when more are asked for again.
+        for path in self._folder.glob("[0-9]*.json"):
+            path.unlink(missing_ok=True)
         (self._folder / _KEPT).unlink(missing_ok=True)
 
     def add(self, repeat: Mapping[str, Any]) -> None:
@@ -112,7 +114,7 @@ class Results:
         repeats = [self._read(number) for number in range(self.repeats)]
         result = {**self.head, **summary(repeats, len(self._session.judged))}
         if (kept := self._folder / _KEPT).is_file():
-            result["kept"] = json_object(read_limited(kept), kept)
+            result["kept"] = json_object(read_limited(kept), kept, REMEDY)
         with atomic_write(self.path) as file:
             file.write(_bytes(result))
         return result
@@ -126,7 +128,7 @@ class Results:
         if not self.path.is_file():
             return
         try:
-            there, now = asked(json_object(read_limited(self.path), self.path)), asked(self.head)
+            there, now = asked(json_object(read_limited(self.path), self.path, REMEDY)), asked(self.head)
         except (KeyError, TypeError, AttributeError) as error:
             raise FormatError(f"{self.path} is no result of an evaluation ({error!r}); give another --out") from error
         # An older version may not have known all of it.

@@ -231,18 +231,24 @@ def run_suite(
         InputError: no such suite or row, two folders of one name, or a folder that is none.
         FormatError: a damaged folder.
     """
+    out: list[RowResult[Result_]] = []
+    for row, folder, missing in chosen_rows(name, settings):
+        progress(f"{row.label}: {missing or _repeats(row.times(settings.repeats))}")
+        out.append(RowResult(row, None if missing else evaluate(row, folder, row.times(settings.repeats)), missing))
+    return out
+
+
+def chosen_rows(name: str, settings: SuiteSettings) -> list[tuple[Row, Path | None, str]]:
+    """The rows that were asked for, each with what ``find_weights`` says of it.
+
+    Raises:
+        InputError, FormatError: as ``run_suite``.
+    """
     folders = named_folders(settings.folders)
     rows = [*get_suite(name).rows, *extra_rows(get_suite(name), folders)]
     if unknown := set(settings.only) - {row.key for row in rows}:
         raise InputError(f"suite {name!r} has no row {sorted(unknown)[0]!r}; it has {', '.join(r.key for r in rows)}")
-    out: list[RowResult[Result_]] = []
-    for row in rows:
-        if settings.only and row.key not in settings.only:
-            continue
-        folder, missing = find_weights(row, folders)
-        progress(f"{row.label}: {missing or _repeats(row.times(settings.repeats))}")
-        out.append(RowResult(row, None if missing else evaluate(row, folder, row.times(settings.repeats)), missing))
-    return out
+    return [(row, *find_weights(row, folders)) for row in rows if not settings.only or row.key in settings.only]
 
 
 def find_weights(row: Row, folders: Mapping[str, Path]) -> tuple[Path | None, str]:

@@ -15,7 +15,7 @@ from moveset.errors import FormatError, InputError
 from moveset.evaluation.columns import Column, Place, places
 from moveset.evaluation.intervals import Interval
 from moveset.evaluation.repeat_pairs import RepeatPairs, Values, repeat_pairs
-from moveset.evaluation.suites import REAL, Row, RowResult, Suite, get_suite
+from moveset.evaluation.suites import REAL, RECONSTRUCTION, Row, RowResult, Suite, get_suite
 from moveset.evaluation.targets import Check, Difference, checks, differences
 from moveset.io.limits import atomic_write
 from moveset.io.lock import locked
@@ -23,6 +23,8 @@ from moveset.pipelines.verified_folder import json_object
 
 ROWS = "rows.json"
 OWN = ("result", "missing")  # of an entry of that file, beside the row itself
+#: What all rows of a table have in common.
+COMMON = ("items", "texts", "labels", "evaluator", "data", "wording", "split", "group")
 
 Value = TypeVar("Value")
 
@@ -163,7 +165,7 @@ class Table:
                 f"no row of {self.suite.name!r} has been evaluated yet; run `moveset evaluate --suite …` first"
             )
         key, first = next(iter(self.measured.items()))
-        for name in ("items", "texts", "labels", "evaluator", "data", "wording", "split", "group"):
+        for name in COMMON:
             if others := self._unlike(name):
                 raise InputError(
                     f"{'; '.join(others)}: other {name} than {self.labels[key]}; evaluate all rows in one way"
@@ -247,16 +249,8 @@ def save_rows(name: str, rows: Sequence[tuple[Row, str, str]], out: Path) -> Non
     new = {row.key: {**asdict(row), "result": result or None, "missing": missing} for row, result, missing in rows}
     index, suite = out / ROWS, get_suite(name)
     if index.is_file():
-        raw = json_object(index.read_bytes(), index)
-        if raw.get("suite") != name:
-            raise FormatError(f"{index} is of the suite {raw.get('suite')!r}; write {name!r} to another folder")
-        known, models = {row.key for row in suite.rows}, {row.model for row in suite.rows}
-        try:
-            entries = raw["rows"]
-            stay = {entry["key"]: entry for entry in entries if entry["key"] in known or entry["model"] not in models}
-            measured = {key for key, entry in stay.items() if entry["result"]}
-        except (KeyError, TypeError) as error:
-            raise FormatError(f"{index} is no list of rows: {error!r}; give another --out, or delete it") from error
+        stay = _staying(index, suite)
+        measured = {key for key, entry in stay.items() if entry["result"]}
         new = stay | {key: entry for key, entry in new.items() if entry["result"] or key not in measured}
     order = [row.key for row in suite.rows if row.key in new]
     entries = [new[key] for key in dict.fromkeys([*order, *new])]
@@ -266,6 +260,62 @@ def save_rows(name: str, rows: Sequence[tuple[Row, str, str]], out: Path) -> Non
         raise InputError(f"cannot write to {str(out)!r}: {error.strerror or error}; choose another --out") from error
     with atomic_write(index) as file:
         file.write(json.dumps({"suite": name, "rows": entries}, indent=1, ensure_ascii=False).encode() + b"\n")
+
+
+def check_alike(out: Path, name: str, rows: Sequence[Row], asked: Mapping[str, Any], feet: bool) -> None:
+    """Refuses rows that no table could hold beside those that are there, before hours are spent on them.
+
+    Args:
+        out: the suite's folder; nothing need be in it.
+        name: of the suite.
+        rows: that are to be evaluated; their older results go.
+        asked: how, by the fields of ``Measured`` that are in ``COMMON``.
+        feet: whether planted feet will be held.
+
+    Raises:
+        InputError: rows that stay were evaluated in another way.
+        FormatError: what is there cannot be read.
+    """
+    if not (out / ROWS).is_file():
+        return
+    holds = any(row.network not in (None, RECONSTRUCTION) for row in rows)
+    anew = {row.key for row in rows}
+    for key, entry in _staying(out / ROWS, get_suite(name)).items():
+        if key in anew or (there := _read(out, entry["result"])) is None:
+            continue
+        found = {field: getattr(there, field) for field in COMMON} | {"feet held": there.feet}
+        now = {**asked, "feet held": feet if holds and there.feet is not None else there.feet}
+        if other := [field for field in found if found[field] != now[field]]:
+            raise InputError(
+                f"{out} has rows that stay, such as {entry['label']}, with {other[0]} {_said(found[other[0]])} instead "
+                f"of {_said(now[other[0]])}, and no table holds both; give another --out, or evaluate all rows"
+            )
+
+
+def _said(value: object) -> str:
+    """A value for people; of a name and a sha256 as much as tells them apart.
+
+    >>> _said(("corpus", "0123456789")), _said(7)
+    ('corpus (01234567)', '7')
+    """
+    return f"{value[0]} ({value[1][:8]})" if isinstance(value, tuple) else str(value)
+
+
+def _staying(index: Path, suite: Suite) -> dict[str, Any]:
+    """Entries of ``rows.json`` by key, but those of the suite's models that it has no more.
+
+    Raises:
+        FormatError: it cannot be read, or is of another suite.
+    """
+    raw = json_object(index.read_bytes(), index, "give another --out, or delete it")
+    if raw.get("suite") != suite.name:
+        raise FormatError(f"{index} is of the suite {raw.get('suite')!r}; write {suite.name!r} to another folder")
+    known, models = {row.key for row in suite.rows}, {row.model for row in suite.rows}
+    try:
+        entries = [(entry["key"], entry["model"], entry["result"], entry["label"], entry) for entry in raw["rows"]]
+    except (KeyError, TypeError) as error:
+        raise FormatError(f"{index} is no list of rows: {error!r}; give another --out, or delete it") from error
+    return {key: entry for key, model, _, _, entry in entries if key in known or model not in models}
 
 
 def load_table(folder: Path) -> Table:
@@ -278,7 +328,7 @@ def load_table(folder: Path) -> Table:
     index = folder / ROWS
     if not index.is_file():
         raise InputError(f"{folder} has no {ROWS}; run `moveset evaluate --suite …` first")
-    raw = json_object(index.read_bytes(), index)
+    raw = json_object(index.read_bytes(), index, "give another --out, or delete it")
     try:
         entries = [
             (Row(**{k: v for k, v in e.items() if k not in OWN}), e["result"], e["missing"]) for e in raw["rows"]
@@ -295,4 +345,4 @@ def _read(folder: Path, name: str | None) -> Measured | None:
     file = folder / name
     if not file.is_file():
         raise FormatError(f"{folder / ROWS} names {name}, which is not there; evaluate that row again")
-    return Measured.of(json_object(file.read_bytes(), file), str(file))
+    return Measured.of(json_object(file.read_bytes(), file, "evaluate that row again"), str(file))

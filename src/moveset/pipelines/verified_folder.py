@@ -16,7 +16,7 @@ from safetensors import SafetensorError
 from safetensors.torch import load as load_safetensors
 from torch import Tensor
 
-from moveset.errors import FormatError
+from moveset.errors import FormatError, InputError
 from moveset.io.limits import atomic_write, read_limited
 
 MAX_FILE = 512 * 2**20
@@ -85,7 +85,13 @@ class VerifiedFolder:
 
 
 def write_whole(path: Path, blobs: Mapping[str, bytes]) -> None:
-    """The files and their manifest as a folder that replaces the one at ``path`` by renaming."""
+    """The files and their manifest as a folder that replaces an older one of its kind at ``path`` by renaming.
+
+    Raises:
+        InputError: what is there is a file, or a folder that holds something and is none of these: it would be lost.
+    """
+    if path.exists() and not (path / "manifest.json").is_file() and (not path.is_dir() or any(path.iterdir())):
+        raise InputError(f"{path} is there already and is no model folder; give a folder that is new")
     files = {k: {"sha256": hashlib.sha256(v).hexdigest(), "bytes": len(v)} for k, v in sorted(blobs.items())}
     path.parent.mkdir(parents=True, exist_ok=True)
     folder = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))
@@ -108,8 +114,11 @@ def json_bytes(data: Mapping[str, object]) -> bytes:
     return (json.dumps(data, indent=1, ensure_ascii=False) + "\n").encode()
 
 
-def json_object(data: bytes, where: Path) -> dict[str, Any]:
+def json_object(data: bytes, where: Path, remedy: str = "copy the model folder again") -> dict[str, Any]:
     """The JSON object in the bytes of a file.
+
+    Args:
+        remedy: what to do where it is none.
 
     Raises:
         FormatError: anything else.
@@ -117,7 +126,7 @@ def json_object(data: bytes, where: Path) -> dict[str, Any]:
     try:
         raw = json.loads(data)
     except (ValueError, RecursionError) as error:
-        raise FormatError(f"{where} is not JSON: {error}; copy the model folder again") from error
+        raise FormatError(f"{where} is not JSON: {error}; {remedy}") from error
     if not isinstance(raw, dict):
-        raise FormatError(f"{where} is not a JSON object; copy the model folder again")
+        raise FormatError(f"{where} is not a JSON object; {remedy}")
     return raw

@@ -12,6 +12,13 @@ from torch import Tensor
 from moveset.text.encoder import TextEmbedding, TextEncoder
 
 
+class Said(Protocol):
+    """A caption that is more than its sentence: ``data.humanml3d.Caption``."""
+
+    @property
+    def text(self) -> str: ...
+
+
 class Words(Protocol):
     """Sentences to sequences of word vectors. ``name`` identifies it in checkpoints, ``width`` is W, ``classes`` P."""
 
@@ -19,7 +26,7 @@ class Words(Protocol):
     width: int
     classes: int
 
-    def read(self, captions: Sequence[str]) -> tuple[Tensor, Tensor | None, Tensor]:
+    def read(self, captions: Sequence[Said | str]) -> tuple[Tensor, Tensor | None, Tensor]:
         """Words (B, L, W), their classes of speech (B, L, P) if P > 0, and how many each sentence has (B,).
 
         Raises:
@@ -41,8 +48,10 @@ class TokenWords:
         self.encoder, self.most = encoder, most
         self.name, self.width = encoder.name, encoder.dim
 
-    def read(self, captions: Sequence[str]) -> tuple[Tensor, Tensor | None, Tensor]:
-        return as_words(self.encoder.encode(captions), self.most)
+    def read(self, captions: Sequence[Said | str]) -> tuple[Tensor, Tensor | None, Tensor]:
+        return as_words(
+            self.encoder.encode([said if isinstance(said, str) else said.text for said in captions]), self.most
+        )
 
 
 def as_words(embedding: TextEmbedding, most: int) -> tuple[Tensor, None, Tensor]:

@@ -1,0 +1,120 @@
+"""What benchmarks ask of their arguments before hours are spent: numbers in range, names that exist, a place to write.
+
+What is wrong ends a benchmark in one line, as it ends ``moveset`` (``errors.exit_code_of``).
+"""
+
+import argparse
+import json
+import math
+from collections.abc import Callable, Collection, Iterable, Sequence
+from pathlib import Path
+from typing import Any, NoReturn
+
+from moveset.cli.output import check_folder
+from moveset.errors import InputError
+from moveset.io.limits import atomic_write
+
+SPLITS = ("train", "val", "test")
+
+
+class Parser(argparse.ArgumentParser):
+    """Says what is wrong in one line, without the usage.
+
+    Raises:
+        InputError: arguments that cannot be read.
+    """
+
+    def error(self, message: str) -> NoReturn:
+        raise InputError(f"{message}; see `python benchmarks/{self.prog} --help`")
+
+
+def at_least(low: int) -> Callable[[str], int]:
+    """The type of a whole number that is not smaller."""
+
+    def number(text: str) -> int:
+        value = int(text)
+        if value < low:
+            raise argparse.ArgumentTypeError(f"{value} is less than {low}")
+        return value
+
+    return number
+
+
+def between(low: float, high: float) -> Callable[[str], float]:
+    """The type of a number in a range, which nan is not."""
+
+    def number(text: str) -> float:
+        value = float(text)
+        if not low <= value <= high:
+            raise argparse.ArgumentTypeError(f"{value:g} is not in {low:g} to {high:g}")
+        return value
+
+    return number
+
+
+positive = between(1e-3, 1e6)
+
+
+def report_path(text: str) -> Path:
+    """The type of a report's file; its folder is made, and must be one that can be written to."""
+    path = Path(text)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        check_folder(path.parent)
+    except OSError as error:
+        raise argparse.ArgumentTypeError(f"cannot write {text!r}: {error.strerror or error}") from None
+    except InputError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
+    if path.is_dir():
+        raise argparse.ArgumentTypeError(f"{text!r} is a folder; give the path of a file")
+    return path
+
+
+def known(asked: Iterable[str], there: Collection[str], what: str) -> None:
+    """Refuse names that do not exist.
+
+    Raises:
+        InputError: the first of them, and what there is.
+    """
+    for name in asked:
+        if name not in there:
+            raise InputError(f"there is no {what} {name!r}; there are {', '.join(there)}")
+
+
+def pairs(given: Sequence[str], option: str) -> dict[str, str]:
+    """NAME=VALUE arguments.
+
+    Raises:
+        InputError: one without a name or a value.
+    """
+    for text in given:
+        name, _, value = text.partition("=")
+        if not name or not value:
+            raise InputError(f"{option} {text!r} is not NAME=VALUE")
+    return dict(text.split("=", 1) for text in given)
+
+
+def scale(text: str) -> float:
+    """A guidance scale.
+
+    Raises:
+        InputError: no number in 0 to 30.
+    """
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not 0 <= value <= 30:
+        raise InputError(f"guidance {text!r} is no number in 0 to 30")
+    return value
+
+
+def write_report(path: Path, report: Any, indent: int | None = 1) -> None:
+    """Writes JSON, whole or not at all.
+
+    Raises:
+        InputError: the folder is gone.
+        MovesetError: the disk is full.
+    """
+    with atomic_write(path) as file:
+        file.write((json.dumps(report, indent=indent) + "\n").encode())

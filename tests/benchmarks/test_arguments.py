@@ -1,0 +1,99 @@
+"""Benchmarks say what is wrong as the command line does: one line, exit code 2, before anything is measured."""
+
+import runpy
+import sys
+from pathlib import Path
+
+import pytest
+
+from moveset.errors import exit_code_of
+from tests.evaluation.corpora import content_corpus
+from tests.streams import tiny_stream
+
+FOLDER = Path(__file__).resolve().parents[2] / "benchmarks"
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory):
+    """A folder with a corpus, a stream, and things that are in the way."""
+    folder = tmp_path_factory.mktemp("place")
+    content_corpus(folder / "corpus.safetensors")
+    tiny_stream(folder / "flow")
+    (folder / "file").write_text("")
+    (folder / "runs/vae").mkdir(parents=True)
+    (folder / "runs/vae/metrics.jsonl").write_text("nonsense\n")
+    (folder / "old.json").write_text("nonsense")
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("program", "arguments", "message"),
+    [
+        ("content", [], "required: --model"),
+        ("content", ["--model", "nobody"], "nobody"),
+        ("content", ["--model", "m", "--splits", "all"], "invalid choice: 'all'"),
+        ("content", ["--model", "m", "--splits"], "expected at least one argument"),
+        ("content", ["--model", "m", "--copies", "0"], "--copies: 0 is less than 1"),
+        ("content", ["--model", "m", "--guidance", "nan"], "nan is not in 0 to 30"),
+        ("content", ["--model", "m", "--threads", "two"], "invalid number value: 'two'"),
+        ("content", ["--model", "m", "--out", "."], "'.' is a folder"),
+        ("content", ["--model", "m", "--out", "file/report.json"], "cannot write 'file/report.json'"),
+        ("content", ["--model", "motionpcm-small", "--corpus", "corpus.safetensors"], "runs/classifier"),
+        ("course", ["--model", "flow", "--networks", "nothing"], "nothing"),
+        ("course", ["--model", "flow", "--sentences", ""], "prompt"),
+        ("curves", ["--runs", "nowhere"], "nowhere holds no run"),
+        ("curves", ["--runs", "runs"], "metrics.jsonl is no log of a training"),
+        (
+            "efficiency",
+            ["--out", "old"],
+            "line 1 column 1 (char 0); delete it, or give",
+        ),
+        ("efficiency", ["--size", "huge"], "invalid choice: 'huge'"),
+        ("endurance", ["--minutes", "0"], "--minutes: 0 is not in"),
+        ("endurance", ["--model", "flow", "--networks", "nothing"], "nothing"),
+        ("physical_reference", ["--corpus", "nowhere"], "no corpus at nowhere"),
+        ("physical_reference", ["--corpus", "corpus.safetensors", "--splits", "val"], "has no val takes"),
+        ("reconstruction", ["--model", "nobody"], "nobody"),
+        ("rollout", ["--runs", "nowhere", "--networks", "nothing"], "no network 'nothing' is known"),
+        ("rollout", ["--folder", "rdm"], "--folder 'rdm' is not NAME=VALUE"),
+        ("rollout", ["--minutes", "-1"], "--minutes: -1 is not in"),
+        ("stream_quality", ["--methods", "{"], "is no JSON object of fields of Method"),
+        ("stream_quality", ["--methods", '{"steps": 0}'], "staircase of 0 steps"),
+        ("stream_quality", ["--steps", "0"], "--steps: 0 is less than 1"),
+        ("server", ["--streams", "0"], "--streams: 0 is less than 1"),
+        ("viewer", ["--sizes", "wide"], "size 'wide' is not WIDTHxHEIGHT"),
+        ("viewer", ["--page", "nowhere.html"], "no page nowhere.html"),
+    ],
+)
+def test_a_benchmark_says_in_one_line_what_is_wrong(program, arguments, message, place, monkeypatch, capsys):
+    if program == "viewer":
+        pytest.importorskip("playwright")
+    monkeypatch.chdir(place)
+    monkeypatch.syspath_prepend(str(FOLDER))
+    monkeypatch.setattr(sys, "argv", [program, *arguments])
+    with pytest.raises(SystemExit) as ended:
+        runpy.run_path(str(FOLDER / f"{program}.py"), run_name="__main__")
+    out, said = capsys.readouterr()
+    assert (ended.value.code, out, said.count("\n"), message in said) == (2, "", 1, True), said
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "message"),
+    [(KeyboardInterrupt(), 130, "interrupted"), (OSError(28, "No space left"), 1, "OSError: [Errno 28] No space left")],
+)
+def test_what_nobody_thought_of_is_one_line_too(error, code, message, capsys):
+    def main():
+        raise error
+
+    assert exit_code_of(main) == code
+    said = capsys.readouterr().err
+    assert (said.count("\n"), message in said) == (1, True), said
+
+
+def test_a_report_is_written_where_no_folder_was(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(str(FOLDER))
+    from arguments import report_path, write_report
+
+    path = report_path(str(tmp_path / "new/folder/report.json"))
+    write_report(path, {"rows": []})
+    assert path.read_text() == '{\n "rows": []\n}\n'
