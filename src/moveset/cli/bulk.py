@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from moveset.cli.generate import progress, stage_times
+from moveset.cli.generate import progress, stage_times, warn
 from moveset.cli.output import Finish, plan_outputs, write
 from moveset.errors import FormatError, InputError
 from moveset.io.limits import read_limited
@@ -85,10 +85,11 @@ def bulk(
         "timings_ms": stage_times(timings),
         "warnings": list(dict.fromkeys(warnings)),
     }
+    warn(report["warnings"])
     if json:
         print(jsonlib.dumps(report))
     else:
-        print(f"made {report['made']} motions, skipped {skipped} that were there")
+        print(f"made {report['made']} motion{'s' * (report['made'] != 1)}, skipped {skipped} that were there")
     return 0
 
 

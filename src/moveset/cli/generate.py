@@ -4,7 +4,7 @@ import json as jsonlib
 import re
 import sys
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -155,10 +155,15 @@ def skating(made: "Generation") -> dict[str, float]:
     return {"before": round(before, 4), "after": round(after, 4)}
 
 
+def warn(warnings: Iterable[str]) -> None:
+    """Print warnings where they disturb no output."""
+    for warning in warnings:
+        print(f"moveset: warning: {warning}", file=sys.stderr)
+
+
 def tell(report: dict[str, Any], json: bool) -> None:
     """Print the report as one JSON object, or as a few lines for a person."""
-    for warning in report["warnings"]:
-        print(f"moveset: warning: {warning}", file=sys.stderr)
+    warn(report["warnings"])
     if json:
         print(jsonlib.dumps(report))
         return

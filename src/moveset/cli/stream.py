@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from moveset.cli.generate import prepare as prepare
+from moveset.cli.generate import warn
 from moveset.errors import InputError
 
 if TYPE_CHECKING:
@@ -129,7 +130,7 @@ def _run(
     latencies: deque[float] = deque(maxlen=1000)
     begun, done = time.monotonic(), 0
     each = made.bundle.config.segment
-    _warn(made)
+    warn(made.warnings)
     with _progress(frames) as bar:
         while frames is None or done < frames:
             live = lines is not None and not lines.ended
@@ -175,7 +176,7 @@ def _tell(made: "MotionStream", lines: "PromptLines") -> None:
             print(f"moveset: {' '.join(str(error).split())}", file=sys.stderr)
             continue
         print(f"moveset: from frame {frame}: {text}", file=sys.stderr)
-        _warn(made)
+        warn(made.warnings)
         if found:
             print(f"moveset: left out, since a newer prompt came: {' | '.join(found)}", file=sys.stderr)
         return
@@ -225,11 +226,6 @@ def _tell_durations(request: "StreamRequest", each: float) -> None:
     if any(abs(a - b) > 0.5 / 20 for a, b in zip(asked, inner, strict=True)):
         lasting = ", ".join(f"{s:g}" for s in inner)
         print(f"moveset: prompts change every {each:g} s, so they last {lasting} s", file=sys.stderr)
-
-
-def _warn(made: "MotionStream") -> None:
-    for warning in made.warnings:
-        print(f"moveset: warning: {warning}", file=sys.stderr)
 
 
 def _progress(frames: int | None) -> Any:
