@@ -115,6 +115,7 @@ def stream(
         interrupts = stack.enter_context(Interrupts())
         files = stack.enter_context(GrowingFiles(output, made.codec.skeleton, bundle.config.fps, _notes(made, request)))
         _tell_durations(request, bundle.config.segment / bundle.config.fps)
+        _tell_unseen(request, frames, bundle.config.segment)
         latencies = _run(made, files, lines, interrupts, frames=frames, realtime=realtime, in_place=in_place, json=json)
     if not json:
         _summary(files, made, latencies)
@@ -226,6 +227,18 @@ def _tell_durations(request: "StreamRequest", each: float) -> None:
     if any(abs(a - b) > 0.5 / 20 for a, b in zip(asked, inner, strict=True)):
         lasting = ", ".join(f"{s:g}" for s in inner)
         print(f"moveset: prompts change every {each:g} s, so they last {lasting} s", file=sys.stderr)
+
+
+def _tell_unseen(request: "StreamRequest", frames: int | None, each: int) -> None:
+    """Say which prompts, or stages of one, never come since the stream ends before them."""
+    timeline = request.timeline
+    unseen = [
+        text
+        for text, start in zip(timeline.prompts, timeline.starts, strict=True)
+        if frames is not None and start * each >= frames
+    ]
+    if unseen:
+        print(f"moveset: the stream ends before {', '.join(map(repr, unseen))}; make it longer", file=sys.stderr)
 
 
 def _progress(frames: int | None) -> Any:
