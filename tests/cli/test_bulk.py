@@ -143,3 +143,14 @@ def test_warnings_are_printed_as_for_one_prompt_each_once(bulk, tmp_path):
     assert code == 0
     assert len(report["warnings"]) == 1
     assert err.splitlines() == [f"moveset: warning: {report['warnings'][0]}"]
+
+
+def test_prompts_from_standard_input(bulk, tmp_path, monkeypatch, model):
+    assert bulk()[0] == 0
+    expected = made(tmp_path / "out")
+    for path in (tmp_path / "out").iterdir():
+        path.unlink()
+    with (tmp_path / "list.jsonl").open() as lines:
+        monkeypatch.setattr("sys.stdin", lines)
+        assert main(["generate", "--prompts", "-", "-o", "out/take.bvh", "--model", str(model)]) == 0
+    assert made(tmp_path / "out") == expected

@@ -57,8 +57,8 @@ def generate(
         in_place: Without travel over the ground.
         loop: Blend the end into the beginning.
         foot_lock: Hold planted feet in place.
-        prompts: Bulk: a JSONL file, one {"prompt": …, "seconds": …, "seed": …, "name": …} a line; finished files are
-            skipped, and under torchrun each process takes its share.
+        prompts: Bulk: a JSONL file or - (standard input), one {"prompt": …, "seconds": …, "seed": …, "name": …} a
+            line; finished files are skipped, and under torchrun each process takes its share (of a file).
         batch: Bulk: clips evaluated at once; worth raising on a GPU.
         device: auto, cpu, cuda or mps.
         json: Print one JSON object on stdout and nothing else.
