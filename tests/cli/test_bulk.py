@@ -133,3 +133,24 @@ def test_a_wrong_share(bulk, monkeypatch):
     monkeypatch.setenv("WORLD_SIZE", "2")
     code, _, err = bulk()
     assert (code, "do not belong together" in err) == (2, True)
+
+
+def test_warnings_are_printed_as_for_one_prompt_each_once(bulk, tmp_path):
+    lines = [{"prompt": "a person rides a unicycle", "seconds": 1.0, "seed": k} for k in range(2)]
+    (tmp_path / "list.jsonl").write_text("\n".join(map(json.dumps, lines)))
+    code, out, err = bulk("--json")
+    report = json.loads(out)
+    assert code == 0
+    assert len(report["warnings"]) == 1
+    assert err.splitlines() == [f"moveset: warning: {report['warnings'][0]}"]
+
+
+def test_prompts_from_standard_input(bulk, tmp_path, monkeypatch, model):
+    assert bulk()[0] == 0
+    expected = made(tmp_path / "out")
+    for path in (tmp_path / "out").iterdir():
+        path.unlink()
+    with (tmp_path / "list.jsonl").open() as lines:
+        monkeypatch.setattr("sys.stdin", lines)
+        assert main(["generate", "--prompts", "-", "-o", "out/take.bvh", "--model", str(model)]) == 0
+    assert made(tmp_path / "out") == expected

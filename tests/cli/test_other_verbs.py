@@ -44,6 +44,15 @@ def test_convert_retargets_and_resamples(clip, tmp_path, capsys):
     assert load(target).fps == 30
 
 
+@pytest.mark.parametrize(("suffix", "kept", "frames"), [(".gif", 20, 20), (".mp4", 30, 29), (".bvh", 60, 58)])
+def test_convert_tells_the_rate_that_the_file_has(clip, tmp_path, capsys, suffix, kept, frames):
+    target = tmp_path / f"clip{suffix}"
+    assert main(["convert", str(clip), str(target), "--fps", "60"]) == 0
+    out, err = capsys.readouterr()
+    assert f"{frames} frames at {kept} fps" in out
+    assert err == ("" if kept == 60 else f"moveset: {target} has {kept} frames a second, not 60\n")
+
+
 @pytest.mark.parametrize("suffix", [".bvh", ".glb", ".html", ".npz", ".amass.npz", ".png"])
 def test_convert_keeps_what_was_said(clip, tmp_path, suffix):
     (tmp_path / "clip.bvh.json").write_text('{"prompt": "a person walks", "seed": 3}')

@@ -138,6 +138,16 @@ def test_a_short_total_is_shared_by_all_there_is_to_do(stream):
     assert said("walk, then bow, then wave", "--total", "2.8") == ["walk", "bow"]
 
 
+def test_what_never_comes_is_told(stream):
+    _, out, err = stream("a person walks, then waves, then bows", "--total", "2", "--json")
+    assert [r["prompt"] for r in rows(out)] == ["a person walks", "a person waves"]
+    assert "moveset: the stream ends before 'a person bows'; make it longer" in err.splitlines()
+    _, out, err = stream("a person walks", "a person bows", "--seconds", "2.8", "--total", "2", "--json")
+    assert {r["prompt"] for r in rows(out)} == {"a person walks"}
+    assert "moveset: the stream ends before 'a person bows'; make it longer" in err.splitlines()
+    assert "ends before" not in stream("a person walks, then bows", "--total", "2.8")[2]
+
+
 def test_networks_and_guidance(stream):
     def evaluations(*more):
         return [row["network_evaluations"] for row in rows(stream("a", "--total", "2.8", *more, "--json")[1])]

@@ -138,3 +138,19 @@ def test_broken_motions_are_refused(turned, root, fps, message):
 def test_one_frame_is_taken_as_a_slice():
     with pytest.raises(InputError, match="frame 3 alone is no motion; take a slice"):
         wander(5, 6)[3]
+
+
+@pytest.mark.parametrize(
+    ("turned", "root", "kind"),
+    [(torch.float64, torch.float32, torch.float64), (torch.float32, torch.float64, torch.float64),
+     (torch.float16, torch.float32, torch.float32), (torch.float16, torch.bfloat16, torch.float32),
+     (torch.bfloat16, torch.bfloat16, torch.float32), (torch.float64, torch.float64, torch.float64)],
+)  # fmt: skip
+def test_all_numbers_of_a_motion_are_of_one_type_that_files_have(turned, root, kind, tmp_path):
+    upright = rotations.identity(3, 22)
+    motion = Motion(upright.to(turned), torch.ones(3, 3).to(root))
+    assert motion.rotations.dtype == motion.root.dtype == kind
+    assert torch.equal(motion.rotations, upright.to(kind))
+    assert motion.canonical().root.dtype == kind
+    for name in ("a.amass.npz", "a.npz", "a.png"):
+        assert motion.save(tmp_path / name).exists()

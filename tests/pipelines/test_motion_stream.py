@@ -3,6 +3,7 @@
 import gc
 import itertools
 import json
+import pickle
 from collections import deque
 
 import pytest
@@ -384,3 +385,15 @@ def test_an_unfamiliar_prompt_is_told(opened):
 def test_it_is_part_of_the_public_api(folder):
     made = moveset.MotionStream.from_pretrained(folder, WALK, seed=1, network="pcm-2", device="cpu")
     assert next(made).network_evaluations == 2
+
+
+@pytest.mark.parametrize("buffer", [0, 2])
+def test_a_pickled_stream_goes_on_where_it_stood(opened, buffer):
+    stream = opened([WALK, BOW], 3.0, buffer=buffer, seed=3)
+    take(stream, 2)
+    stream.prompt(BOW)
+    again = pickle.loads(pickle.dumps(stream))
+    for one, two in zip(take(stream, 4), take(again, 4), strict=True):
+        assert (one.number, one.first_frame, one.prompt) == (two.number, two.first_frame, two.prompt)
+        assert same(one, two)
+    assert (again.seed, again.settings, again.timeline) == (stream.seed, stream.settings, stream.timeline)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import torch
 
 from moveset.errors import InputError
 from moveset.pipelines.bundle import BundleConfig, ModelSpec
@@ -44,7 +45,8 @@ def test_numbers_of_numpy_are_numbers():
         ({"prompt": ["a"] * 65}, "65 prompts were given; give 1 to 64"),
         ({"prompt": "a" * 10_240}, "10,240 characters, more than the limit of 1,000; shorten"),
         ({"prompt": "a\0b"}, "control characters"),
-        ({"seconds": 0.0}, r"0 seconds are not in 1 to 9\.8 for a prompt; .*several prompts"),
+        ({"seconds": 0.0}, r"0 seconds are not in 1 to 9\.8 for a prompt; give at least 1$"),
+        ({"seconds": 9.9}, r"9\.9 seconds are not in 1 to 9\.8 for a prompt; for a longer motion give several prompts"),
         ({"seconds": 1e6}, r"1e\+06 seconds"),
         ({"seconds": -1.0}, "-1 seconds"),
         ({"seconds": float("nan")}, "nan seconds"),
@@ -54,6 +56,7 @@ def test_numbers_of_numpy_are_numbers():
         ({"prompt": None}, "the prompt None is no text"),
         ({"seconds": "3"}, r"duration '3' is not a number; give seconds from 1 to 9\.8"),
         ({"seconds": [None, "3"], "prompt": ["a", "b"]}, "duration '3'"),
+        ({"seconds": torch.tensor(3.0)}, r"duration tensor\(3\.\) is not a number"),
         ({"seed": 1.5}, "seed 1.5 is not a whole number"),
         ({"num": 2.0}, "num 2.0 is not a whole number"),
         ({"seed": -1}, "seed -1 is not in 0 to"),
@@ -90,6 +93,8 @@ def test_methods():
         ({"solver": "teacher", "steps": 10**9}, "not in 2 to 500"),
         ({"guidance": -0.5}, "guidance -0.5 is not in 0 to 30; this model's own choice is 4"),
         ({"guidance": float("nan")}, "guidance nan"),
+        ({"guidance": "2"}, "guidance '2' is not a number"),
+        ({"guidance": [2.0]}, r"guidance \[2\.0\] is not a number"),
     ],
 )
 def test_methods_out_of_range(given, message):

@@ -1,5 +1,8 @@
 """Seeds, batches, timelines and methods of ``TextToMotion``, on random weights."""
 
+import copy
+import pickle
+
 import pytest
 import torch
 
@@ -125,3 +128,17 @@ def test_unknown_devices_are_refused(t2m):
         TextToMotion(t2m.bundle, "abacus")
     with pytest.raises(InputError, match="is not available on this machine"):
         TextToMotion(t2m.bundle, "cuda:99")
+
+
+@pytest.mark.parametrize("copied", [copy.deepcopy, lambda x: pickle.loads(pickle.dumps(x))], ids=["deepcopy", "pickle"])
+def test_a_copy_for_another_process_makes_the_same(t2m, copied, tmp_path, monkeypatch):
+    made = t2m(PROMPT, seconds=2.0, seed=7)
+    monkeypatch.chdir(tmp_path)
+    again = copied(t2m)(PROMPT, seconds=2.0, seed=7)
+    assert same(again.motion, made.motion)
+    assert again.warnings == made.warnings
+
+
+def test_a_pickle_holds_no_weights(t2m):
+    t2m(PROMPT, seconds=2.0)
+    assert len(pickle.dumps(t2m)) < 2000

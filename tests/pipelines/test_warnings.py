@@ -2,6 +2,7 @@
 
 from types import SimpleNamespace
 
+import pytest
 import torch
 
 from moveset.pipelines.warnings import unfamiliar
@@ -10,8 +11,13 @@ from moveset.text.familiarity import KnownPrompts
 FAR, NEAR = torch.tensor([0.0, 0.0, 1.0]), torch.tensor([0.9, 0.1, 0.0])
 
 
-def told(*prompts: str, pooled: torch.Tensor, words: frozenset[str]) -> list[str]:
-    known = KnownPrompts(("a person walks", "she bows"), torch.eye(2, 3), words)
+def told(
+    *prompts: str,
+    pooled: torch.Tensor,
+    words: frozenset[str],
+    captions: tuple[str, str] = ("a person walks", "she bows"),
+) -> list[str]:
+    known = KnownPrompts(captions, torch.eye(2, 3), words)
     bundle = SimpleNamespace(captions=known, config=SimpleNamespace(far_prompt=0.5))
     return unfamiliar(bundle, prompts, pooled.expand(len(prompts), -1))  # type: ignore[arg-type]
 
@@ -32,3 +38,34 @@ def test_what_is_far_is_told_once_and_what_is_near_by_its_words():
 
 def test_without_a_list_of_words_only_distance_counts():
     assert told("a man walks on stilts", pooled=NEAR, words=frozenset()) == []
+
+
+def test_negation_and_figures_are_words_too():
+    words = frozenset({"walk", "bow", "times", "step"})
+    [one] = told("a person does not walk", pooled=NEAR, words=words)
+    assert "the word 'not' and guesses" in one
+    [two] = told("a man bows 3 times and walks 2.5 steps in 3", pooled=NEAR, words=words)
+    assert "the words '3', '2.5' and guess" in two
+    assert told("a man bows 3 times", pooled=NEAR, words=words, captions=("a person walks 2 steps", "she bows")) == []
+    assert told("a man bows 3 times", pooled=NEAR, words=frozenset()) == []
+
+
+@pytest.mark.parametrize(
+    ("prompt", "word"),
+    [("two people walk", "people"), ("Men bow", "Men"), ("they walk with each  other", "each  other"),
+     ("a couple bows", "couple"), ("walk as women's shoes do", ""), ("a woman walks", ""), ("they walk", "")],
+)  # fmt: skip
+def test_more_than_one_person_is_told(prompt, word):
+    found = told(prompt, pooled=NEAR, words=frozenset())
+    said = f"this model moves one person alone, not {word!r}; the nearest it knows is 'a person walks'"
+    assert found == ([said] if word else [])
+
+
+def test_more_than_two_stages_are_told_unless_captions_have_as_many():
+    three = "a person walks, then bows, then waves"
+    [found] = told(three, pooled=NEAR, words=frozenset())
+    assert found.startswith(f"{three!r} says 3 things one after the other")
+    assert told("a person walks, then bows", pooled=NEAR, words=frozenset()) == []
+    assert told("a person walks, then turns left, then bows", pooled=NEAR, words=frozenset()) == []
+    long = ("a person walks", "a man bows, then runs, then jumps")
+    assert told(three, pooled=NEAR, words=frozenset(), captions=long) == []

@@ -45,6 +45,10 @@ def test_no_request_is_too_strange(client, path, method, mode):
 def test_the_description_is_complete(client):
     found = client.get("/openapi.json").json()
     assert {path: list(methods) for path, methods in found["paths"].items()} == ROUTES
+    for path, method in (("/v1/generate", "post"), ("/v1/jobs/{number}/result", "get")):
+        assert set(found["paths"][path][method]["responses"]["200"]["headers"]) == {
+            "X-Moveset-Seed", "X-Moveset-Warnings"
+        }  # fmt: skip
     body = found["components"]["schemas"]["GenerateBody"]
     assert body["additionalProperties"] is False
     assert client.post(

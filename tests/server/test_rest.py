@@ -106,6 +106,34 @@ def test_files_of_clips_can_be_read_again(client, suffix, tmp_path):
     assert any("Hips" in joint for joint in motion.skeleton.joints)
 
 
+def test_a_file_tells_its_seed_and_warnings_in_headers(client, tmp_path):
+    unknown = "a person rides a unicycle 🚲\r\nX-Evil: 1"
+    body = {"prompts": [{"text": unknown, "seconds": 1.0}], "format": "npz"}
+    answer = client.post("/v1/generate", json=body)
+    seed = int(answer.headers["x-moveset-seed"])
+    same = client.post("/v1/generate", json={**body, "seed": seed, "format": "json"}).json()
+    assert json.loads(answer.headers["x-moveset-warnings"]) == same["warnings"] != []
+    assert "x-evil" not in answer.headers
+    again = client.post("/v1/generate", json={**body, "seed": seed})
+    assert again.content == answer.content
+    number = client.post("/v1/jobs", json={**body, "seed": seed}).json()["id"]
+    while client.get(f"/v1/jobs/{number}").json()["state"] in ("queued", "running"):
+        time.sleep(0.01)
+    later = client.get(f"/v1/jobs/{number}/result")
+    assert (later.headers["x-moveset-seed"], later.headers["x-moveset-warnings"]) == (
+        str(seed), answer.headers["x-moveset-warnings"]
+    )  # fmt: skip
+
+
+def test_headers_of_many_warnings_stay_short(client):
+    prompts = [{"text": f"{'unheard ' * 60}of {k}", "seconds": 1.0} for k in range(8)]
+    answer = client.post("/v1/generate", json={"prompts": prompts, "format": "npz", "seed": 1})
+    told = answer.headers["x-moveset-warnings"]
+    assert len(told) <= 4096
+    full = client.post("/v1/generate", json={"prompts": prompts, "seed": 1}).json()["warnings"]
+    assert json.loads(told) == full[: len(json.loads(told))]
+
+
 @pytest.mark.parametrize("suffix", ["bvh", "glb", "npz"])
 def test_frames_become_files(client, suffix, tmp_path):
     take = wander(40, seed=5)

@@ -6,7 +6,7 @@ import pytest
 
 from moveset.data.captions import heldout_captions
 from moveset.pipelines.model_folder import shipped
-from moveset.text.vocabulary import unread, words_of
+from moveset.text.vocabulary import figures_of, unread, words_of
 
 WORDS = ("walk", "waves", "carries", "stop", "quick", "left", "hand", "race", "swing", "huge", "kick")
 
@@ -16,6 +16,11 @@ def test_words_of_any_script_and_no_others():
         "somebody", "two-step", "über", "alles", "he", "said", "走",
     ]  # fmt: skip
     assert words_of("") == words_of("42 …") == []
+
+
+def test_figures_are_no_parts_of_words():
+    assert figures_of("3 steps, 1,000 m in 2.5 s; 10x") == ["3", "1,000", "2.5", "10"]
+    assert figures_of("mp3 take_7 B2") == figures_of("") == []
 
 
 @pytest.mark.parametrize(

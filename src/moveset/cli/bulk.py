@@ -1,4 +1,4 @@
-"""Bulk generation from a JSONL file: validated whole, batched, resumable, shared out under torchrun.
+"""Bulk generation from a JSONL file or standard input: validated whole, batched, resumable, shared out under torchrun.
 
 One line is one motion: ``{"prompt": "a person walks", "seconds": 4.0, "seed": 7, "name": "walk"}``. ``prompt`` may be
 a list (a timeline), ``seconds`` a list beside it; all but ``prompt`` may be absent. The seed is 0 and the name the
@@ -11,16 +11,17 @@ blocks: the bytes of a file depend neither on interruptions nor on how many proc
 import json as jsonlib
 import os
 import re
+import sys
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from moveset.cli.generate import progress, stage_times
+from moveset.cli.generate import progress, stage_times, warn
 from moveset.cli.output import Finish, plan_outputs, write
 from moveset.errors import FormatError, InputError
-from moveset.io.limits import read_limited
+from moveset.io.limits import MAX_BYTES, read_limited
 from moveset.pipelines.request import Method, Request, check_request
 
 if TYPE_CHECKING:
@@ -85,36 +86,50 @@ def bulk(
         "timings_ms": stage_times(timings),
         "warnings": list(dict.fromkeys(warnings)),
     }
+    warn(report["warnings"])
     if json:
         print(jsonlib.dumps(report))
     else:
-        print(f"made {report['made']} motions, skipped {skipped} that were there")
+        print(f"made {report['made']} motion{'s' * (report['made'] != 1)}, skipped {skipped} that were there")
     return 0
 
 
 def read_jobs(source: Path, config: "BundleConfig", num: int = 1) -> list[Job]:
-    """All jobs of a JSONL file, ``num`` variants each.
+    """All jobs of a JSONL file ("-": of standard input), ``num`` variants each.
 
     Raises:
         FormatError: a line that is not what it should be, by its number.
     """
+    where = "standard input" if str(source) == "-" else source
     try:
-        text = read_limited(source).decode("utf-8-sig")  # Windows likes to mark UTF-8
+        text = _bytes(source).decode("utf-8-sig")  # Windows likes to mark UTF-8
     except UnicodeDecodeError:
-        raise FormatError(f"{source} is not UTF-8 text; save it as UTF-8") from None
+        raise FormatError(f"{where} is not UTF-8 text; save it as UTF-8") from None
     lines = [(k, line) for k, line in enumerate(text.split("\n"), start=1) if line.strip()]
     if not 1 <= len(lines) <= MAX_LINES:
-        raise FormatError(f"{source} has {len(lines)} prompts; give 1 to {MAX_LINES:,}, one JSON object a line")
+        raise FormatError(f"{where} has {len(lines)} prompts; give 1 to {MAX_LINES:,}, one JSON object a line")
     jobs: list[Job] = []
     for number, line in lines:
         try:
             jobs += _jobs_of(line, f"{number:06d}", config, num)
         except InputError as error:
-            raise FormatError(f"{source} line {number}: {error}") from None
+            raise FormatError(f"{where} line {number}: {error}") from None
     twice = [name for name, count in Counter(job.name for job in jobs).items() if count > 1]
     if twice:
-        raise FormatError(f"{source} uses the name {twice[0]!r} more than once; names must differ")
+        raise FormatError(f"{where} uses the name {twice[0]!r} more than once; names must differ")
     return jobs
+
+
+def _bytes(source: Path) -> bytes:
+    """The bytes of a file, or of standard input for "-", as ``moveset stream`` has it."""
+    if str(source) != "-":
+        return read_limited(source)
+    if sys.stdin is None:  # closed by whoever started this process
+        raise InputError("there is no standard input to read prompts from; give a file")
+    data = sys.stdin.buffer.read(MAX_BYTES + 1)
+    if len(data) > MAX_BYTES:
+        raise InputError(f"standard input has more than {MAX_BYTES >> 20} MiB, the limit; split it")
+    return data
 
 
 def _jobs_of(line: str, number: str, config: "BundleConfig", num: int) -> list[Job]:

@@ -4,7 +4,7 @@ import json as jsonlib
 import re
 import sys
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -57,8 +57,8 @@ def generate(
         in_place: Without travel over the ground.
         loop: Blend the end into the beginning.
         foot_lock: Hold planted feet in place.
-        prompts: Bulk: a JSONL file, one {"prompt": …, "seconds": …, "seed": …, "name": …} a line; finished files are
-            skipped, and under torchrun each process takes its share.
+        prompts: Bulk: a JSONL file or - (standard input), one {"prompt": …, "seconds": …, "seed": …, "name": …} a
+            line; finished files are skipped, and under torchrun each process takes its share (of a file).
         batch: Bulk: clips evaluated at once; worth raising on a GPU.
         device: auto, cpu, cuda or mps.
         json: Print one JSON object on stdout and nothing else.
@@ -155,10 +155,15 @@ def skating(made: "Generation") -> dict[str, float]:
     return {"before": round(before, 4), "after": round(after, 4)}
 
 
+def warn(warnings: Iterable[str]) -> None:
+    """Print warnings where they disturb no output."""
+    for warning in warnings:
+        print(f"moveset: warning: {warning}", file=sys.stderr)
+
+
 def tell(report: dict[str, Any], json: bool) -> None:
     """Print the report as one JSON object, or as a few lines for a person."""
-    for warning in report["warnings"]:
-        print(f"moveset: warning: {warning}", file=sys.stderr)
+    warn(report["warnings"])
     if json:
         print(jsonlib.dumps(report))
         return

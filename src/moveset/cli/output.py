@@ -1,6 +1,7 @@
 """Which files a command writes, checked before anything is computed."""
 
 import re
+import sys
 import tempfile
 import time
 from collections.abc import Mapping, Sequence
@@ -39,12 +40,14 @@ def plan_outputs(outputs: Sequence[Path], names: Sequence[str]) -> list[list[Pat
 def write(
     motion: "Motion", paths: Sequence[Path], finish: Finish, metadata: Mapping[str, str | int | float]
 ) -> tuple["Motion", float]:
-    """Finish a motion and write it to every path; the motion as written and the milliseconds it took.
+    """Finish a motion and write it to every path; the motion as in the first of them and the milliseconds it took.
+
+    A rate that was asked for and that a file cannot have is said on stderr.
 
     Raises:
         InputError: the files cannot be written.
     """
-    from moveset.io import save
+    from moveset.io import rate_of, save
 
     start = time.perf_counter()
     motion = finish(motion)
@@ -53,7 +56,10 @@ def write(
             save(motion, path, metadata=metadata)
         except OSError as error:
             raise InputError(f"cannot write {str(path)!r}: {error.strerror or error}; choose another place") from error
-    return motion, round((time.perf_counter() - start) * 1e3, 3)
+        if finish.fps is not None and (kept := rate_of(motion.fps, path)) != motion.fps:
+            print(f"moveset: {path} has {kept:g} frames a second, not {motion.fps:g}", file=sys.stderr)
+    spent = round((time.perf_counter() - start) * 1e3, 3)
+    return motion.resampled(rate_of(motion.fps, paths[0])), spent
 
 
 def _named(path: Path, name: str) -> Path:

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from moveset.cli.generate import prepare as prepare
+from moveset.cli.generate import warn
 from moveset.errors import InputError
 
 if TYPE_CHECKING:
@@ -114,6 +115,7 @@ def stream(
         interrupts = stack.enter_context(Interrupts())
         files = stack.enter_context(GrowingFiles(output, made.codec.skeleton, bundle.config.fps, _notes(made, request)))
         _tell_durations(request, bundle.config.segment / bundle.config.fps)
+        _tell_unseen(request, frames, bundle.config.segment)
         latencies = _run(made, files, lines, interrupts, frames=frames, realtime=realtime, in_place=in_place, json=json)
     if not json:
         _summary(files, made, latencies)
@@ -129,7 +131,7 @@ def _run(
     latencies: deque[float] = deque(maxlen=1000)
     begun, done = time.monotonic(), 0
     each = made.bundle.config.segment
-    _warn(made)
+    warn(made.warnings)
     with _progress(frames) as bar:
         while frames is None or done < frames:
             live = lines is not None and not lines.ended
@@ -175,7 +177,7 @@ def _tell(made: "MotionStream", lines: "PromptLines") -> None:
             print(f"moveset: {' '.join(str(error).split())}", file=sys.stderr)
             continue
         print(f"moveset: from frame {frame}: {text}", file=sys.stderr)
-        _warn(made)
+        warn(made.warnings)
         if found:
             print(f"moveset: left out, since a newer prompt came: {' | '.join(found)}", file=sys.stderr)
         return
@@ -227,9 +229,16 @@ def _tell_durations(request: "StreamRequest", each: float) -> None:
         print(f"moveset: prompts change every {each:g} s, so they last {lasting} s", file=sys.stderr)
 
 
-def _warn(made: "MotionStream") -> None:
-    for warning in made.warnings:
-        print(f"moveset: warning: {warning}", file=sys.stderr)
+def _tell_unseen(request: "StreamRequest", frames: int | None, each: int) -> None:
+    """Say which prompts, or stages of one, never come since the stream ends before them."""
+    timeline = request.timeline
+    unseen = [
+        text
+        for text, start in zip(timeline.prompts, timeline.starts, strict=True)
+        if frames is not None and start * each >= frames
+    ]
+    if unseen:
+        print(f"moveset: the stream ends before {', '.join(map(repr, unseen))}; make it longer", file=sys.stderr)
 
 
 def _progress(frames: int | None) -> Any:

@@ -93,6 +93,16 @@ def save(motion: "Motion", path: str | Path, *, metadata: Mapping[str, str | int
     return path
 
 
+def rate_of(fps: float, path: str | Path) -> float:
+    """Frames a second of the file in which a motion of ``fps`` is written: films do not have every rate."""
+    suffix = _suffix(path, WRITABLE, "write")
+    if suffix not in (".gif", ".mp4"):
+        return fps
+    from moveset.io.video import film_rate
+
+    return film_rate(fps, suffix)
+
+
 def save_beside(metadata: Mapping[str, str | int | float | None], path: Path) -> None:
     """Write metadata into the file beside a motion that has no place for it.
 

@@ -19,10 +19,21 @@ _VIDEO, _GIF = 480, 320
 _COLOURS = 64
 
 
-def write_mp4(motion: Motion, path: str | Path, *, caption: str = "", metadata: str = "") -> None:
-    """Write an H.264 video, 480 x 480 pixels, at the motion's own rate between 20 and 30 frames a second.
+def film_rate(fps: float, suffix: str) -> float:
+    """Frames a second with which a motion of ``fps`` is shown: MP4 keeps 20 to 30, GIF 100/4 and 100/5.
 
-    Slower and faster motions are resampled to 30; ``metadata`` (JSON) becomes the comment tag.
+    >>> film_rate(60.0, ".mp4"), film_rate(60.0, ".gif"), film_rate(25.0, ".gif")
+    (30.0, 20.0, 25.0)
+    """
+    if suffix == ".gif":
+        return fps if fps in (20.0, 25.0) else 20.0
+    return fps if 20 <= fps <= 30 else 30.0
+
+
+def write_mp4(motion: Motion, path: str | Path, *, caption: str = "", metadata: str = "") -> None:
+    """Write an H.264 video, 480 x 480 pixels, at the rate that ``film_rate`` says.
+
+    ``metadata`` (JSON) becomes the comment tag.
 
     Raises:
         InputError: longer than 300 s, or the path cannot be written to.
@@ -31,7 +42,7 @@ def write_mp4(motion: Motion, path: str | Path, *, caption: str = "", metadata: 
     from imageio_ffmpeg import write_frames
 
     motion = _limited(motion, path)
-    motion = motion if 20 <= motion.fps <= 30 else motion.resampled(30.0)
+    motion = motion.resampled(film_rate(motion.fps, ".mp4"))
     options = ["-preset", "veryfast", "-crf", "23", "-movflags", "+faststart", "-fflags", "+bitexact"]
     options += ["-metadata", f"comment={metadata}"] if metadata else []
     # ffmpeg wants a seekable file of its own with the right extension.
@@ -53,13 +64,13 @@ def write_mp4(motion: Motion, path: str | Path, *, caption: str = "", metadata: 
 def write_gif(motion: Motion, path: str | Path, *, caption: str = "", metadata: str = "") -> None:
     """Write a looping GIF, 320 x 320 pixels, in the motion's time: GIF counts hundredths of a second.
 
-    A rate of 100/4 or 100/5 frames a second is kept, any other becomes 20. ``metadata`` (JSON) becomes the comment.
+    ``metadata`` (JSON) becomes the comment.
 
     Raises:
         InputError: longer than 300 s, or the path cannot be written to.
     """
     motion = _limited(motion, path)
-    motion = motion if motion.fps in (20.0, 25.0) else motion.resampled(20.0)
+    motion = motion.resampled(film_rate(motion.fps, ".gif"))
     # One palette for all frames: they show the same materials, light and floor.
     samples = [motion[k : k + 1] for k in {0, len(motion) // 2, len(motion) - 1}]
     swatch = Image.new("RGB", (_GIF * len(samples), _GIF))

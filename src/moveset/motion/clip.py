@@ -24,7 +24,7 @@ class Motion:
 
     Args:
         rotations: (F, J, 4) local joint rotations, unit quaternions xyzw, float32; float64 in a stream's segments.
-        root: (F, 3) world position of the root joint, metres, of the same type.
+        root: (F, 3) world position of the root joint, metres. Of different types both become the wider one.
         fps: frames per second, 0.01 to 1000.
         skeleton: the joint tree and its rest pose.
 
@@ -53,6 +53,11 @@ class Motion:
             )
         if not (turned.is_floating_point() and root.is_floating_point()):
             raise InputError(f"a motion needs floats, not {turned.dtype} and {root.dtype}; convert them by .float()")
+        kind = torch.promote_types(turned.dtype, root.dtype)
+        kind = torch.float32 if kind is torch.bfloat16 else kind  # which NumPy, and so no file, has
+        if not turned.dtype == root.dtype == kind:
+            object.__setattr__(self, "rotations", turned := turned.to(kind))
+            object.__setattr__(self, "root", root := root.to(kind))
         # A NaN among the rotations is a NaN among their lengths, and zero times anything finite is zero: few
         # operations, where asking each number takes five.
         shortest, longest = torch.linalg.vector_norm(turned.detach(), dim=-1).aminmax()

@@ -155,6 +155,11 @@ class MotionStream(Iterator[Segment]):
         )  # fmt: skip
         return cls(bundle, request, seed_motion=seed_motion, device=device)
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        # A pickle, or a copy, goes on where this one stands; the model's folder is read again.
+        request = StreamRequest(self._timeline, self._seed, self._settings, (), ())
+        return _reopened, (self.bundle, request, self.device, self.encoder, self.state())
+
     def __next__(self) -> Segment:
         if self._pool is None:
             return self._waiting.popleft() if self._waiting else self._make()
@@ -377,3 +382,10 @@ class MotionStream(Iterator[Segment]):
 
     def _uses_flow(self, settings: StreamSettings) -> bool:
         return self.bundle.config.flows(settings.network)
+
+
+def _reopened(
+    bundle: StreamBundle, request: StreamRequest, device: torch.device, encoder: TextEncoder, state: Snapshot
+) -> MotionStream:
+    """The stream of a pickle."""
+    return MotionStream(bundle, request, device=device, encoder=encoder).restore(state)

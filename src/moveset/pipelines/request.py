@@ -4,6 +4,7 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from numbers import Integral, Real
+from typing import Any, cast
 
 from moveset.errors import InputError
 from moveset.pipelines.bundle import SOLVERS, BundleConfig
@@ -67,8 +68,10 @@ def check_request(
         raise InputError(f"num {num} is not in 1 to {MAX_NUM}; run again with another seed for more")
     check_whole("seed", seed)
     if not 0 <= seed <= SEEDS - num:
-        raise InputError(f"seed {seed} is not in 0 to {SEEDS - num}; give a smaller whole number")
-    given = (seconds,) if seconds is None or isinstance(seconds, str | Real) else tuple(seconds)
+        raise InputError(f"seed {seed} is not in 0 to {SEEDS - num}; give a whole number in it such as 0")
+    # A tensor of one number says that it can be iterated over, and cannot.
+    several = isinstance(seconds, Iterable) and not isinstance(seconds, str) and getattr(seconds, "ndim", 1) > 0
+    given: tuple[Any, ...] = tuple(cast(Iterable[Any], seconds)) if several else (seconds,)
     if len(given) == 1:
         given *= len(prompts)
     if len(given) != len(prompts):
@@ -117,6 +120,7 @@ def check_method(
         network = f"{solver}-{steps}"
     if guidance is None:
         guidance = config.guidance[network]
+    check_real("guidance", guidance)
     if not 0.0 <= guidance <= MAX_GUIDANCE:
         raise InputError(f"guidance {guidance:g} is not in 0 to {MAX_GUIDANCE:g}; this model's own choice is "
                          f"{config.guidance[network]:g}")  # fmt: skip
@@ -166,7 +170,6 @@ def _frames(seconds: float, config: BundleConfig) -> int:
     if not isinstance(seconds, Real):
         raise InputError(f"duration {seconds!r} is not a number; give seconds from {low:g} to {high:g}")
     if not math.isfinite(seconds) or not low <= seconds <= high:
-        raise InputError(
-            f"{seconds:g} seconds are not in {low:g} to {high:g} for a prompt; for a longer motion give several prompts"
-        )
+        remedy = "for a longer motion give several prompts" if seconds > high else f"give at least {low:g}"
+        raise InputError(f"{seconds:g} seconds are not in {low:g} to {high:g} for a prompt; {remedy}")
     return round(seconds * config.fps)

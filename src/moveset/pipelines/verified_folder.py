@@ -37,6 +37,10 @@ class VerifiedFolder:
         if not (path / "manifest.json").is_file():
             raise FormatError(f"{path} is no model folder: it has no manifest.json; give a packed model")
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        # A pickle says where the folder is: it is read, and checked, again by whoever opens it.
+        return type(self), (self.path.absolute(),)
+
     @cached_property
     def files(self) -> dict[str, tuple[str, int]]:
         """sha256 and size in bytes of every file, by name, as the manifest has them."""

@@ -1,22 +1,32 @@
-"""What a user should know about a prompt: that it is unlike the training captions, has other words, or is longer
-than can be read.
+"""What a user should know about a prompt: that it is unlike the training captions, has other words, tells of more than
+one person or of more stages than can be done at a time, or is longer than can be read.
 """
 
+import re
 from typing import Any
 
 from torch import Tensor
 
 from moveset.pipelines.model_folder import ModelFolder
 from moveset.text.encoder import TextEncoder
+from moveset.text.familiarity import KnownPrompts
+from moveset.text.stages import split_stages
 
 MOST_WORDS = 4  # of a prompt that are named
+_STAGES = 2  # one after the other in the captions of the training, whose composed ones are not kept
+_SEVERAL = re.compile(
+    r"\b(?:people|persons|men|women|children|kids|boys|girls|guys|ladies|gentlemen|couple|crowd|each\s+other"
+    r"|one\s+another)\b(?!['’])",
+    re.I,
+)
 
 
 def unfamiliar(bundle: ModelFolder[Any], prompts: tuple[str, ...], pooled: Tensor) -> list[str]:
-    """One warning for every prompt that is far from all training captions, or has words that were in none of them.
+    """Warnings for every prompt that asks for what the model was not trained on.
 
-    Far is a best cosine below ``config.far_prompt``. The nearest caption may well be near and yet another motion ("a
-    person is exercising" for riding a bicycle); then the words tell.
+    One that is far from all training captions gets one: its best cosine is below ``config.far_prompt``. The nearest
+    caption may well be near and yet another motion ("a person is exercising" for riding a bicycle); then words that
+    were in no caption tell, or that there are several persons, or more than two things to do one after the other.
 
     Args:
         bundle: the model, with its captions.
@@ -30,11 +40,21 @@ def unfamiliar(bundle: ModelFolder[Any], prompts: tuple[str, ...], pooled: Tenso
         nearest = f"the nearest it knows is {known.sentences[k]!r}"
         if cosine < bundle.config.far_prompt:
             out.append(f"{prompt!r} is unlike anything this model was trained on (similarity {cosine:.2f}); {nearest}")
-        elif words := known.unread(prompt):
+            continue
+        if words := known.unread(prompt):
             named = ", ".join(map(repr, words[:MOST_WORDS])) + (" …" if len(words) > MOST_WORDS else "")
             them, they = ("words", "they mean") if len(words) > 1 else ("word", "it means")
             out.append(f"this model was never trained on the {them} {named} and guesses what {they}; {nearest}")
+        if found := _SEVERAL.search(prompt):
+            out.append(f"this model moves one person alone, not {found.group()!r}; {nearest}")
+        if (count := len(split_stages(prompt))) > _STAGES and count > _most_stages(known):
+            out.append(f"{prompt!r} says {count} things one after the other, more than this model learned to do at a "
+                       "time; give each as a prompt of its own")  # fmt: skip
     return out
+
+
+def _most_stages(known: KnownPrompts) -> int:
+    return max(len(split_stages(sentence)) for sentence in known.sentences)
 
 
 def too_long(encoder: TextEncoder, prompts: tuple[str, ...]) -> list[str]:

@@ -5,6 +5,7 @@ import json
 import re
 import tempfile
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,8 @@ from moveset.server.limits import Limits
 from moveset.server.wire import pack_packet, skeleton_json
 
 JSON = "application/json"
+SEED, WARNINGS = "X-Moveset-Seed", "X-Moveset-Warnings"
+_HEADER = 4096  # bytes of a header: clients refuse long ones, and there may be a warning for each of many prompts
 PICTURES = ("mp4", "gif", "png")
 _TYPES = {
     "bvh": "text/plain; charset=utf-8",
@@ -83,7 +86,7 @@ def answer(job: Job) -> Answer:
     """
     order, first = job.order, job.made[0]
     if order.format != "json":
-        return write_file(first.motion, order.format, order.finish, first.metadata)
+        return replace(write_file(first.motion, order.format, order.finish, first.metadata), headers=_headers(first))
     timings = {stage: round(sum(made.timings_ms[stage] for made in job.made), 3) for stage in first.timings_ms}
     body = {
         "model": first.model,
@@ -98,6 +101,16 @@ def answer(job: Job) -> Answer:
         "takes": [_take(made, order.finish) for made in job.made],
     }
     return Answer(json.dumps(body).encode(), JSON)
+
+
+def _headers(made: Any) -> dict[str, str]:
+    """What JSON would say beside a clip: the seed it was made from, and warnings as a JSON list in ASCII."""
+    told: list[str] = []
+    for warning in made.warnings:
+        if len(json.dumps([*told, warning])) > _HEADER:
+            break
+        told.append(warning)
+    return {SEED: str(made.seed), WARNINGS: json.dumps(told)}
 
 
 def _take(made: Any, finish: Finish) -> dict[str, Any]:

@@ -25,6 +25,7 @@ _HEADERS = {
     "Cross-Origin-Resource-Policy": "same-origin",
     "Permissions-Policy": "camera=(), microphone=(), geolocation=()",
 }
+_READABLE = "Content-Disposition, Retry-After, X-Moveset-Seed, X-Moveset-Warnings"  # by scripts of other sites
 _PREFLIGHT = {
     "Access-Control-Allow-Methods": "GET, POST, DELETE",
     "Access-Control-Allow-Headers": "Content-Type",
@@ -150,7 +151,7 @@ class Guard:
                     own.add_vary_header("Origin")
                 if origin is not None and origin in self._origins:
                     own["Access-Control-Allow-Origin"] = origin
-                    own["Access-Control-Expose-Headers"] = "Content-Disposition, Retry-After"
+                    own["Access-Control-Expose-Headers"] = _READABLE
                 if scope["path"].startswith("/v1") or scope["path"] in ("/healthz", "/metrics"):
                     own.setdefault("Cache-Control", "no-store")
                 if scope["type"] == "http":

@@ -4,7 +4,7 @@ import asyncio
 import secrets
 import time
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -25,11 +25,13 @@ class Answer:
         content: bytes.
         media_type: of them.
         filename: to save them as; None for JSON.
+        headers: what a file has no place for.
     """
 
     content: bytes
     media_type: str
     filename: str | None = None
+    headers: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,6 +8,7 @@ from fastapi.responses import JSONResponse
 
 from moveset.pipelines.finish import Finish
 from moveset.server.failures import RequestError
+from moveset.server.files import SEED, WARNINGS
 from moveset.server.jobs import Answer, Job
 from moveset.server.protocol import GenerateBody, Name, plain
 from moveset.server.service import Service
@@ -44,6 +45,19 @@ _SAID = {
 }
 
 
+# Of a clip: JSON, or a file whose seed and warnings stand in the headers.
+_CLIP: dict[str, Any] = {
+    "content": {"application/octet-stream": {}},
+    "headers": {
+        SEED: {"description": "Of a file: the seed it was made from.", "schema": {"type": "integer"}},
+        WARNINGS: {
+            "description": "Of a file: a JSON list of warnings about the prompts, in ASCII, of 4,096 bytes at most.",
+            "schema": {"type": "string"},
+        },
+    },
+}
+
+
 def errors(*statuses: int) -> dict[int | str, dict[str, Any]]:
     """For the description: what an error answer looks like."""
     return {status: {"description": _SAID[status], **_ERROR} for status in (400, 403, *statuses)}
@@ -73,7 +87,7 @@ async def prompts(the: The, model: Annotated[Name | None, Query()] = None) -> JS
 @router.post(
     "/generate",
     summary="Make a clip and wait for it",
-    responses={**errors(404, 409, 413, 415, 422, 503), 200: {"content": {"application/octet-stream": {}}}},
+    responses={**errors(404, 409, 413, 415, 422, 503), 200: _CLIP},
 )
 async def generate(the: The, request: Request, body: GenerateBody) -> Response:
     """JSON with packets of frames, or one file, by ``format``. Who hangs up gives the clip up."""
@@ -103,7 +117,7 @@ async def look(the: The, number: Name) -> JSONResponse:
 @router.get(
     "/jobs/{number}/result",
     summary="What became of it",
-    responses={**errors(404, 409, 422, 503), 200: {"content": {"application/octet-stream": {}}}},
+    responses={**errors(404, 409, 422, 503), 200: _CLIP},
 )
 async def result(the: The, number: Name) -> Response:
     """What ``/v1/generate`` would have answered."""
@@ -159,4 +173,4 @@ def _result(job: Job) -> Response:
 
 def _file(answer: Answer) -> Response:
     headers = {} if answer.filename is None else {"Content-Disposition": f'attachment; filename="{answer.filename}"'}
-    return Response(answer.content, media_type=answer.media_type, headers=headers)
+    return Response(answer.content, media_type=answer.media_type, headers={**headers, **answer.headers})

@@ -11,7 +11,7 @@ from torch import Tensor
 from torch.nn.functional import normalize
 
 from moveset.errors import InputError
-from moveset.text.vocabulary import unread
+from moveset.text.vocabulary import figures_of, unread
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,8 +50,15 @@ class KnownPrompts:
         return self.sentences[int(where)], float(best)
 
     def unread(self, sentence: str) -> tuple[str, ...]:
-        """Words of a sentence that were in no caption of the training, in no form (``text.vocabulary.unread``)."""
-        return unread(sentence, self.words)
+        """Words of a sentence that were in no caption of the training, in no form (``text.vocabulary.unread``).
+
+        So are numbers in figures where no caption has any, after the words.
+        """
+        words = unread(sentence, self.words)
+        figures = figures_of(sentence) if self.words else []
+        if figures and any(map(figures_of, self.sentences)):
+            figures = []
+        return (*words, *dict.fromkeys(figures))
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,9 @@ Shapes: ``B`` sentences, ``L`` tokens, ``C`` = 384 width, ``H`` = 12 heads.
 import importlib.util
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import torch
 from safetensors import SafetensorError, safe_open
@@ -119,11 +121,16 @@ class MiniLM:
     def __init__(self, folder: Path | None = None, *, device: torch.device | str = "cpu", max_tokens: int = 64) -> None:
         if not 3 <= max_tokens <= 512:
             raise InputError(f"max_tokens {max_tokens} is not in 3 to 512, the positions the encoder knows; use 64")
-        folder = packaged_folder() if folder is None else Path(folder)
+        self._folder = None if folder is None else Path(folder).absolute()
+        folder = packaged_folder() if self._folder is None else self._folder
         self.max_tokens = max_tokens
         self.device = torch.device(device)
         self._tokenizer = _load_tokenizer(folder / "tokenizer.json")
         self._load_weights(folder / "model.safetensors")
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # Packed weights cannot be pickled; whoever gets the pickle reads the folder again.
+        return partial(type(self), self._folder, device=self.device, max_tokens=self.max_tokens), ()
 
     def _load_weights(self, path: Path) -> None:
         try:

@@ -9,6 +9,9 @@ _SUFFIXES = ("s", "es", "ed", "d", "ing", "ly", "er", "ers")
 _LEAST = 3  # letters of a stem
 
 
+_FIGURES = re.compile(r"(?<!\w)\d+(?:[.,]\d+)*")
+
+
 def words_of(sentence: str) -> list[str]:
     """Words in lower case, without a possessive ending.
 
@@ -19,7 +22,8 @@ def words_of(sentence: str) -> list[str]:
     return [word.removesuffix("'s") for word in found]
 
 
-# Words that only hold a sentence together, or say no more than that somebody does it: no motion hangs on them.
+# Words that only hold a sentence together, or say no more than that somebody does it: no motion hangs on them. On "not"
+# all of it does.
 _GRAMMAR = frozenset(words_of(
     """
     a about above across after again against ahead all along also although always am among an and another any anybody
@@ -27,7 +31,7 @@ _GRAMMAR = frozenset(words_of(
     both but by came can come comes coming continually could did do does doing done down during each either else even
     ever every few finally first for from further get gets getting go goes going gone got had has have having he her
     here hers herself him himself his how i if in inside instead into is it its itself just last later left less let
-    like likes little made make makes making many me meanwhile more most much must my myself near nearly next no not
+    like likes little made make makes making many me meanwhile more most much must my myself near nearly next no
     now of off often on once one oneself onto onward onwards or other others our out outside over own past per please
     quite rather really right said same several shall she should so some somehow somewhat somewhere starts start
     started starting such than that the their them themselves then there these they this those though through
@@ -38,6 +42,15 @@ _GRAMMAR = frozenset(words_of(
     persons somebody someone subject subjects woman women
     """
 ))  # fmt: skip
+
+
+def figures_of(sentence: str) -> list[str]:
+    """Numbers of a sentence that are written in figures, with the word that one is a part of left out.
+
+    >>> figures_of("waves 3 times for 2.5 seconds, 10x")
+    ['3', '2.5', '10']
+    """
+    return _FIGURES.findall(sentence)
 
 
 def unread(sentence: str, vocabulary: Iterable[str]) -> tuple[str, ...]:
