@@ -153,7 +153,7 @@ def rdm() -> Suite:
     alike = replace(stream, group="Every variant, trained alike for a short time", repeats=FEWER,
                     against=("md-7-alike",))  # fmt: skip
     volume = replace(alike, network="denoiser")
-    other = replace(volume, group="Other methods, 4,600 steps of training", against=("md-7", "rdm-7"))
+    other = replace(volume, group="Other methods, 4,600 and 6,200 steps of training", against=("md-7", "rdm-7"))
     # A segment enters one step after the one before it and goes through all of its own: best on validation items.
     entangled = {"start": 10, "lag": 1}
 
