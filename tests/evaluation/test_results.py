@@ -12,6 +12,7 @@ import pytest
 
 from moveset.errors import FormatError, InputError, MovesetError
 from moveset.evaluation import job as jobs
+from moveset.evaluation import results as results_module
 from moveset.evaluation.items import open_items
 from moveset.evaluation.job import Job, open_session, run
 from moveset.evaluation.protocol import Protocol, Session, run_repeat
@@ -134,6 +135,15 @@ def test_other_weights_data_judges_and_settings_are_other_evaluations(items, ora
     assert opened(replace(items, sha256="2" * 64), oracle, tmp_path)[1].done == []
     monkeypatch.setattr(oracle, "sha256", "3" * 64, raising=False)
     assert opened(items, oracle, tmp_path)[1].done == []
+
+
+def test_the_code_of_rollouts_is_part_of_their_results_alone(items, oracle, tmp_path, monkeypatch):
+    named = []
+    monkeypatch.setattr(results_module, "code_sha256", lambda modules: named.append(tuple(modules)) or "0" * 64)
+    for split in ("test", "rollout"):
+        opened(items, oracle, tmp_path / split, replace(PROTOCOL, split=split))
+    test, _, rollout, _ = named
+    assert set(rollout) - set(test) == {"moveset.evaluation.rollout"}
 
 
 def test_the_answer_to_another_question_stays(items, oracle, tmp_path, monkeypatch):

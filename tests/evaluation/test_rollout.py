@@ -2,13 +2,18 @@
 
 import pytest
 import torch
+from hypothesis import given
+from hypothesis import strategies as st
 
+from moveset.data.humanml3d import KIT
 from moveset.errors import InputError
+from moveset.evaluation import metrics
 from moveset.evaluation.generators import Given
 from moveset.evaluation.items import open_items, text_of
 from moveset.evaluation.protocol import Protocol, Session
-from moveset.evaluation.rollout import WINDOW, cut, drift, rollouts, run_rollout, spread_change, starts
+from moveset.evaluation.rollout import WINDOW, Rollout, apart, cut, drift, rollouts, run_rollout, spread_change, starts
 from moveset.motion.features import get_codec
+from tests.data.test_humanml3d import folder as humanml3d
 from tests.evaluation.corpora import content_corpus
 from tests.evaluation.judges import Oracle, Painter
 from tests.motions import gait
@@ -86,6 +91,37 @@ def test_models_are_told_the_timeline(items):
     assert all(580 <= one.frames <= 600 and len(one.parts) > 3 for one in painter.asked)
     assert found["metrics"]["boundary_jerk"] > 0
     assert "multimodality" not in found["metrics"]
+
+
+@given(st.integers(0, 2**31), st.integers(40, 60), st.booleans())
+def test_windows_of_one_rollout_are_not_told_apart(seed, count, labelled):
+    generator = torch.Generator().manual_seed(seed)
+    of = [k for k in range(count) for _ in range(5)]
+    labels = torch.randint(0, 60, (len(of),), generator=generator).tolist() if labelled else list(range(len(of)))
+    groups = metrics.group(labels, len(of), generator, 32)
+    found = apart(groups, labels, of)
+    assert [len(group) for group in found] == [32] * len(groups)
+    assert len({window for group in found for window in group}) == 32 * len(groups)
+    for group in found:
+        assert len({labels[window] for window in group}) == 32
+    before, after = (sum(32 - len({of[k] for k in group}) for group in some) for some in (groups, found))
+    assert after <= before / 4
+    if not labelled:
+        assert after == 0
+
+
+def test_groups_of_different_rollouts_stay_as_they_were():
+    groups, labels = [[0, 3, 4], [5, 8, 2]], list(range(9))
+    assert apart(groups, labels, [k // 2 for k in range(9)]) == groups
+    assert apart([[0, 1, 4], [5, 8, 3]], labels, [k // 2 for k in range(9)]) != [[0, 1, 4], [5, 8, 3]]
+
+
+def test_a_caption_with_tokens_is_read_with_them(tmp_path):
+    folder = humanml3d(tmp_path, KIT, {f"{k}": 230 for k in range(3)}, test=["0", "1", "2"])
+    long = open_items(folder, "test", long=True)
+    (draw, *_) = draws(long)
+    assert Rollout((draw,), (230,)).said(0, WINDOW)[0] == draw.caption
+    assert draw.caption.tokens
 
 
 def test_single_actions_only(items):

@@ -27,9 +27,10 @@ from moveset.pipelines.verified_folder import json_object
 
 #: What turns motions into numbers: a change here makes repeats anew.
 _MEASURES = (
-    *(f"moveset.evaluation.{name}" for name in ("items", "protocol", "rollout", "metrics", "frechet", "physical")),
-    "moveset.evaluation.evaluator", "moveset.motion.hml",
+    *(f"moveset.evaluation.{name}" for name in ("items", "protocol", "metrics", "frechet", "physical", "evaluator")),
+    "moveset.motion.hml",
 )  # fmt: skip
+_ROLLS_OUT = ("moveset.evaluation.rollout",)
 
 #: What ``confirm`` lets differ: what a result says of the code that made it.
 CODE = ("measures_sha256", "generator_sha256", "versions")
@@ -168,7 +169,7 @@ def head(session: Session) -> dict[str, Any]:
         "data": {"name": items.name, "sha256": items.sha256, "items": len(items)},
         "weights_sha256": _digest(weights) if weights else None,
         "weights": weights,
-        "measures_sha256": code_sha256(_MEASURES),
+        "measures_sha256": code_sha256(_MEASURES + (_ROLLS_OUT if session.protocol.split == "rollout" else ())),
         "generator": type(generator).__name__,
         "generator_sha256": code_sha256(generator.code),
         "versions": {"moveset": moveset.__version__, "torch": torch.__version__, "python": platform.python_version()},

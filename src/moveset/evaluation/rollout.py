@@ -10,13 +10,14 @@ F frames, J joints, W windows of a rollout, E width of the evaluator's space.
 """
 
 import time
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import torch
 from torch import Tensor
 
+from moveset.data.humanml3d import Caption
 from moveset.errors import InputError
 from moveset.evaluation import metrics
 from moveset.evaluation.frechet import frechet_distance
@@ -63,8 +64,8 @@ class Rollout:
         joints = join(clips).joints
         return joints, encoded(cut(joints), codec)
 
-    def said(self, start: int, stop: int) -> tuple[str, tuple[str, ...]]:
-        """What is told of frames [start, stop): a sentence and a label."""
+    def said(self, start: int, stop: int) -> tuple[Caption | str, tuple[str, ...]]:
+        """What is told of frames [start, stop): a sentence, or a caption with its tokens if it is one; and a label."""
         begin, held = 0, []
         for draw, count in zip(self.draws, self.frames, strict=True):
             overlap = min(stop, begin + count) - max(start, begin)
@@ -73,6 +74,8 @@ class Rollout:
         longest = sorted(held, key=lambda entry: -entry[0])[:2]
         told = sorted((e for e in longest if e[0] >= SHARE * (stop - start)), key=lambda e: e[1])
         labels = tuple(name for _, _, draw in told for name in draw.item.label or ())
+        if len(told) == 1 and not isinstance(caption := told[0][2].caption, str):
+            return caption, labels
         sentences = [text_of(draw.caption).rstrip(". ") for _, _, draw in told]
         return ", then ".join([sentences[0], *(s[0].lower() + s[1:] for s in sentences[1:])]), labels
 
@@ -117,6 +120,39 @@ def rollouts(draws: Sequence[Draw], fps: float) -> list[Rollout]:
     return out
 
 
+def apart(groups: Sequence[Sequence[int]], labels: Sequence[Hashable], of: Sequence[int]) -> list[list[int]]:
+    """Groups for R-precision in which no two windows are of one rollout, as far as swaps of two windows can bring it.
+
+    Neighbouring windows of a rollout share half of their frames, so a text would find its own motion twice. Labels of
+    a group still differ. Windows that were in no group may come into one in another's place.
+
+    Args:
+        groups: windows by number, as ``metrics.group`` drew them.
+        labels: of every window.
+        of: the rollout of every window.
+    """
+    used = {window for one in groups for window in one}
+    *made, spare = [*(list(one) for one in groups), [k for k in range(len(of)) if k not in used]]
+
+    def fits(window: int, group: list[int], but: int) -> bool:
+        return all(of[k] != of[window] and labels[k] != labels[window] for k in group if k != but)
+
+    def trade(group: list[int], place: int) -> None:
+        window = group[place]
+        for other in (*made, spare):
+            for there, candidate in enumerate(other):
+                back = other is spare or (other is not group and fits(window, other, candidate))
+                if back and fits(candidate, group, window):
+                    group[place], other[there] = candidate, window
+                    return
+
+    for group in made:
+        for place in range(len(group)):
+            if any(of[k] == of[group[place]] for k in group[:place]):
+                trade(group, place)
+    return made
+
+
 def run_rollout(session: Session, number: int, say: Say = lambda stage, done, count: None) -> dict[str, Any]:
     """The measures of one repeat of the rollout split, as ``protocol.run_repeat`` gives them.
 
@@ -144,6 +180,8 @@ def run_rollout(session: Session, number: int, say: Say = lambda stage, done, co
     text = session.evaluator.embed_texts([sentence for sentence, _ in told])
     labels = [label for _, label in told] if session.items.labels else None
     groups = metrics.group(labels, len(told), random_of(protocol, number, "groups"), protocol.group)
+    of = [k for k, joints in enumerate(made) for _ in starts(len(joints))]
+    groups = apart(groups, labels or list(range(len(told))), of)
     top = metrics.r_precision(text, motion, groups)
     judged = session.evaluator.embed_motions([x for _, found in real for x in found])
     found = {f"r{k}": float(rate) for k, rate in enumerate(top, start=1)}
