@@ -275,11 +275,8 @@ def _check_alike(name: str, settings: "SuiteSettings", common: "Job", out: Path)
     rows = [row for row, _, missing in chosen_rows(name, settings) if not missing]
     if not rows or not (out / ROWS).is_file():
         return
-    items, judge, protocol = (
-        open_set(common),
-        Evaluator.open(common.evaluator, pick_device(common.device)),
-        common.protocol,
-    )
+    items, protocol = open_set(common), common.protocol
+    judge = Evaluator.open(common.evaluator, pick_device(common.device))
     asked = {
         "items": len(items), "texts": items.texts,
         "labels": None if items.labels is None else len(set(items.labels)),
@@ -331,21 +328,16 @@ def tell(done: Sequence[tuple[dict[str, Any], Path]], json: bool) -> None:
 
 def title(result: dict[str, Any]) -> str:
     """A result's row."""
-    steps = "" if result["steps"] is None else f", {counted(result['steps'], 'step')}"
+    from moveset.evaluation.suites import plural
+
+    steps = "" if result["steps"] is None else f", {plural(result['steps'], 'step')}"
     return " ".join(filter(None, (result["model"], result["network"]))) + steps
-
-
-def counted(count: int, what: str) -> str:
-    """So many of them.
-
-    >>> counted(1, "group"), counted(2, "group")
-    ('1 group', '2 groups')
-    """
-    return f"{count} {what}{'s' * (count != 1)}"
 
 
 def notes(result: dict[str, Any]) -> list[str]:
     """How much there was to judge, and what the protocol could not do as asked for."""
+    from moveset.evaluation.suites import plural
+
     protocol, count, data = result["protocol"], len(result["repeats"]), result["data"]
     labels = f" of {result['labels']} kinds" if result["labels"] else ""
     texts = f"{result['items']} items{labels} with {result['distinct_texts']} distinct texts of"
@@ -354,8 +346,8 @@ def notes(result: dict[str, Any]) -> list[str]:
     given = result.get("settings", {}).get("motions")
     how = f"{given}; FID to {data['items']} items of {how}" if given else f"{how}, {protocol['wording']} wording"
     said = [
-        f"{texts} {how}; {counted(result['groups'], 'group')} of {protocol['group']}; mean ± 95 % interval of "
-        f"{counted(count, 'repeat')}; judged by {result['evaluator']['name']}."
+        f"{texts} {how}; {plural(result['groups'], 'group')} of {protocol['group']}; mean ± 95 % interval of "
+        f"{plural(count, 'repeat')}; judged by {result['evaluator']['name']}."
     ]
     if "rollouts" in result:
         said.append(f"{result['rollouts']} rollouts of the items one after the other, {result['windows']} windows.")

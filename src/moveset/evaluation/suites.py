@@ -124,12 +124,13 @@ def motionpcm() -> Suite:
         replace(full, key="mld", label="MLD-style, one latent token, 50 guided steps", model="mld-small",
                 against=("teacher",)),
         *(
-            replace(student, key=f"lcm-{n}", label=f"LCM, {_steps(n)}", group="Consistency model", network="lcm-1",
-                    steps=n)
+            replace(student, key=f"lcm-{n}", label=f"LCM, {plural(n, 'step')}", group="Consistency model",
+                    network="lcm-1", steps=n)
             for n in (1, 2, 4)
         ),
         *(
-            replace(student, key=f"pcm-{n}", label=f"PCM, {_steps(n)}", group="MotionPCM", network=f"pcm-{n}", steps=n)
+            replace(student, key=f"pcm-{n}", label=f"PCM, {plural(n, 'step')}", group="MotionPCM", network=f"pcm-{n}",
+                    steps=n)
             for n in (1, 2, 4)
         ),
         *(
@@ -233,7 +234,7 @@ def run_suite(
     """
     out: list[RowResult[Result_]] = []
     for row, folder, missing in chosen_rows(name, settings):
-        progress(f"{row.label}: {missing or _repeats(row.times(settings.repeats))}")
+        progress(f"{row.label}: {missing or plural(row.times(settings.repeats), 'repeat')}")
         out.append(RowResult(row, None if missing else evaluate(row, folder, row.times(settings.repeats)), missing))
     return out
 
@@ -325,9 +326,10 @@ def _usual_steps(network: str) -> int:
     return 50 if network == "teacher" else 10
 
 
-def _steps(count: int) -> str:
-    return "1 step" if count == 1 else f"{count} steps"
+def plural(count: int, what: str) -> str:
+    """So many of them.
 
-
-def _repeats(count: int) -> str:
-    return "1 repeat" if count == 1 else f"{count} repeats"
+    >>> plural(1, "group"), plural(2, "group")
+    ('1 group', '2 groups')
+    """
+    return f"{count} {what}{'s' * (count != 1)}"
