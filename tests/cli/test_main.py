@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+import warnings
 
 import pytest
 
@@ -93,3 +94,13 @@ def test_a_closed_pipe_is_no_fault():
     done = subprocess.run(["bash", "-c", command], capture_output=True, text=True)
     assert done.returncode == 0
     assert done.stderr == ""
+
+
+def test_a_warning_is_one_line_without_code(monkeypatch, capsys):
+    def warns() -> int:
+        warnings.warn("something is odd; look at it", stacklevel=1)
+        return 0
+
+    monkeypatch.setattr("moveset.cli.doctor.doctor", warns)
+    assert main(["doctor"]) == 0
+    assert capsys.readouterr().err == "moveset: warning: something is odd; look at it\n"

@@ -26,7 +26,7 @@ def folder(path, layout: Layout, motions: dict[str, int], texts: dict[str, list[
 
 @pytest.mark.parametrize("layout", [HUMANML3D, KIT])
 def test_a_folder_is_recognised_and_read(tmp_path, layout):
-    data = HumanML3D.open(folder(tmp_path, layout, {"000001": 60, "M000001": 60}, train=["000001", "M000001", "lost"]))
+    data = HumanML3D.open(folder(tmp_path, layout, {"000001": 60, "M000001": 60}, train=["000001", "M000001"]))
     assert data.layout == layout
     assert data.names == ("000001", "M000001")
     assert torch.equal(data.features("M000001"), torch.ones(60, layout.features))
@@ -35,6 +35,16 @@ def test_a_folder_is_recognised_and_read(tmp_path, layout):
     assert data.mean.shape == data.std.shape == (layout.features,)
     assert [i.name for i in data.items("train")] == ["000001", "M000001"]
     assert data.items("val") == ()
+
+
+def test_names_without_a_motion_are_left_out_aloud(tmp_path):
+    written = folder(tmp_path, HUMANML3D, {"a": 60, "b": 60}, train=["a", "lost", "gone", "lost"], test=["b"])
+    with pytest.warns(
+        UserWarning, match=r"2 of the motions that \S+train\.txt names are not .*, lost for one"
+    ) as heard:
+        data = HumanML3D.open(written)
+    assert len(heard) == 1
+    assert data.splits == {"train": ("a",), "val": (), "test": ("b",)}
 
 
 @pytest.mark.parametrize("layout", [HUMANML3D, KIT])

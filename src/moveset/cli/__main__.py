@@ -12,6 +12,7 @@ import io
 import os
 import re
 import sys
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, cast
@@ -70,7 +71,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         # A terminal that is not UTF-8 gets escapes, not a UnicodeEncodeError.
         sys.stdout.reconfigure(errors="backslashreplace")
     try:
-        return _run(arguments)
+        with warnings.catch_warnings():
+            warnings.showwarning = _warn
+            return _run(arguments)
     except MovesetError as error:
         return fail(str(error), error.exit_code)
     except KeyboardInterrupt:
@@ -81,6 +84,11 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 0
     except Exception as error:
         return fail(f"{type(error).__name__}: {error} (MOVESET_DEBUG=1 shows where)", 1)
+
+
+def _warn(message: Warning | str, category: type[Warning], *place: Any) -> None:
+    """Shows a warning in the form of an error, without the line of code that it came from."""
+    print(f"moveset: warning: {message}", file=sys.stderr)
 
 
 def _run(arguments: list[str]) -> int:

@@ -2,7 +2,6 @@
 
 import os
 import sys
-import warnings
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -93,16 +92,10 @@ def train(
     teacher = teacher or runs / {"rdm-student": "rdm-7", "evaluator": "movement"}.get(what, "teacher")
     sources = Sources(corpus=corpus, vae=vae or runs / "vae", teacher=teacher, cache=runs / "cache")
 
-    with warnings.catch_warnings():
-        warnings.showwarning = _say
-        result = run(task_maker(what, config, sources), engine, folder, resume, init)
+    result = run(task_maker(what, config, sources), engine, folder, resume, init)
     if int(os.environ.get("RANK", "0")) == 0:
         print(_summary(what, result, engine.steps), file=sys.stderr)
     return 130 if result.stopped_by == "SIGINT" else 0
-
-
-def _say(message: Warning | str, category: type[Warning], *place: Any) -> None:
-    print(f"moveset: warning: {message}", file=sys.stderr)
 
 
 def _summary(what: str, result: "TrainResult", steps: int) -> str:

@@ -5,6 +5,7 @@ A folder holds ``new_joint_vecs/NAME.npy`` (F, D) features, optionally ``new_joi
 """
 
 import math
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -131,6 +132,13 @@ class HumanML3D:
             splits[split] = tuple(dict.fromkeys(n for n in listed if n in present))
             if listed and not splits[split]:
                 raise InputError(f"none of the {len(listed)} motions of {folder}/{split}.txt is in new_joint_vecs")
+            lost = [name for name in dict.fromkeys(listed) if name not in present]
+            if lost:
+                warnings.warn(
+                    f"{len(lost)} of the motions that {folder}/{split}.txt names are not in new_joint_vecs and are "
+                    f"left out, {lost[0]} for one; figures are comparable only with all of them",
+                    stacklevel=2,
+                )
         return cls(folder, layout, splits)
 
     def __len__(self) -> int:
