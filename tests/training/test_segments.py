@@ -10,11 +10,11 @@ from moveset.data.humanml3d import KIT
 from moveset.errors import InputError
 from moveset.models.dip_decoder import DipDecoderConfig
 from moveset.motion.features import get_codec
-from moveset.training import segments
 from moveset.training.clip_source import CorpusClips, open_clips
 from moveset.training.clips import FeatureStore
+from moveset.training.compositions import Row
 from moveset.training.dip import PieceSet
-from moveset.training.segments import SEGMENT_FRAMES, ClipSet, CuttingConfig, Row, SegmentSet
+from moveset.training.segments import SEGMENT_FRAMES, ClipSet, CuttingConfig, SegmentSet
 from tests.training.hml_folder import write_folder
 from tests.training.segment_corpus import write_corpus
 
@@ -152,32 +152,20 @@ def test_the_sentence_before_is_that_of_the_segment_before(corpus):
     assert pairs == {("one", "one"), ("one", "two"), ("two", "two")}
 
 
-def test_continuations_are_made_once_and_told_by_one_sentence(corpus, monkeypatch):
-    cutting = replace(PLAIN, continuations=6, continuation_share=0.5)
-    found, opened = corpus.cut(cutting), corpus.source.corpus
-    made = found.rows[len(corpus.source.clips("train")) :]
-    assert 0 < len(made) <= 6
-    assert float(found.weights[-len(made) :].sum()) == pytest.approx(0.5)
-    table = np.load(corpus.folder / "continuations-train-6.npz")["table"]
-    for row, (frames, seam, record, mirrored, *_) in zip(made, table.tolist(), strict=True):
-        assert row.ends == (seam, frames)
-        assert len(row.features) == frames
-        assert row.whole == row.said[0] == opened.captions(record, bool(mirrored))
-        # It begins as a stretch of the clip that it is made of, in half precision.
-        place = corpus.store.clips[2 * record + mirrored]
-        clip = corpus.store.features[place.start : place.start + place.frames]
-        begin = row.features[:8].astype(np.float32)
-        stretches = np.lib.stride_tricks.sliding_window_view(clip, 8, axis=0).transpose(0, 2, 1)
-        assert np.abs(stretches - begin).max(axis=(1, 2)).min() < 0.02
-    monkeypatch.setattr(segments, "plan_continuations", None)  # would fail if called again
-    again = corpus.cut(cutting).rows[-len(made) :]
-    assert all(np.array_equal(a.features, b.features) and a.said == b.said for a, b in zip(made, again, strict=True))
-
-
-def test_no_continuations_are_no_rows(corpus):
-    found = corpus.cut(replace(PLAIN, continuations=6), split="val")  # a tenth of six is none
+@pytest.mark.parametrize("kind", ["continuations", "bodies"])
+def test_no_compositions_are_no_rows(corpus, kind):
+    found = corpus.cut(replace(PLAIN, **{kind: 6}), split="val")  # a tenth of six is none
     assert len(found.rows) == len(corpus.source.clips("val"))
     assert found.batch(8, 0, 0).valid.any(dim=1).all()
+
+
+def test_compositions_get_their_shares(corpus):
+    cutting = replace(PLAIN, continuations=6, continuation_share=0.5, bodies=4, body_share=0.25)
+    found = corpus.cut(cutting)
+    kinds = [len(corpus.source.clips("train")), 6, 4]
+    assert len(found.rows) == sum(kinds)
+    shares = [float(part.sum()) for part in found.weights.split(kinds)]
+    assert shares == pytest.approx([0.75 * 0.5, 0.75 * 0.5, 0.25])
 
 
 def test_batches_are_functions_of_seed_and_step(corpus):

@@ -187,14 +187,18 @@ def _sequence(pool: _Pool, first: str, second: str, chance: random.Random) -> _M
     return "in_time", Recipe(parts, blend=_BLEND), frames, contents, _common_style(a, b)
 
 
+def _corpus_pool(corpus: Corpus, split: Split) -> _Pool:
+    takes = [record for record in corpus.records if record.kind == "take"]
+    return _Pool(takes, (corpus.motion(k) for k in range(len(takes))), split)
+
+
 def plan_continuations(corpus: Corpus, split: Split, count: int, seed: int = 0) -> list[tuple[str, Recipe]]:
     """``count`` recipes in which a content is followed by the same again, each with its content; all different.
 
     A stream goes on with one sentence for longer than any take lasts; no clip of the corpus shows what comes then.
     Contents are drawn by the root of their number of takes.
     """
-    takes = [record for record in corpus.records if record.kind == "take"]
-    pool = _Pool(takes, (corpus.motion(k) for k in range(len(takes))), split)
+    pool = _corpus_pool(corpus, split)
     contents = _available(pool, (*TRAVELLING, *ON_THE_SPOT))
     weights = [len(pool.by_content[content]) ** 0.5 for content in contents]
     chance = random.Random(f"continuations of {split}, seed {seed}")
@@ -207,6 +211,33 @@ def plan_continuations(corpus: Corpus, split: Split, count: int, seed: int = 0) 
         if planned is not None:
             made.setdefault(planned[1], content)
     return [(content, recipe) for recipe, content in made.items()]
+
+
+def plan_bodies(corpus: Corpus, split: Split, count: int, seed: int = 0) -> list[tuple[tuple[str, str], Recipe]]:
+    """Up to ``count`` recipes by body part, each with its contents (arms, legs); all different.
+
+    Pairs of contents take turns, so that what the corpus' own compositions have little of (turns, whose takes are
+    seldom as long as what the arms do) comes as often as the rest, as far as its takes go.
+    """
+    pool = _corpus_pool(corpus, split)
+    pairs = [
+        (upper, legs)
+        for legs in dict.fromkeys(_LEGS)
+        for upper in _ARMS
+        if _available(pool, (upper, legs)) == [upper, legs]
+    ]
+    chance = random.Random(f"bodies of {split}, seed {seed}")
+    made: dict[Recipe, tuple[str, str]] = {}
+    for _ in range(count):
+        for pair in pairs:
+            for _ in range(6):
+                planned = _layered(pool, *pair, chance)
+                if planned is not None and planned[1] not in made:
+                    made[planned[1]] = pair
+                    break
+            if len(made) == count:
+                return [(contents, recipe) for recipe, contents in made.items()]
+    return [(contents, recipe) for recipe, contents in made.items()]
 
 
 def _best_seam(a: Tensor, b: Tensor, stops: range, starts: range) -> tuple[int, int]:
@@ -223,7 +254,11 @@ def _body(pool: _Pool, chance: random.Random) -> _Made | None:
     uppers, legs = _available(pool, tuple(_ARMS)), _available(pool, _LEGS)
     if not uppers or not legs:
         return None
-    contents = (chance.choice(uppers), chance.choice(legs))
+    return _layered(pool, chance.choice(uppers), chance.choice(legs), chance)
+
+
+def _layered(pool: _Pool, arms_do: str, legs_do: str, chance: random.Random) -> _Made | None:
+    contents = (arms_do, legs_do)
     lower = pool.pick(contents[1], None, chance)
     upper = pool.pick(contents[0], lower.record.style if chance.random() < 0.5 else None, chance)
     whole = "turn" in contents[1]

@@ -34,6 +34,12 @@ class Recipe:
     blend: int = 0
     arms: Literal["left", "right", "both"] = "both"
 
+    @property
+    def seam(self) -> int:
+        """The frame, in time, from which on more is shown of the second part than of the first."""
+        first = self.parts[0]
+        return first.stop - first.start - self.blend // 2
+
 
 @dataclass(frozen=True)
 class ClipRecord:

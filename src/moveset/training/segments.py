@@ -2,7 +2,7 @@
 
 A clip that shows one thing after another has a sentence for each, so the prompt of a segment is the sentence of the
 part that fills more of it: this is how a stream is steered. *Continuations* (the same content twice, ``data.compose``)
-show what comes when an action ends and its sentence stays.
+show what comes when an action ends and its sentence stays; more clips composed by body part, what arms do on their way.
 
 Shapes: B rows, n frames of a segment, D features.
 """
@@ -14,19 +14,16 @@ from pathlib import Path
 import numpy as np
 import torch
 from torch import Tensor
-from tqdm import tqdm
 
 from moveset.data.augment import MAX_FRAMES
-from moveset.data.compose import plan_continuations
-from moveset.data.corpus import Corpus, compose
 from moveset.data.paraphrase import paraphrase
-from moveset.data.records import Part, Recipe
 from moveset.data.splits import Split
 from moveset.diffusion.coloured import temporal_spectrum
 from moveset.errors import InputError
 from moveset.motion.features import FeatureCodec
 from moveset.training.clip_source import ClipSource, CorpusClips
 from moveset.training.clips import FeatureStore
+from moveset.training.compositions import Row, composed_rows
 from moveset.training.stills import make_stills
 
 # Frames of a segment by N, the number of segments of the longest clip.
@@ -46,6 +43,9 @@ class CuttingConfig:
         whole_caption: share of segments of clips in two parts that get the sentence for all of it.
         continuations: clips to add in which an action goes on; 0 for none.
         continuation_share: share of segments from them.
+        bodies: clips to add in which the arms do one thing and the legs another, each pair of contents as often; 0 for
+            none.
+        body_share: share of segments from them.
         stills: clips to add in which a person stands still (``training.stills``); 0 for none.
         still_share: share of segments from them.
         composed_share: share of segments from compositions, among the others.
@@ -57,6 +57,8 @@ class CuttingConfig:
     whole_caption: float = 0.2
     continuations: int = 1200
     continuation_share: float = 0.2
+    bodies: int = 0
+    body_share: float = 0.2
     stills: int = 0
     still_share: float = 0.1
     composed_share: float = 0.35
@@ -99,16 +101,6 @@ class SegmentBatch:
         )
 
 
-@dataclass(frozen=True, eq=False)
-class Row:
-    """A clip: its frames, the sentences of each part, which ends at a frame, and those of all of it, if any."""
-
-    features: np.ndarray
-    ends: tuple[int, ...]
-    said: tuple[tuple[str, ...], ...]
-    whole: tuple[str, ...]
-
-
 class ClipSet:
     """Clips of one split with their sentences by part, drawn by weight.
 
@@ -135,16 +127,19 @@ class ClipSet:
         weights = source.weights(clips, power=0.5, composed_share=cutting.composed_share)
         self.rows = [_row(source, clip, store) for clip in clips]
         self.weights = weights / weights.sum()
-        if cutting.continuations or cutting.stills:
+        if cutting.continuations or cutting.bodies or cutting.stills:
             if not isinstance(source, CorpusClips):
                 raise InputError(
-                    "only a corpus can be continued or stand still; train on a folder with "
-                    "--set cutting.continuations=0 --set cutting.stills=0"
+                    "only a corpus can be continued, composed by body part or stand still; train on a folder with "
+                    "--set cutting.continuations=0 --set cutting.bodies=0 --set cutting.stills=0"
                 )
             corpus = source.corpus
-        if cutting.continuations:
-            made = _continuations(corpus, split, store, codec, cutting.continuations, folder)
-            self._add(made, cutting.continuation_share)
+        shares = {"continuations": cutting.continuation_share, "bodies": cutting.body_share}
+        for kind, share in shares.items():
+            count = getattr(cutting, kind)
+            if count:
+                count = count if split == "train" else count // 10
+                self._add(composed_rows(kind, corpus, split, store, codec, count, folder), share)
         if cutting.stills:
             count = cutting.stills if split == "train" else cutting.stills // 10
             stills = make_stills(corpus, split, codec, store.normalizer, count)
@@ -262,41 +257,5 @@ def _row(source: ClipSource, clip: int, store: FeatureStore) -> Row:
         record = corpus.records[clip // 2]
         if record.kind == "in_time" and record.recipe is not None:
             said = tuple(corpus.captions(part.clip, part.mirrored != mirrored) for part in record.recipe.parts)
-            return Row(features, (_seam(record.recipe), len(features)), said, whole)
+            return Row(features, (record.recipe.seam, len(features)), said, whole)
     return Row(features, (len(features),), (whole,), whole)
-
-
-def _seam(recipe: Recipe) -> int:
-    first: Part = recipe.parts[0]
-    return first.stop - first.start - recipe.blend // 2
-
-
-def _continuations(
-    corpus: Corpus, split: Split, store: FeatureStore, codec: FeatureCodec, count: int, folder: Path
-) -> list[Row]:
-    """Clips in which a content is followed by itself, made once and kept in half precision.
-
-    Kept are their features one after the other, and of each its end, its seam, and the two clips it is made of with
-    whether they are mirrored.
-    """
-    path = folder / f"continuations-{split}-{count}.npz"
-    if not path.is_file():
-        made, table = [], []
-        planned = plan_continuations(corpus, split, count if split == "train" else count // 10)
-        for _, recipe in tqdm(planned, desc="continuations", disable=None):
-            parts = [corpus.motion(part.clip)[part.start : part.stop] for part in recipe.parts]
-            first, second = (m.mirrored() if p.mirrored else m for m, p in zip(parts, recipe.parts, strict=True))
-            encoded = codec.encode(compose("in_time", recipe, first, second))
-            made.append(store.normalizer.normalize(encoded).half().numpy())
-            table.append([len(made[-1]), _seam(recipe), *(n for p in recipe.parts for n in (p.clip, p.mirrored))])
-        features = np.concatenate(made) if made else np.zeros((0, codec.dim), np.float16)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        np.savez(path, features=features, table=np.array(table, np.int64).reshape(-1, 6))
-    with np.load(path) as stored:
-        features, table = stored["features"], stored["table"]
-    rows = []
-    ends = np.cumsum(table[:, 0])
-    for (frames, seam, *parts), end in zip(table.tolist(), ends.tolist(), strict=True):
-        said = tuple(corpus.captions(parts[k], bool(parts[k + 1])) for k in (0, 2))
-        rows.append(Row(features[end - frames : end], (seam, frames), said, said[0]))
-    return rows
