@@ -4,6 +4,7 @@ What is wrong ends a benchmark in one line, as it ends ``moveset`` (``errors.exi
 """
 
 import argparse
+import importlib
 import json
 import math
 from collections.abc import Callable, Collection, Iterable, Sequence
@@ -118,3 +119,15 @@ def write_report(path: Path, report: Any, indent: int | None = 1) -> None:
     """
     with atomic_write(path) as file:
         file.write((json.dumps(report, indent=indent) + "\n").encode())
+
+
+def library(name: str, install: str) -> Any:
+    """A module that not every installation has.
+
+    Raises:
+        InputError: it is missing; says what installs it.
+    """
+    try:
+        return importlib.import_module(name)
+    except ImportError:
+        raise InputError(f"this needs {name.partition('.')[0]}; install it with {install}") from None

@@ -24,15 +24,14 @@ import urllib.request
 from dataclasses import dataclass, field
 from typing import Any
 
-import websockets
-
-from arguments import Parser, at_least, positive, report_path, write_report
+from arguments import Parser, at_least, library, positive, report_path, write_report
 from moveset.errors import InputError, exit_code_of
 from moveset.evaluation.machine import describe_machine
 from moveset.server.wire import HEADER
 
 PROMPTS = ("a person walks forward", "a person waves with the left hand", "a man runs fast", "a person bows")
 _ACKNOWLEDGE = 0.25  # seconds between two acknowledgements
+_INSTALL = "pip install 'moveset[serve]'"
 _SETTLE = 2.0  # seconds within which clients of a level begin, one after the other
 
 
@@ -71,10 +70,16 @@ class Server:
         self._process.wait(60)
 
 
+def connected(url: str) -> Any:
+    """A connection to a stream of the server's, for ``async with``."""
+    websockets = library("websockets", _INSTALL)
+    return websockets.connect(f"ws{url.removeprefix('http')}/v1/stream", max_size=2**22)
+
+
 async def transport(url: str, segments: int) -> dict[str, Any]:
     """Milliseconds a segment spends on its way, one stream alone."""
     found, sizes = [], []
-    async with websockets.connect(f"ws{url.removeprefix('http')}/v1/stream", max_size=2**22) as ws:
+    async with connected(url) as ws:
         await ws.recv()
         await ws.send(json.dumps({"type": "start", "prompt": PROMPTS[0], "seed": 1, "buffer": 1.0}))
         told, frames, asked = {}, 0, 0.0
@@ -104,7 +109,7 @@ async def play(url: str, number: int, wait: float, until: float, steps: int | No
     """One client that plays in real time."""
     await asyncio.sleep(wait)
     seen, frames, begun = Played(), 0, 0.0
-    async with websockets.connect(f"ws{url.removeprefix('http')}/v1/stream", max_size=2**22) as ws:
+    async with connected(url) as ws:
         await ws.recv()
         prompt = PROMPTS[number % len(PROMPTS)]
         await ws.send(json.dumps({"type": "start", "prompt": prompt, "seed": number, "steps": steps, "buffer": buffer}))
@@ -195,6 +200,7 @@ def main() -> None:
     parser.add_argument("--most", type=at_least(1), default=256, help="streams at which the ramp ends")
     parser.add_argument("--no-ramp", action="store_true")
     given = parser.parse_args()
+    library("websockets", _INSTALL)
     with Server(max(given.most, given.streams), given.model) as url:
         found = asyncio.run(measure(given, url))
     settings = {"steps": given.steps, "buffer": given.buffer, "model": given.model}

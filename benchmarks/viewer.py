@@ -25,13 +25,14 @@ import sys
 import tempfile
 import time
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from playwright.sync_api import Browser, Page, sync_playwright
-
-from arguments import Parser, at_least, positive, report_path, write_report
+from arguments import Parser, at_least, library, positive, report_path, write_report
 from moveset.errors import InputError, exit_code_of
 from moveset.evaluation.machine import describe_machine, load
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser, Page
 
 CHROMIUM = "/usr/bin/chromium"
 # Those of tests/viewer/conftest.py.
@@ -126,7 +127,7 @@ def browser_ms() -> float:
     return found / 1e6
 
 
-def opened(browser: Browser, path: Path, size: str) -> Page:
+def opened(browser: "Browser", path: Path, size: str) -> "Page":
     """The page at a size, one pixel of the screen to a CSS pixel, when it has drawn its first pictures."""
     width, height = (int(part) for part in size.split("x"))
     context = browser.new_context(viewport={"width": width, "height": height}, color_scheme="light", offline=True)
@@ -141,7 +142,7 @@ def opened(browser: Browser, path: Path, size: str) -> Page:
     return page
 
 
-def measure(page: Page, seconds: float, pictures: int, repeats: int) -> dict[str, Any]:
+def measure(page: "Page", seconds: float, pictures: int, repeats: int) -> dict[str, Any]:
     """Everything at one size; of several repeats the one with the least median, by the clock and by processor."""
     page.evaluate(_PLAY, _SETTLE)
     played = []
@@ -191,7 +192,8 @@ def main() -> None:
     if given.page and not given.page.is_file():
         raise InputError(f"there is no page {given.page}; leave --page out, and one is made")
     found: dict[str, Any] = {}
-    with tempfile.TemporaryDirectory() as folder, sync_playwright() as running:
+    playwright = library("playwright.sync_api", "pip install playwright")
+    with tempfile.TemporaryDirectory() as folder, playwright.sync_playwright() as running:
         path = given.page
         if path is None:
             path = Path(folder) / "walk.html"

@@ -66,8 +66,6 @@ def place(tmp_path_factory):
     ],
 )
 def test_a_benchmark_says_in_one_line_what_is_wrong(program, arguments, message, place, monkeypatch, capsys):
-    if program == "viewer":
-        pytest.importorskip("playwright")
     monkeypatch.chdir(place)
     monkeypatch.syspath_prepend(str(FOLDER))
     monkeypatch.setattr(sys, "argv", [program, *arguments])
@@ -97,3 +95,16 @@ def test_a_report_is_written_where_no_folder_was(tmp_path, monkeypatch):
     path = report_path(str(tmp_path / "new/folder/report.json"))
     write_report(path, {"rows": []})
     assert path.read_text() == '{\n "rows": []\n}\n'
+
+
+@pytest.mark.parametrize(("program", "module", "named"), [
+    ("server.py", "websockets", "websockets; install it with pip install 'moveset[serve]'"),
+    ("viewer.py", "playwright.sync_api", "playwright; install it with pip install playwright"),
+])  # fmt: skip
+def test_a_missing_library_is_one_line(program, module, named, monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, module, None)
+    monkeypatch.setattr(sys, "argv", [program])
+    with pytest.raises(SystemExit) as ended:
+        runpy.run_path(str(FOLDER / program), run_name="__main__")
+    assert ended.value.code == 2
+    assert capsys.readouterr().err == f"moveset: this needs {named}\n"
