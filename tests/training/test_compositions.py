@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from moveset.data.compose import plan_bodies
+from moveset.errors import MovesetError
 from moveset.motion.features import get_codec
 from moveset.training import compositions
 from moveset.training.clip_source import open_clips
@@ -81,3 +82,15 @@ def test_they_are_made_once(opened, kind, monkeypatch):
     again = rows(opened, kind, 5)
     assert [(a.said, a.ends, a.whole) for a in made] == [(b.said, b.ends, b.whole) for b in again]
     assert all(np.array_equal(a.features, b.features) for a, b in zip(made, again, strict=True))
+
+
+def test_what_was_half_written_is_made_anew(opened, monkeypatch):
+    def full(file, **arrays):
+        file.write(b"half")
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(compositions.np, "savez", full)
+        with pytest.raises(MovesetError, match="No space left"):
+            rows(opened, "bodies", 7)
+    assert rows(opened, "bodies", 7)

@@ -17,6 +17,7 @@ from moveset.data.compose import plan_bodies, plan_continuations
 from moveset.data.corpus import Corpus, compose
 from moveset.data.records import Recipe
 from moveset.data.splits import Split
+from moveset.io.limits import atomic_write
 from moveset.motion.clip import Motion
 from moveset.motion.features import FeatureCodec
 from moveset.training.clips import FeatureStore
@@ -56,7 +57,8 @@ def composed_rows(
             table.append([frames, [recipe.seam, frames] if len(said) == 2 else [frames], said])
         features = np.concatenate(made) if made else np.zeros((0, codec.dim), np.float16)
         path.parent.mkdir(parents=True, exist_ok=True)
-        np.savez(path, features=features, table=np.array(json.dumps(table)))
+        with atomic_write(path) as file:
+            np.savez(file, features=features, table=np.array(json.dumps(table)))
     with np.load(path) as stored:
         features, table = stored["features"], json.loads(str(stored["table"]))
     rows, start = [], 0
