@@ -1,7 +1,6 @@
 """Recurrent models and what they are compared with, trained for a few steps on motions from formulas."""
 
 import json
-import shutil
 import subprocess
 import sys
 import typing
@@ -17,13 +16,11 @@ from moveset.errors import InputError
 from moveset.models.registry import build_model, parse_config
 from moveset.rdm.grid import GridConfig
 from moveset.recipes import paper, small, tiny
-from moveset.training import checkpoint, frozen, rdm_student
-from moveset.training.engine import run
+from moveset.training import checkpoint, frozen
 from moveset.training.rdm import RDMConfig, RDMTask, feature_weights
-from moveset.training.rdm_student import RDMStudentConfig
-from moveset.training.tasks import TASKS, Sources, task_maker, with_settings
+from moveset.training.tasks import TASKS, with_settings
 from tests.training.hml_folder import write_folder
-from tests.training.segment_corpus import use_words, write_corpus
+from tests.training.recurrent import corpus_folder, teacher, trained
 
 VARIANTS = (
     "rdm-1", "rdm-4", "rdm-7", "rdm-14", "light-rdm-1", "md-4", "md-7", "motiondiffuse", "dip", "rdm-student",
@@ -35,51 +32,14 @@ LITERAL = (
 
 
 @pytest.fixture(scope="module")
-def patched():
-    with pytest.MonkeyPatch.context() as patch:
-        use_words(patch)
-        yield patch
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory, patched):
-    made = tmp_path_factory.mktemp("runs")
-    write_corpus(made)
-    return made
-
-
-def sources(folder, corpus=None):
-    return Sources(
-        corpus=corpus or folder / "corpus.safetensors", vae=folder / "vae", teacher=folder / "rdm-7",
-        cache=folder / ("cache" if corpus is None else corpus.name),
-    )  # fmt: skip
-
-
-def trained(folder, what, into, *settings, corpus=None, resume=False, **engine):
-    """A tiny training and the task it trained."""
-    recipe, made = tiny.TRAINING[what](), []
-    maker = task_maker(what, with_settings(recipe.task, settings), sources(folder, corpus))
-
-    def make(loop):
-        made.append(maker(loop))
-        return made[0]
-
-    given = {"steps": 3, "save_every": 100, "validate_every": 0, **engine}
-    result = run(make, replace(recipe.engine, **given), into, resume)
-    return made[0], result
+def folder(tmp_path_factory):
+    with corpus_folder(tmp_path_factory) as made:
+        yield made
 
 
 @pytest.fixture(scope="module")
 def rdm7(folder):
-    return trained(folder, "rdm-7", folder / "rdm-7", steps=4, validate_every=4)
-
-
-def tensors(task):
-    return {
-        f"{name}.{key}": value.clone()
-        for name, module in {**task.modules(), **task.averages()}.items()
-        for key, value in module.state_dict().items()
-    }
+    return teacher(folder)
 
 
 def test_every_variant_has_a_recipe_and_a_place_on_the_command_line():
@@ -166,68 +126,6 @@ def test_every_kind_of_training_learns_and_can_be_loaded(what, folder, rdm7, tmp
     trained_now = task.modules()[name].state_dict()
     assert any(not torch.equal(value, trained_now[key]) for key, value in loaded.module.state_dict().items())
     assert build_model(loaded.kind, loaded.config).config == parse_config(loaded.kind, loaded.config)
-
-
-def test_a_students_discriminator_may_be_shown_the_text_of_others(folder, rdm7, tmp_path, monkeypatch):
-    asked, hinge = [], rdm_student.hinge_discriminator
-    monkeypatch.setattr(rdm_student, "hinge_discriminator", lambda *given: asked.append(given) or hinge(*given))
-    settings = ("mismatched=0.5", "sampled_share=1.0", "judged_span=0.0")
-    trained(folder, "rdm-student", tmp_path / "run", *settings)
-    log = [json.loads(line) for line in (tmp_path / "run" / "metrics.jsonl").read_text().splitlines()]
-    assert all("misread_logit" in line for line in log)
-    for real, _, misread, share in asked:
-        assert share == 0.5
-        assert real.shape == misread.shape
-        assert not torch.equal(real, misread)
-    trained(folder, "rdm-student", tmp_path / "plain")
-    assert all(misread is None for _, _, misread, _ in asked[3:])
-    with pytest.raises(InputError, match="mismatched text = 2"):
-        RDMStudentConfig(mismatched=2.0)
-
-
-@pytest.mark.parametrize("phases", [1, 2])
-def test_a_student_that_is_told_its_own_past_resumes_exactly(phases, folder, rdm7, tmp_path):
-    settings = ("own_past=0.5", "sampled_share=0.5", f"phases={phases}")
-    whole, _ = trained(folder, "rdm-student", tmp_path / "whole", *settings, steps=6, save_every=3)
-    shutil.copytree(tmp_path / "whole" / "step_3", tmp_path / "half" / "step_3")
-    half, _ = trained(folder, "rdm-student", tmp_path / "half", *settings, steps=6, resume=True)
-    one, other = tensors(whole), tensors(half)
-    assert all(torch.equal(one[name], other[name]) for name in one)
-    assert all(torch.equal(whole.state()[name], half.state()[name]) for name in ("previous", "landed", "phase"))
-
-
-def test_streams_are_judged_without_their_past(folder, rdm7, tmp_path, monkeypatch):
-    judged, features = [], rdm_student._Bound.features
-    monkeypatch.setattr(
-        rdm_student._Bound, "features", lambda self, *given: judged.append(self.batch.index) or features(self, *given)
-    )
-    task, _ = trained(folder, "rdm-student", tmp_path / "run", "own_past=0.5", "cutting.first_share=0", steps=4)
-    assert len(judged) == 2 * 4  # what was made, and takes
-    assert all((index[task.own.rows] == 0).all() for index in judged)
-    takes = [row for row in range(task.config.batch) if row not in task.own.rows.tolist()]
-    assert any((index[takes] > 0).any() for index in judged)
-    assert (task.own.state()["index"] > 0).all()
-
-
-def test_lower_phases_meet_what_the_student_landed_at(folder, rdm7, tmp_path, monkeypatch):
-    met, target = [], rdm_student.clean_target
-    monkeypatch.setattr(
-        rdm_student, "clean_target", lambda *given: met.append((given[-2], given[-3])) or target(*given)
-    )
-    landed, land = [], rdm_student._Bound.land
-    monkeypatch.setattr(rdm_student._Bound, "land", lambda *given: landed.append(land(*given)) or landed[-1])
-    task, _ = trained(folder, "rdm-student", tmp_path / "run", "own_past=0.5", "phases=2", "rehearsed=99", steps=4)
-    first, second = task.own.rows.tolist()
-    assert [point_B[[first, second]].tolist() for point_B, _ in met] == [[9, 4], [4, 9]] * 2
-    for step, (goes_on, begins) in zip((1, 2, 3), ((first, second), (second, first)) * 2, strict=False):
-        assert torch.equal(met[step][1][goes_on], landed[step - 1][goes_on])
-        assert not torch.equal(met[step][1][begins], landed[step - 1][begins])
-
-
-@pytest.mark.parametrize("wrong", [1.5, -0.1])
-def test_a_share_of_own_pasts_is_a_share(wrong):
-    with pytest.raises(InputError, match="own_past"):
-        RDMStudentConfig(own_past=wrong)
 
 
 def test_a_course_is_learned_from_a_bent_past(folder, tmp_path):

@@ -93,9 +93,9 @@ class OwnPast:
             old.landed,
             [new if end else kept for end, new, kept in new_captions],
         )
-        rows, captions = self.rows.to(to), list(batch.captions)
+        rows, captions, before = self.rows.to(to), list(batch.captions), list(batch.previous_captions)
         for row, caption in zip(self.rows.tolist(), now.captions, strict=True):
-            captions[row] = caption
+            captions[row] = before[row] = caption
         told = replace(
             batch,
             clean=batch.clean.index_copy(0, rows, now.clean),
@@ -103,6 +103,7 @@ class OwnPast:
             previous=batch.previous.index_copy(0, rows, now.previous),
             index=batch.index.index_copy(0, rows, now.index),
             captions=captions,
+            previous_captions=before,
         )
         return told, w_B.index_copy(0, rows, now.w)
 

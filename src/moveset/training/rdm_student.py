@@ -38,6 +38,8 @@ from moveset.training.reading import Disturbance
 from moveset.training.segments import CuttingConfig, SegmentBatch
 from moveset.training.tasks import Sources
 
+NEARER = 0.75
+"""Share of the level at which the teacher is asked that a noisy past is told at."""
 _Call = Callable[[Tensor, Tensor, Tensor], Tensor]
 
 
@@ -58,6 +60,8 @@ class RDMStudentConfig:
         rehearsed: rows of a batch that are, besides, asked at the top of a phase for what all of the teacher's steps
             come to (``rdm.distillation.whole_target``).
         heading, bent: as in the teacher's training (``RDMConfig``); the teacher is told the bent past too.
+        noisy_past: tell the teacher the segment before at a level somewhat below the one it is asked at, as most of its
+            training did, instead of finished; the student is told a finished one, as in use.
         own_past: share of a batch's rows that are told what the student made itself (``training.own_past``). They are
             asked at the top of each phase in turn, and judged without their past: not whether a segment goes on as
             takes do, but whether it shows what is said as takes do.
@@ -83,6 +87,7 @@ class RDMStudentConfig:
     rehearsed: int = 0
     heading: float = 0.0
     bent: float = 0.0
+    noisy_past: bool = False
     own_past: float = 0.0
     text_encoder: str = "minilm"
     cutting: CuttingConfig = field(default_factory=CuttingConfig)
@@ -164,13 +169,15 @@ class RDMStudentTask(Task):
             bent = bend(batch.previous, batch.index, config.bent, self.data.codec, self.normalizer, self.draws)
             batch = replace(batch, previous=bent)
         shares = (config.sampled_share, config.judged_span)
-        draws = self._coloured(draw(self.grid, batch.clean, config.guidance, self.draws, *shares, self.own.place))
+        draws = draw(self.grid, batch.clean, config.guidance, self.draws, *shares, self.own.place)
+        past_noise = self._past_noise(draws.noise_BND)
+        draws = self._coloured(draws)
         if config.own_past:
             batch, w_B = self.own.tell(batch, draws.w_B, self.draws)
             draws = replace(draws, w_B=w_B)
         # The student reads a roughened sentence and should say what is said to the sentence as it is.
         rough, text = self.data.read(batch.captions, self.draws), self.data.read(batch.captions)
-        bound = _Bound(batch, text, self.data.read([""] * config.batch), self.transport, self.teacher)
+        bound = self._bound(batch, text, past_noise)
         t_B, edge_B = self.grid.time(draws.point_B), self.grid.lower(draws.point_B)
         z = self.own.enter(add_noise(SCHEDULE, bound.pull(batch.clean), draws.noise_BND, t_B))
         target, share_B = clean_target(
@@ -185,7 +192,7 @@ class RDMStudentTask(Task):
             loss = loss + config.heading * (turn_B * share_B).mean()
             report["heading"] = turn_B.mean().detach()
         if config.rehearsed:
-            rehearsal = self._rehearse(batch, draws, z)
+            rehearsal = self._rehearse(batch, draws, z, past_noise)
             loss = loss + rehearsal
             report["rehearsal"] = rehearsal.detach()
         if config.adversarial:
@@ -198,13 +205,13 @@ class RDMStudentTask(Task):
         self.ema.update(self.student)
         return report | {"loss": loss.detach()}
 
-    def _rehearse(self, batch: SegmentBatch, draws: Draws, z: Tensor) -> Tensor:
+    def _rehearse(self, batch: SegmentBatch, draws: Draws, z: Tensor, past_noise: Tensor | None) -> Tensor:
         """Distance to the teacher's whole way down a phase, for the first rows of a batch; streams from theirs."""
         batch = batch.rows(self.config.rehearsed)
         count = len(batch.index)
         running_B = self.alone[:count]
         text, w_B = self.data.read(batch.captions), draws.w_B[:count]
-        bound = _Bound(batch, text, self.data.read([""] * count), self.transport, self.teacher)
+        bound = self._bound(batch, text, None if past_noise is None else past_noise[:count])
         phase_B = torch.randint(self.config.phases, (count,), generator=self.draws).to(w_B.device)
         point_B = torch.where(running_B, draws.point_B[:count], self.grid.highest_of(phase_B))
         noisy = add_noise(SCHEDULE, bound.pull(batch.clean), draws.noise_BND[:count], self.grid.time(point_B))
@@ -223,8 +230,8 @@ class RDMStudentTask(Task):
         """Mean squared distance to the teacher's 25 guided steps from the same noise, on captions of val."""
         batch = self.data.val.batch(64, 0, 0).to(loop.device)
         text, w = self.data.read(batch.captions), torch.full((64,), sum(self.config.guidance) / 2).to(loop.device)
-        bound = _Bound(batch, text, self.data.read([""] * 64), self.transport, self.teacher)
         noise = torch.randn(batch.clean.shape, generator=torch.Generator().manual_seed(0)).to(loop.device)
+        bound = self._bound(batch, text, self._past_noise(noise))
         noise = self.teacher.colour(noise)
         if self._reference is None:
             self._reference = bound.sample(bound.guided, noise, levels(25), w)
@@ -237,6 +244,21 @@ class RDMStudentTask(Task):
                 ((made - self._reference).square() * valid).sum() / valid.sum() / made.shape[-1]
             )
         return report | {"teacher_std": float(self._reference.std()), "student_std": float(made.std())}
+
+    def _past_noise(self, white_BnD: Tensor) -> Tensor | None:
+        """Noise of the past that a segment's own noise decides: the teacher's way down has to be a function of it.
+
+        The features' noises change places, so that to the teacher the two look independent, as in its training.
+        """
+        if not self.config.noisy_past:
+            return None
+        noise: Tensor = self.teacher.colour(white_BnD.roll(white_BnD.shape[-1] // 2, dims=-1))
+        return noise
+
+    def _bound(self, batch: SegmentBatch, text: TextEmbedding, past_noise: Tensor | None) -> "_Bound":
+        empty = self.data.read([""] * len(batch.index))
+        past = None if past_noise is None else (past_noise, self.data.pooled(batch.previous_captions))
+        return _Bound(batch, text, empty, self.transport, self.teacher, past)
 
     def _coloured(self, draws: Draws) -> Draws:
         noises = ("noise_BND", "fake_noise_BND", "real_noise_BND")
@@ -275,12 +297,19 @@ class RDMStudentTask(Task):
 
 
 class _Bound:
-    """Networks and flow with a batch's text, previous segments and indices bound; the previous segment is clean."""
+    """Networks and flow with a batch's text, previous segments and indices bound.
+
+    Args:
+        past: noise (B, n, D) of the previous segments as the guided teacher is told them, and their sentence
+            embeddings (B, C); None tells it finished ones, as the student.
+    """
 
     def __init__(
-        self, batch: SegmentBatch, text: TextEmbedding, empty: TextEmbedding, transport: Transport, teacher: nn.Module
-    ) -> None:
+        self, batch: SegmentBatch, text: TextEmbedding, empty: TextEmbedding, transport: Transport, teacher: nn.Module,
+        past: tuple[Tensor, Tensor] | None = None,
+    ) -> None:  # fmt: skip
         self.batch, self.text, self.empty, self.transport, self.teacher = batch, text, empty, transport, teacher
+        self.past = past
         self.both = stack([text, empty])
         self.clean_level = torch.zeros_like(batch.index)
 
@@ -305,12 +334,22 @@ class _Bound:
     def guided(self, x: Tensor, t_B: Tensor, w_B: Tensor) -> Tensor:
         """The teacher's clean segment under classifier-free guidance, by one batch of both."""
         b = self.batch
-        told = (b.previous.repeat(2, 1, 1), self.clean_level.repeat(2), b.index.repeat(2))
+        previous, level_B = self._told(t_B)
+        told = (previous.repeat(2, 1, 1), level_B.repeat(2), b.index.repeat(2))
         made = self.teacher(
             x.repeat(2, 1, 1), t_B.repeat(2), *told, self.both.tokens, self.both.mask, None, b.valid.repeat(2, 1)
         )
         told, untold = made.float().chunk(2)
         return cfg(told, untold, w_B)
+
+    def _told(self, t_B: Tensor) -> tuple[Tensor, Tensor]:
+        """The previous segments as the teacher is told them when it is asked at these levels, and their levels."""
+        if self.past is None:
+            return self.batch.previous, self.clean_level
+        noise, pooled = self.past
+        level_B, before_B = (NEARER * t_B).long(), (self.batch.index - 1).clamp_min(0)
+        y = add_noise(SCHEDULE, self.transport.pull(self.batch.previous, before_B, pooled), noise, level_B)
+        return self.transport.push(y, before_B, pooled), level_B
 
     def by(self, network: nn.Module, text: TextEmbedding | None = None) -> _Call:
         """A student, told another reading of the captions if given one."""

@@ -1,0 +1,110 @@
+"""Students of a recurrent model: what they, their teacher and their discriminator are told."""
+
+import json
+import shutil
+
+import pytest
+import torch
+
+from moveset.errors import InputError
+from moveset.training import rdm_student
+from moveset.training.rdm_student import RDMStudentConfig
+from tests.training.recurrent import corpus_folder, teacher, tensors, trained
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    with corpus_folder(tmp_path_factory) as made:
+        yield made
+
+
+@pytest.fixture(scope="module")
+def rdm7(folder):
+    return teacher(folder)
+
+
+def test_a_students_discriminator_may_be_shown_the_text_of_others(folder, rdm7, tmp_path, monkeypatch):
+    asked, hinge = [], rdm_student.hinge_discriminator
+    monkeypatch.setattr(rdm_student, "hinge_discriminator", lambda *given: asked.append(given) or hinge(*given))
+    settings = ("mismatched=0.5", "sampled_share=1.0", "judged_span=0.0")
+    trained(folder, "rdm-student", tmp_path / "run", *settings)
+    log = [json.loads(line) for line in (tmp_path / "run" / "metrics.jsonl").read_text().splitlines()]
+    assert all("misread_logit" in line for line in log)
+    for real, _, misread, share in asked:
+        assert share == 0.5
+        assert real.shape == misread.shape
+        assert not torch.equal(real, misread)
+    trained(folder, "rdm-student", tmp_path / "plain")
+    assert all(misread is None for _, _, misread, _ in asked[3:])
+    with pytest.raises(InputError, match="mismatched text = 2"):
+        RDMStudentConfig(mismatched=2.0)
+
+
+@pytest.mark.parametrize("phases", [1, 2])
+def test_a_student_that_is_told_its_own_past_resumes_exactly(phases, folder, rdm7, tmp_path):
+    settings = ("own_past=0.5", "sampled_share=0.5", f"phases={phases}")
+    whole, _ = trained(folder, "rdm-student", tmp_path / "whole", *settings, steps=6, save_every=3)
+    shutil.copytree(tmp_path / "whole" / "step_3", tmp_path / "half" / "step_3")
+    half, _ = trained(folder, "rdm-student", tmp_path / "half", *settings, steps=6, resume=True)
+    one, other = tensors(whole), tensors(half)
+    assert all(torch.equal(one[name], other[name]) for name in one)
+    assert all(torch.equal(whole.state()[name], half.state()[name]) for name in ("previous", "landed", "phase"))
+
+
+def test_streams_are_judged_without_their_past(folder, rdm7, tmp_path, monkeypatch):
+    judged, features = [], rdm_student._Bound.features
+    monkeypatch.setattr(
+        rdm_student._Bound, "features", lambda self, *given: judged.append(self.batch.index) or features(self, *given)
+    )
+    task, _ = trained(folder, "rdm-student", tmp_path / "run", "own_past=0.5", "cutting.first_share=0", steps=4)
+    assert len(judged) == 2 * 4  # what was made, and takes
+    assert all((index[task.own.rows] == 0).all() for index in judged)
+    takes = [row for row in range(task.config.batch) if row not in task.own.rows.tolist()]
+    assert any((index[takes] > 0).any() for index in judged)
+    assert (task.own.state()["index"] > 0).all()
+
+
+def test_a_teacher_may_be_told_a_noisy_past(folder, rdm7, tmp_path, monkeypatch):
+    told, tell = [], rdm_student._Bound._told
+    monkeypatch.setattr(rdm_student._Bound, "_told", lambda *given: told.append((given, tell(*given))) or told[-1][1])
+    trained(
+        folder,
+        "rdm-student",
+        tmp_path / "run",
+        "noisy_past=true",
+        "rehearsed=2",
+        "own_past=0.5",
+        "cutting.first_share=0",
+    )
+    for (bound, t_B), (previous, level_B) in told:
+        assert torch.equal(level_B, (0.75 * t_B).long())
+        assert not torch.equal(previous, bound.batch.previous)
+        # The same noise at every level: the way down is a function of where it begins.
+        torch.testing.assert_close(tell(bound, t_B)[0], previous)
+        clean, level_B = tell(bound, torch.zeros_like(t_B))
+        torch.testing.assert_close(clean, bound.batch.previous, atol=1e-4, rtol=0)
+        assert not level_B.any()
+    told.clear()
+    trained(folder, "rdm-student", tmp_path / "plain")
+    assert all(previous is given[0].batch.previous and not level_B.any() for given, (previous, level_B) in told)
+
+
+def test_lower_phases_meet_what_the_student_landed_at(folder, rdm7, tmp_path, monkeypatch):
+    met, target = [], rdm_student.clean_target
+    monkeypatch.setattr(
+        rdm_student, "clean_target", lambda *given: met.append((given[-2], given[-3])) or target(*given)
+    )
+    landed, land = [], rdm_student._Bound.land
+    monkeypatch.setattr(rdm_student._Bound, "land", lambda *given: landed.append(land(*given)) or landed[-1])
+    task, _ = trained(folder, "rdm-student", tmp_path / "run", "own_past=0.5", "phases=2", "rehearsed=99", steps=4)
+    first, second = task.own.rows.tolist()
+    assert [point_B[[first, second]].tolist() for point_B, _ in met] == [[9, 4], [4, 9]] * 2
+    for step, (goes_on, begins) in zip((1, 2, 3), ((first, second), (second, first)) * 2, strict=False):
+        assert torch.equal(met[step][1][goes_on], landed[step - 1][goes_on])
+        assert not torch.equal(met[step][1][begins], landed[step - 1][begins])
+
+
+@pytest.mark.parametrize("wrong", [1.5, -0.1])
+def test_a_share_of_own_pasts_is_a_share(wrong):
+    with pytest.raises(InputError, match="own_past"):
+        RDMStudentConfig(own_past=wrong)
