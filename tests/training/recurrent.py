@@ -1,24 +1,10 @@
-"""Tiny trainings of recurrent models: the corpus they share, and RDM-7, which students learn from."""
+"""Tiny trainings of recurrent models; the folder they share is a fixture (``conftest``)."""
 
-from contextlib import contextmanager
 from dataclasses import replace
-
-import pytest
 
 from moveset.recipes import tiny
 from moveset.training.engine import run
 from moveset.training.tasks import Sources, task_maker, with_settings
-from tests.training.segment_corpus import use_words, write_corpus
-
-
-@contextmanager
-def corpus_folder(factory):
-    """A folder with a corpus, in whose trainings words stand for sentences."""
-    with pytest.MonkeyPatch.context() as patch:
-        use_words(patch)
-        made = factory.mktemp("runs")
-        write_corpus(made)
-        yield made
 
 
 def sources(folder, corpus=None):
@@ -40,11 +26,6 @@ def trained(folder, what, into, *settings, corpus=None, resume=False, **engine):
     given = {"steps": 3, "save_every": 100, "validate_every": 0, **engine}
     result = run(make, replace(recipe.engine, **given), into, resume)
     return made[0], result
-
-
-def teacher(folder):
-    """RDM-7, in its place in the folder."""
-    return trained(folder, "rdm-7", folder / "rdm-7", steps=4, validate_every=4)
 
 
 def tensors(task):

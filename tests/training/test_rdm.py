@@ -20,7 +20,7 @@ from moveset.training import checkpoint, frozen
 from moveset.training.rdm import RDMConfig, RDMTask, feature_weights
 from moveset.training.tasks import TASKS, with_settings
 from tests.training.hml_folder import write_folder
-from tests.training.recurrent import corpus_folder, teacher, trained
+from tests.training.recurrent import trained
 
 VARIANTS = (
     "rdm-1", "rdm-4", "rdm-7", "rdm-14", "light-rdm-1", "md-4", "md-7", "motiondiffuse", "dip", "rdm-student",
@@ -29,17 +29,6 @@ LITERAL = (
     "grid.anchor=first", "grid.share_noise=true", "grid.condition=previous", "depth_cap=6", "model.max_index=6",
     "flow.max_index=6", "flow.bound=hardtanh",
 )  # fmt: skip
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    with corpus_folder(tmp_path_factory) as made:
-        yield made
-
-
-@pytest.fixture(scope="module")
-def rdm7(folder):
-    return teacher(folder)
 
 
 def test_every_variant_has_a_recipe_and_a_place_on_the_command_line():

@@ -9,18 +9,7 @@ import torch
 from moveset.errors import InputError
 from moveset.training import rdm_student
 from moveset.training.rdm_student import RDMStudentConfig
-from tests.training.recurrent import corpus_folder, teacher, tensors, trained
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    with corpus_folder(tmp_path_factory) as made:
-        yield made
-
-
-@pytest.fixture(scope="module")
-def rdm7(folder):
-    return teacher(folder)
+from tests.training.recurrent import tensors, trained
 
 
 def test_a_students_discriminator_may_be_shown_the_text_of_others(folder, rdm7, tmp_path, monkeypatch):

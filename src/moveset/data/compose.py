@@ -7,6 +7,7 @@ import random
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from itertools import cycle, islice
 from typing import Literal
 
 import torch
@@ -228,15 +229,13 @@ def plan_bodies(corpus: Corpus, split: Split, count: int, seed: int = 0) -> list
     ]
     chance = random.Random(f"bodies of {split}, seed {seed}")
     made: dict[Recipe, tuple[str, str]] = {}
-    for _ in range(count):
-        for pair in pairs:
-            for _ in range(6):
-                planned = _layered(pool, *pair, chance)
-                if planned is not None and planned[1] not in made:
-                    made[planned[1]] = pair
-                    break
-            if len(made) == count:
-                return [(contents, recipe) for recipe, contents in made.items()]
+    for pair in islice(cycle(pairs), count * len(pairs)):
+        if len(made) == count:
+            break
+        tries = (_layered(pool, *pair, chance) for _ in range(6))
+        new = next((planned[1] for planned in tries if planned is not None and planned[1] not in made), None)
+        if new is not None:
+            made[new] = pair
     return [(contents, recipe) for recipe, contents in made.items()]
 
 
@@ -258,10 +257,9 @@ def _body(pool: _Pool, chance: random.Random) -> _Made | None:
 
 
 def _layered(pool: _Pool, arms_do: str, legs_do: str, chance: random.Random) -> _Made | None:
-    contents = (arms_do, legs_do)
-    lower = pool.pick(contents[1], None, chance)
-    upper = pool.pick(contents[0], lower.record.style if chance.random() < 0.5 else None, chance)
-    whole = "turn" in contents[1]
+    lower = pool.pick(legs_do, None, chance)
+    upper = pool.pick(arms_do, lower.record.style if chance.random() < 0.5 else None, chance)
+    whole = "turn" in legs_do
     # The arms keep their whole action where it fits; the legs give as many frames, sped up or slowed down by up to 1.3.
     wanted = round(min(upper.record.frames, MAX_FRAMES) / chance.uniform(0.85, 1.25))
     frames = lower.record.frames if whole else min(wanted, lower.record.frames, MAX_FRAMES)
@@ -270,6 +268,6 @@ def _layered(pool: _Pool, arms_do: str, legs_do: str, chance: random.Random) -> 
         return None
     # A wave may be cut short, a raised arm must come up: both keep their beginning.
     at = chance.randint(0, lower.record.frames - frames)
-    arms = _ARMS[contents[0]]
+    arms = _ARMS[arms_do]
     parts = (Part(upper.number, 0, taken, upper.mirrored), Part(lower.number, at, at + frames, lower.mirrored))
-    return "body", Recipe(parts, arms=arms), frames, contents, _common_style(upper, lower)
+    return "body", Recipe(parts, arms=arms), frames, (arms_do, legs_do), _common_style(upper, lower)

@@ -128,11 +128,11 @@ class HumanML3D:
             layout = _layout_of(folder, min(present))
         splits = {}
         for split in ("train", "val", "test"):
-            listed = _lines(folder / f"{split}.txt")
-            splits[split] = tuple(dict.fromkeys(n for n in listed if n in present))
+            listed = dict.fromkeys(_lines(folder / f"{split}.txt"))
+            splits[split] = tuple(name for name in listed if name in present)
             if listed and not splits[split]:
                 raise InputError(f"none of the {len(listed)} motions of {folder}/{split}.txt is in new_joint_vecs")
-            lost = [name for name in dict.fromkeys(listed) if name not in present]
+            lost = [name for name in listed if name not in present]
             if lost:
                 warnings.warn(
                     f"{len(lost)} of the motions that {folder}/{split}.txt names are not in new_joint_vecs and are "

@@ -309,7 +309,12 @@ class _Bound:
         past: tuple[Tensor, Tensor] | None = None,
     ) -> None:  # fmt: skip
         self.batch, self.text, self.empty, self.transport, self.teacher = batch, text, empty, transport, teacher
-        self.past = past
+        self.past: tuple[Tensor, ...] | None = None
+        if past is not None:
+            noise, pooled = past
+            before_B = (batch.index - 1).clamp_min(0)
+            # Carried back once: the teacher is asked at many levels.
+            self.past = (transport.pull(batch.previous, before_B, pooled), noise, before_B, pooled)
         self.both = stack([text, empty])
         self.clean_level = torch.zeros_like(batch.index)
 
@@ -346,10 +351,9 @@ class _Bound:
         """The previous segments as the teacher is told them when it is asked at these levels, and their levels."""
         if self.past is None:
             return self.batch.previous, self.clean_level
-        noise, pooled = self.past
-        level_B, before_B = (NEARER * t_B).long(), (self.batch.index - 1).clamp_min(0)
-        y = add_noise(SCHEDULE, self.transport.pull(self.batch.previous, before_B, pooled), noise, level_B)
-        return self.transport.push(y, before_B, pooled), level_B
+        y, noise, before_B, pooled = self.past
+        level_B = (NEARER * t_B).long()
+        return self.transport.push(add_noise(SCHEDULE, y, noise, level_B), before_B, pooled), level_B
 
     def by(self, network: nn.Module, text: TextEmbedding | None = None) -> _Call:
         """A student, told another reading of the captions if given one."""

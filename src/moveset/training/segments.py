@@ -127,23 +127,24 @@ class ClipSet:
         weights = source.weights(clips, power=0.5, composed_share=cutting.composed_share)
         self.rows = [_row(source, clip, store) for clip in clips]
         self.weights = weights / weights.sum()
-        if cutting.continuations or cutting.bodies or cutting.stills:
+        added = {
+            "continuations": (cutting.continuations, cutting.continuation_share),
+            "bodies": (cutting.bodies, cutting.body_share),
+            "stills": (cutting.stills, cutting.still_share),
+        }
+        for kind, (count, share) in added.items():
+            if not count:
+                continue
             if not isinstance(source, CorpusClips):
                 raise InputError(
                     "only a corpus can be continued, composed by body part or stand still; train on a folder with "
                     "--set cutting.continuations=0 --set cutting.bodies=0 --set cutting.stills=0"
                 )
-            corpus = source.corpus
-        shares = {"continuations": cutting.continuation_share, "bodies": cutting.body_share}
-        for kind, share in shares.items():
-            count = getattr(cutting, kind)
-            if count:
-                count = count if split == "train" else count // 10
-                self._add(composed_rows(kind, corpus, split, store, codec, count, folder), share)
-        if cutting.stills:
-            count = cutting.stills if split == "train" else cutting.stills // 10
-            stills = make_stills(corpus, split, codec, store.normalizer, count)
-            self._add([Row(still.features, still.ends, still.said, ()) for still in stills], cutting.still_share)
+            count = count if split == "train" else count // 10
+            if kind == "stills":
+                self._add(make_stills(source.corpus, split, codec, store.normalizer, count), share)
+            else:
+                self._add(composed_rows(kind, source.corpus, split, store, codec, count, folder), share)
 
     def _add(self, rows: list[Row], share: float) -> None:
         """Rows that get this share of what is drawn, if there are any."""

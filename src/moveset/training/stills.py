@@ -6,7 +6,7 @@ do. Half of the clips are that, a quarter end in it after an action, and a quart
 """
 
 import random
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -22,6 +22,7 @@ from moveset.motion.features import FeatureCodec, Normalizer
 from moveset.motion.skeleton import HML22
 from moveset.training.clip_source import CorpusClips
 from moveset.training.clips import FeatureStore
+from moveset.training.compositions import Row
 
 SENTENCES = (
     "a person stands still", "a person stands", "a person is standing", "a person is standing still", "someone stands",
@@ -42,18 +43,9 @@ _BLEND = 12
 _WRISTS = [HML22.index(f"{side}_wrist") for side in ("left", "right")]
 
 
-@dataclass(frozen=True, eq=False)
-class Still:
-    """A clip: normalised features (F, D) in half precision, the parts' ends, and the sentences of each."""
-
-    features: np.ndarray
-    ends: tuple[int, ...]
-    said: tuple[tuple[str, ...], ...]
-
-
 def make_stills(
     corpus: Corpus, split: Split, codec: FeatureCodec, normalizer: Normalizer, count: int, seed: int = 0
-) -> list[Still]:
+) -> list[Row]:
     """So many clips of one split, none if nobody in it stands still; the same for the same seed."""
     chance = random.Random(f"stills of {split}, seed {seed}")
     takes = {k: corpus.motion(k) for k in corpus.indices(split, composed=False)}
@@ -85,7 +77,7 @@ def make_stills(
             seam = (len(other) if kind == "after" else frames) - _BLEND // 2
             ends = (seam, len(motion))
         features = normalizer.normalize(codec.encode(motion)).half().numpy()
-        made.append(Still(features, ends, said))
+        made.append(Row(features, ends, said, whole=()))
     return made
 
 
