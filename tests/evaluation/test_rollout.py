@@ -93,6 +93,14 @@ def test_models_are_told_the_timeline(items):
     assert "multimodality" not in found["metrics"]
 
 
+def test_too_few_windows_are_refused_before_anything_is_made(items):
+    painter = Painter()
+    session = Session(Protocol(split="rollout", group=1000), items, painter, Oracle(items))
+    with pytest.raises(InputError, match=r"windows of all rollouts: R-precision needs groups of 1000"):
+        run_rollout(session, 0)
+    assert not painter.asked
+
+
 @given(st.integers(0, 2**31), st.integers(40, 60), st.booleans())
 def test_windows_of_one_rollout_are_not_told_apart(seed, count, labelled):
     generator = torch.Generator().manual_seed(seed)

@@ -33,6 +33,8 @@ WINDOW = 196  # rows of features
 DRIFT_WINDOW = 5.0  # seconds
 SHARE = 0.2  # of a window, below which a sentence is not told of it
 
+Told = tuple[Caption | str, tuple[str, ...]]  # a sentence, or a caption with its tokens; and labels
+
 
 @dataclass(frozen=True, eq=False)
 class Rollout:
@@ -64,7 +66,7 @@ class Rollout:
         joints = join(clips).joints
         return joints, encoded(cut(joints), codec)
 
-    def said(self, start: int, stop: int) -> tuple[Caption | str, tuple[str, ...]]:
+    def said(self, start: int, stop: int) -> Told:
         """What is told of frames [start, stop): a sentence, or a caption with its tokens if it is one; and a label."""
         begin, held = 0, []
         for draw, count in zip(self.draws, self.frames, strict=True):
@@ -166,6 +168,7 @@ def run_rollout(session: Session, number: int, say: Say = lambda stage, done, co
     chosen = _chosen(session, number)
     wanted = [Wanted(one.parts, seed_of(protocol, number, one.name), one.draws[0]) for one in chosen]
     real = [one.real(codec) for one in chosen]
+    _groups(session, number, _told(chosen, [joints for joints, _ in real]))  # too few are refused before hours of work
     if isinstance(generator, Given):
         made, features = [joints for joints, _ in real], [x for _, found in real for x in found]
     else:
@@ -174,14 +177,11 @@ def run_rollout(session: Session, number: int, say: Say = lambda stage, done, co
     generated = time.perf_counter() - begun
 
     say("judging", 0, 1)
-    told = [one.said(start, start + WINDOW) for one, joints in zip(chosen, made, strict=True)
-            for start in starts(len(joints))]  # fmt: skip
+    told = _told(chosen, made)
     motion = session.evaluator.embed_motions(features)
     text = session.evaluator.embed_texts([sentence for sentence, _ in told])
-    labels = [label for _, label in told] if session.items.labels else None
-    groups = metrics.group(labels, len(told), random_of(protocol, number, "groups"), protocol.group)
     of = [k for k, joints in enumerate(made) for _ in starts(len(joints))]
-    groups = apart(groups, labels or list(range(len(told))), of)
+    groups = apart(_groups(session, number, told), _labels(session, told) or list(range(len(told))), of)
     top = metrics.r_precision(text, motion, groups)
     judged = session.evaluator.embed_motions([x for _, found in real for x in found])
     found = {f"r{k}": float(rate) for k, rate in enumerate(top, start=1)}
@@ -220,6 +220,27 @@ def spread_change(motion_WE: Tensor, counts: Sequence[int]) -> float:
     of_rollouts = motion_WE.split(list(counts))
     first, last = (torch.stack([windows[k] for windows in of_rollouts]) for k in (0, -1))
     return float((last - last.mean(0)).norm(dim=-1).mean() / (first - first.mean(0)).norm(dim=-1).mean())
+
+
+def _told(chosen: Sequence[Rollout], clips: Sequence[Tensor]) -> list[Told]:
+    """What is said of every window of rollouts of which these are the joints (F, J, 3)."""
+    return [
+        one.said(start, start + WINDOW)
+        for one, joints in zip(chosen, clips, strict=True)
+        for start in starts(len(joints))
+    ]
+
+
+def _labels(session: Session, told: Sequence[Told]) -> list[tuple[str, ...]] | None:
+    return [label for _, label in told] if session.items.labels else None
+
+
+def _groups(session: Session, number: int, told: Sequence[Told]) -> list[list[int]]:
+    protocol = session.protocol
+    try:
+        return metrics.group(_labels(session, told), len(told), random_of(protocol, number, "groups"), protocol.group)
+    except InputError as error:
+        raise InputError(f"of the windows of all rollouts: {error}") from error
 
 
 def _chosen(session: Session, number: int) -> list[Rollout]:
