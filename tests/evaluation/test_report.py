@@ -270,15 +270,6 @@ def test_whoever_adds_rows_waits_for_the_other(tmp_path: Path):
     assert order == ["first", "second"]
 
 
-def test_rows_that_were_taken_from_elsewhere_are_named_and_say_so(tmp_path: Path):
-    old = {**RESULTS["teacher"], "source": "an older page", "generator_sha256": "0" * 64}
-    table = load_table(suite_folder(tmp_path, "motionpcm", {**RESULTS, "teacher": old}))
-    assert table.taken == {"an older page": ["Teacher, 50 guided steps"]}
-    assert not table.odd
-    said = "**Not measured with the rest, but taken from an older page:** Teacher, 50 guided steps."
-    assert said in markdown(table, [])
-
-
 def test_rows_that_other_code_made_and_todays_makes_alike_are_named(tmp_path: Path):
     kept = {**RESULTS["teacher"], "kept": {"repeats": 3}}
     folder = suite_folder(tmp_path, "motionpcm", {**RESULTS, "teacher": kept})

@@ -65,8 +65,6 @@ def confirm(results: Results, make: Make) -> str:
 
 def _other(there: Mapping[str, Any], now: Mapping[str, Any]) -> str:
     """What else than code differs, for people; "" if nothing does."""
-    if there.get("source"):
-        return "origin"
     # What is asked now comes from Python, what is there from JSON.
     now = json.loads(json.dumps(depends(now)))
     before = depends({name: there.get(name) for name in now})

@@ -74,8 +74,6 @@ def about(table: Table) -> str:
         lines.append(
             f"**Made or measured by other code than the rest, so evaluate these again:** {'; '.join(table.odd)}."
         )
-    for source, taken in table.taken.items():
-        lines.append(f"**Not measured with the rest, but taken from {source}:** {'; '.join(taken)}.")
     if kept := table.kept:
         rows = "All rows" if len(kept) == len(table.measured) else "; ".join(kept)
         lines.append(

@@ -48,7 +48,6 @@ class Measured:
         made: what made the motion, and the sha256 of its code; "" where a result does not say.
         feet: whether planted feet were held; None where nothing could be held.
         seconds: what an item took to generate, in batches, on average; None if nothing was generated.
-        source: where it was taken from, if it was not measured with the others; "" if it was.
         kept: whether other code made its repeats, and the first came out the same with today's (``confirm``).
     """
 
@@ -69,7 +68,6 @@ class Measured:
     made: tuple[str, str]
     seconds: float | None
     feet: bool | None = None
-    source: str = ""
     kept: bool = False
 
     @classmethod
@@ -99,7 +97,6 @@ class Measured:
                 made=(str(raw.get("generator", "")), str(raw["generator_sha256"])),
                 seconds=float(raw["seconds_per_item"]) if raw["weights_sha256"] else None,
                 feet=raw.get("settings", {}).get("foot_lock"),
-                source=str(raw.get("source", "")),
                 kept="kept" in raw,
             )
         except (KeyError, TypeError, ValueError, AttributeError, InputError) as error:
@@ -177,28 +174,15 @@ class Table:
 
     @property
     def odd(self) -> list[str]:
-        """Labels of the rows that were measured by other code than most, or made by other code than most of a kind.
-
-        Those that say that they were taken from elsewhere (``taken``) are not among them.
-        """
-        found = {key: row for key, row in self.measured.items() if not row.source}
-        measures = _usual(row.measures for row in found.values())
-        kinds = {row.made[0] for row in found.values()}
-        made = {kind: _usual(row.made for row in found.values() if row.made[0] == kind) for kind in kinds}
+        """Labels of the rows that were measured by other code than most, or made by other code than most of a kind."""
+        rows = self.measured.values()
+        measures = _usual(row.measures for row in rows)
+        made = {kind: _usual(row.made for row in rows if row.made[0] == kind) for kind in {row.made[0] for row in rows}}
         return [
             self.labels[key]
-            for key, row in found.items()
+            for key, row in self.measured.items()
             if row.measures != measures or not row.made[0] or row.made != made[row.made[0]]
         ]
-
-    @property
-    def taken(self) -> dict[str, list[str]]:
-        """Labels of the rows that were not measured with the others, by where they were taken from."""
-        found: dict[str, list[str]] = {}
-        for key, row in self.measured.items():
-            if row.source:
-                found.setdefault(row.source, []).append(self.labels[key])
-        return found
 
     @property
     def kept(self) -> list[str]:
