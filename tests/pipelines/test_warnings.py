@@ -40,6 +40,27 @@ def test_without_a_list_of_words_only_distance_counts():
     assert told("a man walks on stilts", pooled=NEAR, words=frozenset()) == []
 
 
+@pytest.mark.parametrize(
+    ("prompt", "named"),
+    [
+        ("a person throws a ball", "'throws a ball'"),
+        ("throwing the ball, kicks a punch", "'throwing the ball' or 'kicks a punch'"),
+        ("a person kicks his ball", ""),
+        ("throwing some punches", ""),
+        ("a person throws the ball up a tree", None),
+    ],
+)
+def test_known_words_that_no_caption_puts_together_are_told(prompt, named):
+    captions = ("a person throws a punch", "a man is kicking the ball")
+    words = frozenset({"throws", "punch", "kicking", "ball"})
+    found = told(prompt, pooled=NEAR, words=words, captions=captions)
+    said = f"this model knows the words of {named} but was never trained on that"
+    if named is None:  # a word that was in no caption says enough
+        said = "this model was never trained on the word 'tree' and guesses what it means"
+    said += f"; the nearest it knows is {captions[0]!r}"
+    assert found == ([said] if named != "" else [])
+
+
 def test_negation_and_figures_are_words_too():
     words = frozenset({"walk", "bow", "times", "step"})
     [one] = told("a person does not walk", pooled=NEAR, words=words)

@@ -45,6 +45,9 @@ def unfamiliar(bundle: ModelFolder[Any], prompts: tuple[str, ...], pooled: Tenso
             named = ", ".join(map(repr, words[:MOST_WORDS])) + (" …" if len(words) > MOST_WORDS else "")
             them, they = ("words", "they mean") if len(words) > 1 else ("word", "it means")
             out.append(f"this model was never trained on the {them} {named} and guesses what {they}; {nearest}")
+        elif pairs := known.unpaired(prompt):
+            named = " or ".join(map(repr, pairs))
+            out.append(f"this model knows the words of {named} but was never trained on that; {nearest}")
         if found := _SEVERAL.search(prompt):
             out.append(f"this model moves one person alone, not {found.group()!r}; {nearest}")
         if (count := len(split_stages(prompt))) > _STAGES and count > _most_stages(known):
