@@ -69,10 +69,9 @@ class KnownPrompts:
         """
         out = []
         for verb, words, said in objects_of(sentence):
-            forms = [found for word in (verb, *words) if (found := forms_of(word) & self._all_forms)]
-            if len(forms) <= len(words):
+            done, *held = (forms_of(word) & self._all_forms for word in (verb, *words))
+            if not (done and all(held)):
                 continue
-            done, *held = forms
             if not any(done & caption and any(form & caption for form in held) for caption in self._forms):
                 out.append(said)
         return tuple(dict.fromkeys(out))
