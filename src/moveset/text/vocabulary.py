@@ -112,7 +112,7 @@ def objects_of(sentence: str) -> list[tuple[str, tuple[str, ...], str]]:
 
 def forms_of(sentence: str) -> frozenset[str]:
     """Every stem that a word of a sentence may have, to be compared with another's."""
-    return _stems(frozenset(words_of(sentence)))
+    return frozenset().union(*map(_stems_of, words_of(sentence)))
 
 
 @lru_cache(maxsize=8)
@@ -120,7 +120,8 @@ def _stems(vocabulary: frozenset[str]) -> frozenset[str]:
     return frozenset(stem for word in vocabulary for stem in _stems_of(word.lower()))
 
 
-def _stems_of(word: str) -> set[str]:
+@lru_cache(maxsize=4096)
+def _stems_of(word: str) -> frozenset[str]:
     """What a word may be a form of, itself among them: "stopping" of "stop", "waving" of "wave"."""
     stems = {word}
     for suffix in _SUFFIXES:
@@ -132,4 +133,4 @@ def _stems_of(word: str) -> set[str]:
             stems.add(stem[:-1])
         if stem.endswith("i"):
             stems.add(stem[:-1] + "y")
-    return stems
+    return frozenset(stems)
