@@ -142,6 +142,8 @@ export class Live {
 
   /** A new sentence in its stages ("walks, then waves" has two), each with the frame from which it counts. */
   private steer(stages: Stage[]): void {
+    // What was made ahead for the sentence before is void from there: a busy server must not let it be played as the new.
+    this.take?.truncate(stages[0].takes_effect_at);
     const marks = stages.map((stage) => ({ text: stage.text, firstFrame: stage.takes_effect_at }));
     marks.forEach((mark) => this.mark(mark));
     const next = marks.find((mark) => mark.firstFrame > 0);
