@@ -6,6 +6,7 @@ from dataclasses import replace
 import pytest
 
 from moveset.errors import FormatError, InputError
+from moveset.evaluation import same_code
 from moveset.evaluation.confirm import confirm
 from moveset.evaluation.items import open_items
 from moveset.evaluation.job import Job, run
@@ -69,6 +70,8 @@ def test_what_comes_out_the_same_is_kept(items, tmp_path, there):
     for name in ("seconds", "seconds_per_item"):
         assert kept[name] == pytest.approx(there[name], abs=0.11)
     assert json.loads(results.path.read_text()) == kept
+    found = {"what": "Painter", "then": there["generator_sha256"], "now": kept["generator_sha256"], "by": results.name}
+    assert json.loads((tmp_path / "same-code.json").read_text()) == {"same": [found]}
     assert Measured.of(kept, "kept").kept
     assert not Measured.of(there, "there").kept
 
@@ -79,7 +82,11 @@ def test_the_code_that_made_them_is_remembered_however_often_it_changes(items, t
     results.finish()
     results, make = opened(items, tmp_path, newer("moveset.evaluation.paired"))
     confirm(results, only(make, {0}))
-    assert results.finish()["kept"]["generator_sha256"] == there["generator_sha256"]
+    last = results.finish()
+    assert last["kept"]["generator_sha256"] == there["generator_sha256"]
+    same = same_code.load(tmp_path)
+    assert same.of(("Painter", there["generator_sha256"])) == same.of(("Painter", last["generator_sha256"]))
+    assert same.of(("Painter", "0")) == ("Painter", "0")
 
 
 def test_a_folder_without_its_repeats_has_them_back(items, tmp_path, there):
@@ -123,6 +130,7 @@ def test_what_comes_out_otherwise_is_made_anew(items, tmp_path, there, change):
     for number in (1, 2):
         results.add(make(number))
     assert "kept" not in results.finish()
+    assert not (tmp_path / "same-code.json").exists()
 
 
 def test_what_is_not_only_of_other_code_is_made_anew(items, tmp_path, there):

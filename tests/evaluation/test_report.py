@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from moveset.errors import FormatError, InputError, MovesetError
+from moveset.evaluation import same_code
 from moveset.evaluation.columns import ALL, Column, places
 from moveset.evaluation.intervals import Interval
 from moveset.evaluation.latex import latex
@@ -166,6 +167,34 @@ def test_rows_that_other_code_made_or_measured_are_named(table: Table, tmp_path:
     # The code of real motion and that of a network differ, and may.
     other = {**RESULTS, "real": {**RESULTS["real"], "generator": "Real", "generator_sha256": "1"}}
     assert not load_table(suite_folder(tmp_path / "kinds", "motionpcm", other)).odd
+
+
+@pytest.mark.parametrize("changed", ["measures_sha256", "generator_sha256"])
+def test_code_that_gave_the_same_for_another_row_is_not_other(tmp_path: Path, changed: str):
+    def named(folder: str, then: str) -> tuple[list[str], list[str], str]:
+        old = {**RESULTS, "lcm-1": {**RESULTS["lcm-1"], changed: "0"}}
+        out = suite_folder(tmp_path / folder, "motionpcm", old)
+        now = RESULTS["pcm-1"]
+        between = {**now, changed: "1"}
+        # From one to the next, as code is confirmed time after time.
+        same_code.note(out, {**now, changed: then}, between, "pcm-1-test")
+        same_code.note(out, between, now, "pcm-1-test")
+        table = load_table(out)
+        return table.odd, table.trusted, markdown(table)
+
+    odd, trusted, text = named("same", "0")
+    assert (odd, trusted) == ([], ["LCM, 1 step"])
+    assert "gave the first repeat of another row the same to the bit: LCM, 1 step." in text
+    assert "by other code" not in text
+    odd, trusted, _ = named("another", "2")
+    assert (odd, trusted) == (["LCM, 1 step"], [])
+
+
+def test_a_damaged_list_of_code_is_named(tmp_path: Path):
+    out = suite_folder(tmp_path, "motionpcm", RESULTS)
+    (out / same_code.FILE).write_text('{"same": [{"what": "measures"}]}')
+    with pytest.raises(FormatError, match="does not list what code gives the same"):
+        load_table(out)
 
 
 def test_latex_compiles_by_the_look_of_it(table: Table):

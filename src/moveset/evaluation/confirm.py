@@ -3,7 +3,8 @@
 Repeats depend on the source of the modules that measure and that make the motion (``results``), so that a comment there
 would have every row of a paper's tables measured anew. What is random depends on (seed, repeat) alone; code that gives
 one repeat of hundreds of motions the same in every measure and every digit has not changed what is measured. A result
-says when its repeats were kept so, and which code made them.
+says when its repeats were kept so, and which code made them; ``same_code`` keeps what was found for rows that cannot be
+made again.
 """
 
 import json
@@ -11,6 +12,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from moveset.errors import FormatError
+from moveset.evaluation import same_code
 from moveset.evaluation.results import CODE, COUNTS, REMEDY, Results, depends
 from moveset.io.limits import read_limited
 from moveset.pipelines.verified_folder import json_object
@@ -60,6 +62,8 @@ def confirm(results: Results, make: Make) -> str:
         return f"{results.name}: the first repeat came out otherwise ({differ}), so every repeat is made"
     other_code = any(made[code] != results.head[code] for code in CODE)
     results.keep(kept, {"repeats": count, **made} if other_code else None)
+    for older in (made, there):
+        same_code.note(results.path.parent, older, results.head, results.name)
     return f"{results.name}: the first repeat came out the same to the bit, so all {count} are kept"
 
 

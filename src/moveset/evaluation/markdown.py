@@ -79,6 +79,11 @@ def about(table: Table) -> str:
         lines.append(
             f"Made by earlier code, of which the first repeat was made again and came out the same to the bit: {rows}."
         )
+    if trusted := table.trusted:
+        lines.append(
+            "Of other code than the most, which gave the first repeat of another row the same to the bit: "
+            f"{'; '.join(trusted)}."
+        )
     if rough:
         lines.append(f"Rows that cost much have fewer repeats; fewer than {ROUGH} make a rough interval.")
     return "\n\n".join(lines)

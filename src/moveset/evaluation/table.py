@@ -5,13 +5,14 @@
 
 import json
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
 
 from moveset.errors import FormatError, InputError
+from moveset.evaluation import same_code
 from moveset.evaluation.columns import Column, Place, places
 from moveset.evaluation.intervals import Interval
 from moveset.evaluation.repeat_pairs import RepeatPairs, Values, repeat_pairs
@@ -109,6 +110,7 @@ class Table:
 
     suite: Suite
     rows: tuple[RowResult[Measured], ...]
+    same: same_code.SameCode = field(default_factory=same_code.SameCode)
 
     @property
     def measured(self) -> dict[str, Measured]:
@@ -174,14 +176,28 @@ class Table:
 
     @property
     def odd(self) -> list[str]:
-        """Labels of the rows that were measured by other code than most, or made by other code than most of a kind."""
-        rows = self.measured.values()
-        measures = _usual(row.measures for row in rows)
-        made = {kind: _usual(row.made for row in rows if row.made[0] == kind) for kind in {row.made[0] for row in rows}}
+        """Labels of the rows that were measured by other code than most, or made by other code than most of a kind.
+
+        Code that was seen to give the same to the bit, be it on another row (``same_code``), is not other.
+        """
+        return self._unusual(self.same.of)
+
+    @property
+    def trusted(self) -> list[str]:
+        """Labels of the rows of other code than most that is not taken for other, because of another row."""
+        odd = self.odd
+        return [label for label in self._unusual(lambda code: code) if label not in odd]
+
+    def _unusual(self, name: Callable[[same_code.Code], same_code.Code]) -> list[str]:
+        """Labels of the rows whose code is not the most frequent of its kind, by these names of it."""
+        found = {key: (name((same_code.MEASURES, row.measures)), name(row.made)) for key, row in self.measured.items()}
+        measures = _usual(measuring for measuring, _ in found.values())
+        kinds = {made[0] for _, made in found.values()}
+        usual = {kind: _usual(made for _, made in found.values() if made[0] == kind) for kind in kinds}
         return [
             self.labels[key]
-            for key, row in self.measured.items()
-            if row.measures != measures or not row.made[0] or row.made != made[row.made[0]]
+            for key, (measuring, made) in found.items()
+            if measuring != measures or not made[0] or made != usual[made[0]]
         ]
 
     @property
@@ -320,7 +336,8 @@ def load_table(folder: Path) -> Table:
         suite = get_suite(raw["suite"])
     except (KeyError, TypeError, AttributeError, InputError) as error:
         raise FormatError(f"{index} is no list of rows: {error}; run `moveset evaluate --suite …` again") from error
-    return Table(suite, tuple(RowResult(row, _read(folder, file), missing) for row, file, missing in entries))
+    rows_read = tuple(RowResult(row, _read(folder, file), missing) for row, file, missing in entries)
+    return Table(suite, rows_read, same_code.load(folder))
 
 
 def _read(folder: Path, name: str | None) -> Measured | None:
