@@ -52,6 +52,14 @@ def test_batches_of_unlike_prompts_and_lengths(t2m):
 
 
 @pytest.mark.parametrize(
+    ("batch", "said"), [(0, "batch 0 is not at least 1"), ("1", "batch '1' is not a whole number")]
+)
+def test_a_batch_that_is_none_is_refused(t2m, batch, said):
+    with pytest.raises(InputError, match=said):
+        t2m(PROMPT, seconds=2.0, batch=batch)
+
+
+@pytest.mark.parametrize(
     ("given", "evaluations"),
     [
         ({"steps": 1}, 1),

@@ -24,7 +24,7 @@ from moveset.pcm.sampler import item_noise
 from moveset.pipelines.bundle import DEFAULT_MODEL, Bundle
 from moveset.pipelines.denoise import Denoise
 from moveset.pipelines.device import Stopwatch, pick_device
-from moveset.pipelines.request import Method, Request, check_method, check_request
+from moveset.pipelines.request import Method, Request, check_method, check_request, check_whole
 from moveset.pipelines.warnings import too_long, unfamiliar
 from moveset.text.encoder import TextEmbedding, TextEncoder, get_text_encoder, stack
 
@@ -164,6 +164,7 @@ class TextToMotion:
         ``between`` is called before every evaluation of a network, with the share of the work that is done; what it
         raises ends the work.
         """
+        check_whole("batch", batch)
         if batch < 1:
             raise InputError(f"batch {batch} is not at least 1; give 1 unless there is a GPU")
         rows = [slice(k, k + batch) for k in range(0, sum(len(r.prompts) for r in requests), batch)]
