@@ -193,7 +193,14 @@ def test_real_motion_is_itself(items):
 
 
 @pytest.mark.parametrize(
-    ("network", "options"), [("pcm-1", {}), ("rdm", {}), ("rdm", {"lag": 6, "start": 6}), ("md", {})]
+    ("network", "options"),
+    [
+        ("pcm-1", {}),
+        ("rdm", {}),
+        ("rdm", {"lag": 6, "start": 6}),
+        ("rdm", {"lag": 6, "start": 6, "past_lag": 1}),
+        ("md", {}),
+    ],
 )
 def test_streams_in_batches_are_those_of_users(streams, network, options):
     """Noise is keyed and rows do not see each other, so a batch only differs in the last bits."""

@@ -95,6 +95,7 @@ def test_the_same_networks_give_the_same_bytes(folder, tmp_path):
         ({"points": 1}, "student of more steps than the 1 points"),
         ({"start": 11}, "start 11"),
         ({"lag": 0}, "lag 0"),
+        ({"past_lag": 11}, "past_lag 11"),
         ({"eta": float("nan")}, "eta nan"),
         ({"fps": 0.0}, "frame rate"),
         ({"symmetric": ("rdm",)}, "'rdm' is no guided network"),

@@ -42,6 +42,8 @@ def differ(one, two):
         {"network": "md", "steps": 3, "guidance": 2.0},
         {"network": "md", "steps": 2, "guidance": 0.0},
         {"network": "md", "steps": 3, "eta": 0.7},
+        {"network": "rdm", "steps": 4, "start": 4, "lag": 4, "past_lag": 1, "guidance": 2.0},
+        {"network": "rdm", "steps": 4, "start": 4, "lag": 4, "past_lag": 3, "guidance": 0.0},
     ],
     ids=str,
 )

@@ -73,12 +73,27 @@ def stored(trained: Path, run: str, name: str) -> dict[str, torch.Tensor]:
 def test_the_folder_holds_the_averaged_networks_of_the_latest_checkpoints(trained, tmp_path, monkeypatch):
     networks = ("--networks", "rdm", "md", "pcm-1", "pcm-2")
     scales = ("--guidance", "1.5", "pcm-1=2.5")
-    plan = ("--network", "pcm-2", "--steps", "12", "--start", "5", "--lag", "2", "--eta", "0.5", "--idle", "stand")
+    plan = (
+        "--network",
+        "pcm-2",
+        "--steps",
+        "12",
+        "--start",
+        "5",
+        "--lag",
+        "2",
+        "--past-lag",
+        "1",
+        "--eta",
+        "0.5",
+        "--idle",
+        "stand",
+    )
     bundle = command(monkeypatch, trained, tmp_path / "packed", *networks, *scales, *plan, "--name", "tried")
     config = bundle.config
     assert (config.name, config.network, config.idle) == ("tried", "pcm-2", "stand")
     assert (config.segment, config.depth_cap, config.points) == (FRAMES, 2, 20)
-    assert (config.sampler_steps, config.start, config.lag, config.eta) == (12, 5, 2, 0.5)
+    assert (config.sampler_steps, config.start, config.lag, config.past_lag, config.eta) == (12, 5, 2, 1, 0.5)
     assert config.guidance == {"rdm": 1.5, "md": 1.5, "pcm-1": 2.5, "pcm-2": 1.5}
     assert config.denoisers == ("rdm", "pcm-1", "pcm-2", "md")
     assert config.provenance["pcm-2"] == "step 7"

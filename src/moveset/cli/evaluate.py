@@ -40,6 +40,7 @@ def evaluate(
     guidance: Annotated[float | None, tyro.conf.arg(metavar="W")] = None,
     start: Annotated[int | None, tyro.conf.arg(metavar="R")] = None,
     lag: Annotated[int | None, tyro.conf.arg(metavar="N")] = None,
+    past_lag: Annotated[int | None, tyro.conf.arg(metavar="N")] = None,
     eta: Annotated[float | None, tyro.conf.arg(metavar="X")] = None,
     shape: Literal["parallelogram", "triangle"] | None = None,
     split: Literal["test", "val", "rollout"] = "test",
@@ -79,6 +80,7 @@ def evaluate(
         guidance: How strongly the text is followed (w); by default the model's own choice.
         start: Streams by rdm: steps that remain when the next segment enters (R).
         lag: Streams by rdm: steps that a segment stays behind the one before it.
+        past_lag: Streams by rdm, one segment after the other: steps that the finished segment is told to be ahead.
         eta: Streams by rdm or md: share of fresh noise in every step.
         shape: Streams by rdm: the shape of the staircase.
         split: test, once, at the end; val for every choice; rollout: half a minute of changing prompts, in windows.
@@ -114,7 +116,7 @@ def evaluate(
     protocol = Protocol(
         split=split, repeats=repeats, seed=seed, wording=wording, multimodality=multimodality, seams=seams
     )
-    given = {"guidance": guidance, "start": start, "lag": lag, "eta": eta, "shape": shape}
+    given = {"guidance": guidance, "start": start, "lag": lag, "past_lag": past_lag, "eta": eta, "shape": shape}
     given["stages"] = None if stages else False
     settings = tuple((name, value) for name, value in given.items() if value is not None)
     common = Job(

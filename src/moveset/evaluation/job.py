@@ -57,7 +57,8 @@ class Job:
         model: a short name, a shipped model, a model folder, or "real".
         network: of the folder; "pcm" and "lcm" mean the student of ``steps``.
         steps: of the sampler; None for the network's own.
-        settings: guidance, and start, lag, eta, shape and stages of a stream, where they are not the folder's own.
+        settings: guidance, and start, lag, past_lag, eta, shape and stages of a stream, where they are not the
+            folder's own.
         motions: a folder of joints to judge instead of a model.
         prompts: its prompts, a JSONL file; None looks in the folder.
         motions_fps: frame rate of these.
@@ -226,9 +227,9 @@ def _stream(job: Job, folder: Path, network: str | None, settings: dict[str, Any
 
     bundle = StreamBundle(folder)
     shape = settings.pop("shape", "parallelogram")
-    if unknown := set(settings) - {"guidance", "start", "lag", "eta", "stages"}:
+    if unknown := set(settings) - {"guidance", "start", "lag", "past_lag", "eta", "stages"}:
         raise InputError(
-            f"unknown setting {sorted(unknown)[0]!r}; there are guidance, start, lag, eta, shape and stages"
+            f"unknown setting {sorted(unknown)[0]!r}; there are guidance, start, lag, past_lag, eta, shape and stages"
         )
     request = check_stream(bundle.config, network=network, steps=job.steps, foot_lock=job.foot_lock, **settings)
     if shape != "parallelogram" and request.settings.network != "rdm":

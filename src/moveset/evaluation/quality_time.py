@@ -18,7 +18,7 @@ from moveset.pipelines.bundle import Bundle
 from moveset.pipelines.stream_bundle import StreamBundle
 from moveset.pipelines.stream_settings import check_stream
 
-_SETTINGS = ("start", "lag", "eta", "guidance", "foot_lock", "stages", "shape")
+_SETTINGS = ("start", "lag", "past_lag", "eta", "guidance", "foot_lock", "stages", "shape")
 
 
 @dataclass(frozen=True)

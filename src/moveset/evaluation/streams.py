@@ -74,6 +74,9 @@ class Streams:
 
     def describe(self) -> dict[str, Any]:
         settings = {k: v for k, v in asdict(self._settings).items() if k not in ("network", "steps", "buffer")}
+        # Said where there is something to say, so that results from before it could be chosen are of the same settings.
+        if settings["past_lag"] is None:
+            del settings["past_lag"]
         settings["symmetric"] = self.network in self._bundle.config.symmetric
         return {**settings, "shape": self._shape, "batch": self._batch, "device": self._device.type}
 
@@ -130,7 +133,8 @@ class Streams:
             Transport(cast(CouplingFlow | None, flow), max(config.depth_cap, 1)),
             get_schedule(config), settings.levels(config), plan, [one.seed for one in wanted],
             (config.segment, self._codec.dim),
-            enter, eta=settings.eta, colour=getattr(network, "colour", None), device=self._device,
+            enter, eta=settings.eta, past_lag=settings.past_lag, colour=getattr(network, "colour", None),
+            device=self._device,
         )  # fmt: skip
         assert plan.segments is not None
         made = torch.cat(list(islice(segments, plan.segments)), dim=1).cpu()

@@ -37,7 +37,8 @@ class Row:
         model: name of a model folder, or REAL.
         network: of that folder; RECONSTRUCTION is its autoencoder alone. None for REAL.
         steps: K; None where nothing is sampled.
-        settings: of the sampler, where they are not the folder's: start, lag, shape, guidance, eta, stages.
+        settings: of the sampler, where they are not the folder's: start, lag, past_lag, shape, guidance, eta,
+            stages.
         repeats: at most so many, for rows that cost much more than others.
         ranked: whether it takes part in best and second best.
         shipped: whether the targets for what ships apply.
@@ -182,6 +183,8 @@ def rdm() -> Suite:
         overlapping("parallelogram-4", "R = 4, parallelogram", 4, "parallelogram"),
         replace(staircase, key="sequential", label="RDM-7, one segment after the other", repeats=FEW,
                 against=("md-7", "rdm-7")),
+        replace(staircase, key="clean-past", label="RDM-7, one segment after the other, told a clean past",
+                settings={"past_lag": 10}, against=("rdm-7", "sequential")),
         replace(volume, key="rdm-1", label="RDM-1", model="rdm-1-small"),
         replace(volume, key="light-rdm-1", label="Light-RDM-1", model="light-rdm-1-small"),
         replace(alike, key="md-4", label="MD-4", model="rdm-4-small", network="md"),

@@ -41,7 +41,8 @@ from moveset.pipelines.stream_settings import (
 )
 from moveset.pipelines.stream_state import Snapshot
 from moveset.pipelines.warnings import too_long, unfamiliar
-from moveset.rdm.sampler import Stream, StreamState, stream
+from moveset.rdm.sampler import Stream, stream
+from moveset.rdm.state import StreamState
 from moveset.rdm.transport import Transport
 from moveset.text.encoder import TextEncoder, get_text_encoder
 
@@ -127,6 +128,7 @@ class MotionStream(Iterator[Segment]):
         steps: int | None = None,
         start: int | None = None,
         lag: int | None = None,
+        past_lag: int | None = None,
         eta: float | None = None,
         guidance: float | None = None,
         buffer: int = 0,
@@ -150,8 +152,8 @@ class MotionStream(Iterator[Segment]):
         bundle = StreamBundle.find(name_or_path)
         request = check_stream(
             bundle.config, prompt, seconds, loop=loop, seed=seed, network=network, steps=steps, start=start, lag=lag,
-            eta=eta, guidance=guidance, buffer=buffer, foot_lock=foot_lock, blend_seconds=blend_seconds,
-            stages=stages,
+            past_lag=past_lag, eta=eta, guidance=guidance, buffer=buffer, foot_lock=foot_lock,
+            blend_seconds=blend_seconds, stages=stages,
         )  # fmt: skip
         return cls(bundle, request, seed_motion=seed_motion, device=device)
 
@@ -333,14 +335,15 @@ class MotionStream(Iterator[Segment]):
         )
         self._sampler: Stream = stream(
             self._denoise, self._transport, get_schedule(config), settings.levels(config), settings.staircase(),
-            (self._seed,), (config.segment, self.codec.dim), self._enter, eta=settings.eta, colour=self._colour,
-            state=state, device=self.device,
+            (self._seed,), (config.segment, self.codec.dim), self._enter, eta=settings.eta, past_lag=settings.past_lag,
+            colour=self._colour, state=state, device=self.device,
         )  # fmt: skip
 
     def _warm_up(self) -> None:
         """A few segments of one step that nobody sees: first calls of a network take many times as long as others."""
         settings, timeline = self._settings, self._timeline
-        self._settings, self._timeline = replace(settings, steps=1, start=1, lag=1), held(self.bundle.config.idle)
+        self._settings = replace(settings, steps=1, start=1, lag=1, past_lag=None)
+        self._timeline = held(self.bundle.config.idle)
         self._fresh()
         for _ in range(_WARM_UP):
             self._make()

@@ -17,7 +17,7 @@ from moveset.motion.retarget import retarget
 from moveset.pipelines.stream_bundle import StreamConfig
 from moveset.pipelines.stream_settings import StreamSettings, get_schedule
 from moveset.rdm.noise import START, segment_noise
-from moveset.rdm.sampler import StreamState
+from moveset.rdm.state import StreamState
 
 
 @dataclass(frozen=True, eq=False)

@@ -42,6 +42,8 @@ class StreamConfig(FolderConfig):
         start: R, how many of these steps remain when the next segment enters the staircase.
         lag: by how many steps a segment stays behind the one before it.
         eta: noise that is put back at each step, 0 (none) to 1.
+        past_lag: where segments of ``rdm`` are made one after the other, by how many steps the finished one before is
+            told to be ahead: it is noised again to that level (``rdm.sampler``). None tells it clean.
         idle: the prompt of a stream before it is given one.
         symmetric: guided networks that are evaluated with their mirror image (``models.symmetric``), so that streams
             keep to neither side.
@@ -59,6 +61,7 @@ class StreamConfig(FolderConfig):
     start: int = 7
     lag: int = 1
     eta: float = 0.0
+    past_lag: int | None = None
     idle: str = "a person stands still"
     symmetric: tuple[str, ...] = ()
 
@@ -93,6 +96,8 @@ class StreamConfig(FolderConfig):
             "start": (0, self.sampler_steps),
             "lag": (1, self.sampler_steps),
         }
+        if self.past_lag is not None:
+            limits["past_lag"] = (1, self.sampler_steps)
         self.check_sampling(self.eta, limits)
         for name in self.symmetric:
             if name not in self.models or not self.models[name].config.get("guided"):

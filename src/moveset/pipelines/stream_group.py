@@ -18,7 +18,7 @@ from torch import Tensor
 
 from moveset.data.captions import mirror_text
 from moveset.diffusion.guidance import cfg
-from moveset.diffusion.steps import denoise_step
+from moveset.diffusion.steps import add_noise, denoise_step
 from moveset.errors import InputError
 from moveset.models.flow import CouplingFlow
 from moveset.models.symmetric import Symmetric
@@ -33,7 +33,7 @@ from moveset.pipelines.segment_denoise import Reader
 from moveset.pipelines.stream_bundle import FLOW, StreamBundle
 from moveset.pipelines.stream_settings import CONTACT, StreamSettings, Timeline, get_schedule, held
 from moveset.pipelines.warnings import too_long, unfamiliar
-from moveset.rdm.noise import START, segment_noise
+from moveset.rdm.noise import PAST, START, segment_noise
 from moveset.rdm.transport import Transport
 from moveset.text.encoder import TextEmbedding, TextEncoder, get_text_encoder, stack
 
@@ -64,6 +64,7 @@ class Lane:
         mirrored: what it says of the mirror image, encoded, where the network is symmetric.
         number: of the next segment.
         left: (1, n, D) the last finished segment, normalised.
+        left_pooled: (1, C) the sentence embedding of what it was told.
         reading_ms: what encoding took since the last segment.
     """
 
@@ -77,6 +78,7 @@ class Lane:
     since: int = 0
     number: int = 0
     left: Tensor | None = None
+    left_pooled: Tensor | None = None
     mirrored: TextEmbedding | None = None
     reading_ms: float = 0.0
 
@@ -118,7 +120,7 @@ class StreamGroup:
         encoder: TextEncoder | None = None,
     ) -> None:
         config = bundle.config
-        if not (settings.clean_left and settings.start == settings.steps):
+        if not (settings.one_by_one and settings.start == settings.steps):
             raise InputError(
                 f"network {settings.network!r} works on several segments of a stream at once (lag {settings.lag} of "
                 f"{settings.steps} steps); streams are grouped where a segment follows a finished one: set start and "
@@ -212,7 +214,8 @@ class StreamGroup:
         twice = self._even or (lane.guidance and not self._guided)
         evaluations = self.settings.steps * (2 if twice else 1)
         latency = round(spent + lane.reading_ms, 3)
-        lane.left, lane.number, lane.reading_ms = clean[None].clone(), number + 1, 0.0
+        lane.left, lane.left_pooled = clean[None].clone(), lane.text.pooled
+        lane.number, lane.reading_ms = number + 1, 0.0
         return Piece(Segment(number, number * frames, frames, lane.prompt, motion, latency, evaluations), planted)
 
     def _sample(self, lanes: Sequence[Lane]) -> Tensor:
@@ -220,23 +223,44 @@ class StreamGroup:
         levels, last = self._levels, self.settings.steps
         index_B = torch.tensor([lane.number for lane in lanes], device=self.device)
         text = lanes[0].text if len(lanes) == 1 else stack([lane.text for lane in lanes])
-        zeros = torch.zeros(1, *self._shape, device=self.device)
-        left_BnD = torch.cat([zeros if lane.left is None else lane.left for lane in lanes])
-        denoise = self._denoiser(lanes, text, left_BnD, index_B)
+        denoise, told = self._denoiser(lanes, text, index_B), self._teller(lanes)
         y_BnD = self._noise(lanes, START)
         for k in range(last):
             t_B, s_B = (torch.full_like(index_B, level) for level in (levels[k], levels[k + 1]))
-            x0_BnD = denoise(self._transport.push(y_BnD, index_B, text.pooled), t_B).to(y_BnD.dtype)
+            x0_BnD = denoise(self._transport.push(y_BnD, index_B, text.pooled), t_B, *told(k)).to(y_BnD.dtype)
             if k + 1 < last:
                 y0_BnD = self._transport.pull(x0_BnD, index_B, text.pooled)
                 noise = self._noise(lanes, k) if self.settings.eta else None
                 y_BnD = denoise_step(self._schedule, y_BnD, y0_BnD, t_B, s_B, self.settings.eta, noise)
         return x0_BnD
 
+    def _teller(self, lanes: Sequence[Lane]) -> Callable[[int], tuple[Tensor, Tensor]]:
+        """By step, what the lanes are told of the segment before: its features (B, n, D), and their levels (B,)."""
+        zeros = torch.zeros(1, *self._shape, device=self.device)
+        left_BnD = torch.cat([zeros if lane.left is None else lane.left for lane in lanes])
+        past_lag, levels = self.settings.past_lag, self._levels
+        if past_lag is None:
+            clean_B = torch.zeros(len(lanes), dtype=torch.long, device=self.device)
+            return lambda k: (left_BnD, clean_B)
+        # Lanes at their beginning have none, which stays clean; and segment 0 is its own y.
+        begun_B = torch.tensor([lane.left is not None for lane in lanes], device=self.device)
+        before = [max(lane.number - 1, 0) for lane in lanes]
+        index_B = torch.tensor(before, device=self.device)
+        pooled_BC = torch.cat([lane.text.pooled if lane.left_pooled is None else lane.left_pooled for lane in lanes])
+        y_BnD = self._transport.pull(left_BnD, index_B, pooled_BC)
+        noise_BnD = self._noise(lanes, PAST, before)
+
+        def told(k: int) -> tuple[Tensor, Tensor]:
+            t_B = levels[min(k + past_lag, self.settings.steps)] * begun_B
+            noisy_BnD = add_noise(self._schedule, y_BnD, noise_BnD, t_B)
+            return self._transport.push(noisy_BnD, index_B, pooled_BC), t_B
+
+        return told
+
     def _denoiser(
-        self, lanes: Sequence[Lane], text: TextEmbedding, left_BnD: Tensor, index_B: Tensor
-    ) -> Callable[[Tensor, Tensor], Tensor]:
-        """The network with everything bound but the noisy segments and their level."""
+        self, lanes: Sequence[Lane], text: TextEmbedding, index_B: Tensor
+    ) -> Callable[[Tensor, Tensor, Tensor, Tensor], Tensor]:
+        """The network with everything bound but the noisy segments, those before them, and the levels of both."""
         w_B = torch.tensor([lane.guidance for lane in lanes], device=self.device)
         twice = not self._guided and bool(w_B.any())
         scale_B = w_B if self._guided else None
@@ -244,19 +268,21 @@ class StreamGroup:
             text = stack([text, *(lane.mirrored for lane in lanes if lane.mirrored is not None)])
         if twice:
             text = stack([text, *[self._texts("").to(self.device)] * len(lanes)])
-            left_BnD, index_B = left_BnD.repeat(2, 1, 1), index_B.repeat(2)
-        clean_B = torch.zeros_like(index_B)
+            index_B = index_B.repeat(2)
         network = self._network
-        if isinstance(network, Reader):
-            context = network.read(text.tokens, text.mask, left_BnD, clean_B, index_B)
+        context: object = None  # text and past, read once if they stay the same
 
-        def denoise(x_BnD: Tensor, t_B: Tensor) -> Tensor:
+        def denoise(x_BnD: Tensor, t_B: Tensor, left_BnD: Tensor, left_t_B: Tensor) -> Tensor:
+            nonlocal context
             if twice:
-                x_BnD, t_B = x_BnD.repeat(2, 1, 1), t_B.repeat(2)
+                x_BnD, left_BnD = x_BnD.repeat(2, 1, 1), left_BnD.repeat(2, 1, 1)
+                t_B, left_t_B = t_B.repeat(2), left_t_B.repeat(2)
             if isinstance(network, Reader):
+                if context is None or not self.settings.clean_left:
+                    context = network.read(text.tokens, text.mask, left_BnD, left_t_B, index_B)
                 made = network.denoise(x_BnD, t_B, context, scale_B)
             else:
-                made = network(x_BnD, t_B, left_BnD, clean_B, index_B, text.tokens, text.mask, scale_B)
+                made = network(x_BnD, t_B, left_BnD, left_t_B, index_B, text.tokens, text.mask, scale_B)
             if not twice:
                 return made
             told, untold = made.chunk(2)
@@ -264,7 +290,10 @@ class StreamGroup:
 
         return denoise
 
-    def _noise(self, lanes: Sequence[Lane], step: int) -> Tensor:
-        noise = torch.stack([segment_noise(lane.seed, lane.number, step, self._shape) for lane in lanes])
+    def _noise(self, lanes: Sequence[Lane], step: int, numbers: Sequence[int] | None = None) -> Tensor:
+        """Of the segments in work, or of those with these numbers."""
+        numbers = [lane.number for lane in lanes] if numbers is None else numbers
+        keys = zip(lanes, numbers, strict=True)
+        noise = torch.stack([segment_noise(lane.seed, number, step, self._shape) for lane, number in keys])
         noise = noise.to(self.device)
         return noise if self._colour is None else self._colour(noise)

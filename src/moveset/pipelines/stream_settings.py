@@ -5,6 +5,7 @@ from bisect import bisect_right
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain, pairwise
+from typing import cast
 
 from moveset.diffusion.phases import PhaseGrid
 from moveset.diffusion.schedule import Schedule, cosine, linear
@@ -38,6 +39,8 @@ class StreamSettings:
         foot_lock: hold planted feet in place.
         blend_seconds: within which a jump from one segment to the next dies away; 0 leaves it.
         stages: take a sentence that says what comes after what apart (``text.stages``).
+        past_lag: steps that a finished segment is told to be ahead, at the level of which it is noised again; None
+            tells it clean.
     """
 
     network: str
@@ -50,11 +53,17 @@ class StreamSettings:
     foot_lock: bool = True
     blend_seconds: float = BLEND_SECONDS
     stages: bool = True
+    past_lag: int | None = None
+
+    @property
+    def one_by_one(self) -> bool:
+        """Whether every segment waits for its finished predecessor."""
+        return self.lag == self.steps
 
     @property
     def clean_left(self) -> bool:
-        """Whether every segment is told its finished predecessor."""
-        return self.lag == self.steps
+        """Whether every segment is told its finished predecessor as it is, at every step."""
+        return self.one_by_one and self.past_lag is None
 
     def staircase(self) -> Staircase:
         """The plan, without end."""
@@ -135,6 +144,7 @@ def check_stream(
     steps: int | None = None,
     start: int | None = None,
     lag: int | None = None,
+    past_lag: int | None = None,
     eta: float | None = None,
     guidance: float | None = None,
     buffer: int = 0,
@@ -156,6 +166,8 @@ def check_stream(
         steps: K, for networks that are no students; without ``network`` it may also name a student by its steps.
         start: R, for networks that see a noisy predecessor.
         lag: for the same.
+        past_lag: for the same where lag is all of the steps: how many steps the finished segment before is told to be
+            ahead, noised again to that level; all of the steps tell it clean.
         eta: 0 to 1, for networks that are no students.
         guidance: w; by default the model's choice for this network.
         buffer: segments made ahead of the reader, in a thread of their own; 0 makes them when they are asked for.
@@ -171,24 +183,25 @@ def check_stream(
     check_real("blend_seconds", blend_seconds)
     for name, value, check in (
         ("steps", steps, check_whole), ("start", start, check_whole), ("lag", lag, check_whole),
-        ("eta", eta, check_real), ("guidance", guidance, check_real),
+        ("past_lag", past_lag, check_whole), ("eta", eta, check_real), ("guidance", guidance, check_real),
     ):  # fmt: skip
         if value is not None:
             check(name, value)
     timeline, durations, counts = _timeline(config, prompt, seconds, loop, stages)
     if not 0 <= seed < SEEDS:
-        raise InputError(f"seed {seed} is not in 0 to {SEEDS - 1}; give a smaller whole number")
+        raise InputError(f"seed {seed} is not in 0 to {SEEDS - 1}; give a whole number that is")
     if not 0 <= buffer <= MAX_BUFFER:
         raise InputError(f"a buffer of {buffer} segments is not in 0 to {MAX_BUFFER}; 1 or 2 is plenty")
     if not 0.0 <= blend_seconds < math.inf:
         raise InputError(f"cannot blend over {blend_seconds} s; give a duration such as {BLEND_SECONDS}, or 0 for none")
     network = _network(config, network, steps)
     plan = _plan(config, network, steps, start, lag, eta)
+    told = _past_lag(config, network, plan, past_lag)
     w = config.guidance.get(network, 0.0) if guidance is None else guidance
     if not 0.0 <= w <= MAX_GUIDANCE:
         raise InputError(f"guidance {w:g} is not in 0 to {MAX_GUIDANCE:g}; this model's own choice is "
                          f"{config.guidance.get(network, 0.0):g}")  # fmt: skip
-    settings = StreamSettings(network, *plan, float(w), buffer, foot_lock, float(blend_seconds), stages)
+    settings = StreamSettings(network, *plan, float(w), buffer, foot_lock, float(blend_seconds), stages, told)
     return StreamRequest(timeline, seed, settings, durations, counts)
 
 
@@ -228,7 +241,9 @@ def _timeline(
     if seconds is None:
         given = tuple(each * (STAGE_SEGMENTS * len(parts) if len(parts) > 1 else SEGMENTS) for parts in said)
     else:
-        of_each = tuple(seconds) if isinstance(seconds, Iterable) and not isinstance(seconds, str) else (seconds,)
+        # A tensor of no dimension is iterable by its type alone.
+        several = isinstance(seconds, Iterable) and not isinstance(seconds, str) and getattr(seconds, "ndim", 1)
+        of_each = tuple(cast(Iterable[float], seconds)) if several else (seconds,)
         for s in of_each:
             check_real("the duration", s)
         given = tuple(map(float, of_each))
@@ -313,3 +328,22 @@ def _plan(
             f"eta {eta:g} is not in 0 (no fresh noise) to 1; leave it out for the model's own {config.eta:g}"
         )
     return steps, start, lag, eta
+
+
+def _past_lag(
+    config: StreamConfig, network: str, plan: tuple[int, int, int, float], past_lag: int | None
+) -> int | None:
+    """How many steps ahead a network of this plan is told a finished segment to be; None for all the way."""
+    steps, _, lag, _ = plan
+    if network != "rdm" or lag != steps:
+        if past_lag not in (None, steps):
+            raise InputError(f"past_lag {past_lag} is for network 'rdm' with a lag of all of its steps, which waits "
+                             "for the finished segment before; leave it out")  # fmt: skip
+        return None
+    if past_lag is None:
+        if config.past_lag is None:
+            return None
+        past_lag = math.ceil(config.past_lag * steps / config.sampler_steps)
+    if not 1 <= past_lag <= steps:
+        raise InputError(f"past_lag {past_lag} is not in 1 to {steps} steps; leave it out for the model's own")
+    return None if past_lag == steps else past_lag

@@ -10,9 +10,9 @@ Source: RDM (arXiv 2406.07169), Algorithm 1, with the prediction (not its noise)
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any, Literal, get_args
+from typing import Literal, get_args
 
 import torch
 from torch import Tensor
@@ -20,8 +20,9 @@ from torch import Tensor
 from moveset.diffusion.schedule import Schedule
 from moveset.diffusion.steps import add_noise, denoise_step
 from moveset.errors import InputError
-from moveset.rdm.noise import ENTRY, START, noise_of_items
+from moveset.rdm.noise import ENTRY, PAST, START, noise_of_items
 from moveset.rdm.staircase import Cell, Staircase
+from moveset.rdm.state import StreamState
 from moveset.rdm.transport import Transport
 
 # x_BnD, t_B, prev_BnD, prev_t_B, index_B and the segment number of each row -> clean x_BnD. The text is bound inside.
@@ -44,6 +45,8 @@ class Settings:
             Without fresh noise in the steps, shared noise keeps the segments correlated.
         entry: what a segment that enters later begins with: a copy of its left neighbour's state in y-space, or the
             neighbour's current clean estimate with fresh noise.
+        past_lag: where segments are made one after the other (lag K), how many steps a segment is told the finished one
+            before it to be ahead: to the level of that step it is noised again, in y-space. None tells it clean.
         colour: what turns standard normal noise (B, n, D) into the noise that the network was trained on, if anything.
 
     Raises:
@@ -56,6 +59,7 @@ class Settings:
     eta: float = 0.0
     init_noise: InitNoise = "independent"
     entry: Entry = "copy"
+    past_lag: int | None = None
     colour: Callable[[Tensor], Tensor] | None = None
 
     def __post_init__(self) -> None:
@@ -67,68 +71,13 @@ class Settings:
             raise InputError(f"levels must fall from at most {len(self.schedule) - 1} to 0; got {self.levels}")
         if not 0.0 <= self.eta <= 1.0:
             raise InputError(f"eta {self.eta} is not in 0 (DDIM) to 1 (DDPM)")
+        if self.past_lag is not None and not 1 <= self.past_lag <= self.staircase.lag == self.staircase.steps:
+            count = self.staircase.steps
+            raise InputError(f"past_lag {self.past_lag} is not in 1 to {count} steps with a lag of all of them; leave "
+                             "it out where segments overlap")  # fmt: skip
         for name, kind in (("init_noise", InitNoise), ("entry", Entry)):
             if getattr(self, name) not in get_args(kind):
                 raise InputError(f"{name} {getattr(self, name)!r} is not one of {', '.join(get_args(kind))}")
-
-
-@dataclass(eq=False)
-class StreamState:
-    """All that a sampler remembers: with the same settings and seeds, what continues it to the last bit.
-
-    Attributes:
-        wave: waves done.
-        calls: network evaluations done, of one segment each.
-        finished: segments finished; the next one is the oldest in work.
-        steps: step that each segment in work has reached, oldest first.
-        y: (B, n, D) state of each in y-space.
-        pooled: (B, C) sentence embedding of each.
-        left: (B, n, D) the last finished segment, clean, in x-space.
-        waiting: (B, n, D) in y-space, what the next segment will begin with.
-    """
-
-    wave: int = 0
-    calls: int = 0
-    finished: int = 0
-    steps: list[int] = field(default_factory=list)
-    y: list[Tensor] = field(default_factory=list)
-    pooled: list[Tensor] = field(default_factory=list)
-    left: Tensor | None = None
-    waiting: Tensor | None = None
-
-    @property
-    def entered(self) -> int:
-        """Segments that have entered; also the number of the next one."""
-        return self.finished + len(self.steps)
-
-    @property
-    def active(self) -> range:
-        """Numbers of the segments in work."""
-        return range(self.finished, self.entered)
-
-    def copy(self) -> "StreamState":
-        """An independent copy; tensors are shared, since none is ever written to."""
-        lists = {"steps": [*self.steps], "y": [*self.y], "pooled": [*self.pooled]}
-        return StreamState(self.wave, self.calls, self.finished, left=self.left, waiting=self.waiting, **lists)  # type: ignore[arg-type]
-
-    def numbers(self) -> dict[str, Any]:
-        """Everything but the tensors, for JSON."""
-        return {"wave": self.wave, "calls": self.calls, "finished": self.finished, "steps": [*self.steps]}
-
-    def tensors(self) -> dict[str, Tensor]:
-        """The tensors by name, each with memory of its own, for safetensors."""
-        named = {f"y.{k}": y for k, y in enumerate(self.y)} | {f"pooled.{k}": p for k, p in enumerate(self.pooled)}
-        named |= {name: held for name in ("left", "waiting") if (held := getattr(self, name)) is not None}
-        return {name: held.clone() for name, held in named.items()}
-
-    @classmethod
-    def restore(cls, numbers: dict[str, Any], tensors: dict[str, Tensor]) -> "StreamState":
-        """The state of which these are the ``numbers`` and ``tensors``."""
-        y, pooled = ([tensors[f"{name}.{k}"] for k in range(len(numbers["steps"]))] for name in ("y", "pooled"))
-        return cls(
-            numbers["wave"], numbers["calls"], numbers["finished"], [*numbers["steps"]], y, pooled,
-            tensors.get("left"), tensors.get("waiting"),
-        )  # fmt: skip
 
 
 class Stream(Iterator[Tensor]):
@@ -153,6 +102,7 @@ class Stream(Iterator[Tensor]):
         self._settings, self._plan = settings, settings.staircase
         self._seeds, self._shape, self._device = tuple(seeds), tuple(shape), device
         self.progress = StreamState() if state is None else state.copy()
+        self._past: tuple[int, Tensor, Tensor] | None = None  # a finished segment's number, its y, and its noise
 
     @property
     def state(self) -> StreamState:
@@ -184,14 +134,15 @@ class Stream(Iterator[Tensor]):
         # What the network sees of a segment in work is pushed once, for itself and for its right neighbour.
         seen = [j for j in now.active if j in segments or j + 1 in segments]
         x = dict(zip(seen, self._by_segment(self._transport.push(*self._rows(seen))), strict=True))
-        prev = [x.get(j - 1, now.left) for j in segments]
+        past_steps = [self._past_step(j, k) for j, k in cells]
+        prev = [x[j - 1] if j - 1 in x else self._told(j, k) for j, k in zip(segments, past_steps, strict=True)]
         y_BnD, index_B, pooled_BC = self._rows(segments)
         t_B = self._levels(steps)
         x0_BnD = self._denoiser(
             torch.cat([x[j] for j in segments]),
             t_B,
             torch.cat([torch.zeros_like(y_BnD[: len(self._seeds)]) if held is None else held for held in prev]),
-            self._levels([min(k + self._plan.lag, last) if j else last for j, k in cells]),
+            self._levels(past_steps),
             index_B,
             [j for j in segments for _ in self._seeds],
         ).to(y_BnD.dtype)
@@ -203,6 +154,26 @@ class Stream(Iterator[Tensor]):
         s_B = self._levels([k + 1 for k in steps])
         stepped = denoise_step(settings.schedule, y_BnD, y0_BnD, t_B, s_B, settings.eta, self._noise(segments, steps))
         return self._advance(segments, *(self._by_segment(z) for z in (stepped, y0_BnD, x0_BnD)))
+
+    def _past_step(self, segment: int, step: int) -> int:
+        """The step that a segment is told the one before it to have reached."""
+        lag, past_lag = self._plan.lag, self._settings.past_lag
+        if past_lag is not None and self.progress.left_pooled is not None:
+            lag = past_lag
+        return min(step + lag, self._plan.steps) if segment else self._plan.steps
+
+    def _told(self, segment: int, step: int) -> Tensor | None:
+        """The finished segment before this one as if it had reached that step only; None for the first of all."""
+        now, settings, before = self.progress, self._settings, segment - 1
+        if now.left is None or now.left_pooled is None or step == self._plan.steps:
+            return now.left
+        index_B = torch.full((len(self._seeds),), before, device=self._device)
+        if self._past is None or self._past[0] != before:
+            y_BnD = self._transport.pull(now.left, index_B, now.left_pooled)
+            self._past = (before, y_BnD, self._drawn(before, PAST))
+        _, y_BnD, noise_BnD = self._past
+        noisy_BnD = add_noise(settings.schedule, y_BnD, noise_BnD, self._levels([step]))
+        return self._transport.push(noisy_BnD, index_B, now.left_pooled)
 
     def _advance(
         self, segments: list[int], y: Sequence[Tensor], y0: Sequence[Tensor], x0: Sequence[Tensor]
@@ -218,6 +189,7 @@ class Stream(Iterator[Tensor]):
             return None
         # Only the oldest can be finished: each segment ends after its left neighbour.
         now.left = x0[segments.index(now.finished)].clone()
+        now.left_pooled = None if self._settings.past_lag is None else now.pooled[0]
         now.finished += 1
         del now.steps[0], now.y[0], now.pooled[0]
         return now.left
@@ -302,6 +274,7 @@ def stream(
     eta: float = 0.0,
     init_noise: InitNoise = "independent",
     entry: Entry = "copy",
+    past_lag: int | None = None,
     colour: Callable[[Tensor], Tensor] | None = None,
     state: StreamState | None = None,
     device: torch.device | str = "cpu",
@@ -318,7 +291,7 @@ def stream(
         shape: (n, D) of a segment.
         enter: called with the number of each segment just before its first evaluation; returns its text's sentence
             embeddings (B, C) for the flow, None where there is no flow.
-        eta, init_noise, entry, colour: see ``Settings``.
+        eta, init_noise, entry, past_lag, colour: see ``Settings``.
         state: where an earlier stream of the same settings and seeds was left.
         device: where to compute; noise is always drawn on the CPU.
 
@@ -332,6 +305,7 @@ def stream(
         eta=eta,
         init_noise=init_noise,
         entry=entry,
+        past_lag=past_lag,
         colour=colour,
     )
     return Stream(denoiser, transport, settings, seeds, shape, enter, state, device)
@@ -350,6 +324,7 @@ def sample(
     eta: float = 0.0,
     init_noise: InitNoise = "independent",
     entry: Entry = "copy",
+    past_lag: int | None = None,
     colour: Callable[[Tensor], Tensor] | None = None,
     order: Order = "wavefront",
     device: torch.device | str = "cpu",
@@ -370,7 +345,7 @@ def sample(
     run = stream(
         denoiser, transport, schedule, levels, staircase, seeds, shape,
         (lambda segment: None) if pooled is None else pooled.__getitem__,
-        eta=eta, init_noise=init_noise, entry=entry, colour=colour, device=device,
+        eta=eta, init_noise=init_noise, entry=entry, past_lag=past_lag, colour=colour, device=device,
     )  # fmt: skip
     done = []
     if order == "rows":

@@ -32,6 +32,7 @@ class Sampling:
     start: int = 7
     lag: int = 1
     eta: float = 0.0
+    past_lag: int | None = None
     idle: str = "a person stands still"
     symmetric: tuple[str, ...] = ()
 
@@ -142,6 +143,9 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=Sampling.sampler_steps, help="K of the networks but students")
     parser.add_argument("--start", type=int, default=Sampling.start, help="R")
     parser.add_argument("--lag", type=int, default=Sampling.lag)
+    parser.add_argument(
+        "--past-lag", type=int, help="steps that a finished segment is told to be ahead; clean if not given"
+    )
     parser.add_argument("--eta", type=float, default=Sampling.eta)
     parser.add_argument("--idle", default=Sampling.idle, help="the prompt of a stream that was given none")
     parser.add_argument(
@@ -167,6 +171,7 @@ def main() -> None:
         start=given.start,
         lag=given.lag,
         eta=given.eta,
+        past_lag=given.past_lag,
         idle=given.idle,
         symmetric=tuple(given.symmetric),
     )
