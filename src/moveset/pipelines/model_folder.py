@@ -71,6 +71,8 @@ class FolderConfig:
     """
 
     task: ClassVar[str]
+    #: Fields with a default that folders of earlier versions lack.
+    newer: ClassVar[frozenset[str]] = frozenset()
 
     name: str
     codec: str = "native"
@@ -131,7 +133,7 @@ class FolderConfig:
         if (task := raw.pop("task", TEXT_TO_MOTION)) != cls.task:
             raise _wrong_kind(where.parent, task, cls.task)
         known = {f.name for f in fields(cls)}
-        if wrong := set(raw) ^ known:
+        if wrong := (set(raw) ^ known) - (cls.newer - set(raw)):
             raise FormatError(f"{where} does not fit this version: {sorted(wrong)[0]!r} is missing or unknown")
         try:
             raw["models"] = {name: ModelSpec(**spec) for name, spec in raw["models"].items()}

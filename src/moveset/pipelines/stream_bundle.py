@@ -50,6 +50,7 @@ class StreamConfig(FolderConfig):
     """
 
     task: ClassVar[str] = STREAM
+    newer: ClassVar[frozenset[str]] = frozenset({"past_lag"})
 
     network: str
     segment: int = 28
