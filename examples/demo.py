@@ -6,12 +6,13 @@ for the clips may be given as argument.
 
 import sys
 import time
+from collections.abc import Mapping
 from itertools import islice
 from pathlib import Path
 
 import torch
 
-from moveset import Generation, Motion, MotionStream, TextToMotion, save
+from moveset import Motion, MotionStream, TextToMotion, save
 from moveset.io.html import Scene, Shown, write_html
 
 OUT = Path("out")
@@ -45,7 +46,9 @@ def main() -> None:
         for steps in t2m.bundle.config.steps("pcm"):
             made = t2m(prompt, steps=steps, seed=SEED)
             spent = [*made.timings_ms.values()]
-            spent += [write(made.motion, OUT / f"{name}-{steps}", formats, made) for formats in (FILES, PICTURES)]
+            spent += [
+                write(made.motion, OUT / f"{name}-{steps}", formats, made.metadata) for formats in (FILES, PICTURES)
+            ]
             made_files += len(FILES + PICTURES)
             takes.append(Shown(made.motion, f"{steps} step{'s' * (steps > 1)}", ((prompt, 0),)))
             times = "".join(f"{ms:>10.1f}" for ms in spent)
@@ -73,7 +76,8 @@ def stream() -> tuple[Scene, int]:
         live.codec.fps,
         live.codec.skeleton,
     )
-    write(motion, OUT / "stream", FILES + PICTURES)
+    said = {"prompt": ", then ".join(STREAM), "seed": SEED, "model": live.bundle.config.name}
+    write(motion, OUT / "stream", FILES + PICTURES, said)
     seconds = motion.seconds / len(segments)
     speed = f"{spent:.1f} ms a segment of {seconds:.1f} s, {1e3 * seconds / spent:.0f} times as fast as it plays"
     print(f"\nstream: {motion.seconds:.1f} s, {speed}")
@@ -83,11 +87,13 @@ def stream() -> tuple[Scene, int]:
     return Scene("a stream", (Shown(motion, prompts=prompts),), ", ".join(STREAM)), len(FILES + PICTURES)
 
 
-def write(motion: Motion, stem: Path, formats: tuple[str, ...], made: Generation | None = None) -> float:
+def write(
+    motion: Motion, stem: Path, formats: tuple[str, ...], metadata: Mapping[str, str | int | float | None]
+) -> float:
     """Write a motion in several formats; the milliseconds it took."""
     start = time.perf_counter()
     for suffix in formats:
-        save(motion, stem.with_suffix(f".{suffix}"), metadata=made.metadata if made else None)
+        save(motion, stem.with_suffix(f".{suffix}"), metadata=metadata)
     return (time.perf_counter() - start) * 1e3
 
 
