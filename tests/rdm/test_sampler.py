@@ -6,66 +6,17 @@ import json
 import pytest
 import torch
 
-from moveset.diffusion.schedule import linear
-from moveset.diffusion.steps import add_noise, denoise_step
+from moveset.diffusion.steps import denoise_step
 from moveset.errors import InputError
 from moveset.models.flow import FlowConfig
-from moveset.rdm.noise import PAST, START, noise_of_items, segment_noise
+from moveset.rdm.noise import START, noise_of_items, segment_noise
 from moveset.rdm.sampler import sample, stream
 from moveset.rdm.staircase import Staircase, levels
 from moveset.rdm.state import StreamState
 from moveset.rdm.transport import Transport
+from tests.samplers import IDENTITY, SCHEDULE, SEEDS, SHAPE, Denoiser, Scaled, run, texts
 
-SCHEDULE = linear()
-SHAPE, SEEDS = (3, 5), (11, 12)
-IDENTITY = Transport(None)
 CLASSES = [{"eta": 0.0}, {"eta": 0.0, "init_noise": "shared"}, {"eta": 1.0, "entry": "refreshed"}, {"eta": 0.5}]
-
-
-class Denoiser:
-    """A made-up network that is the same arithmetic for every row whatever the batch, and counts what it is asked."""
-
-    def __init__(self):
-        self.segments, self.waves, self.seen = 0, 0, []
-
-    def __call__(self, x, t, prev, prev_t, index, numbers):
-        assert len(x) == len(t) == len(prev) == len(prev_t) == len(index) == len(numbers)
-        assert index.tolist() == list(numbers)
-        assert (prev_t < t).all()
-        assert prev_t[index == 0].eq(0).all()
-        self.segments += len(x) / len(SEEDS)
-        self.waves += 1
-        self.seen.append((numbers[:: len(SEEDS)], t.tolist()[:: len(SEEDS)], prev_t.tolist()[:: len(SEEDS)]))
-        level = (t + prev_t / 3)[:, None, None] / 1000
-        return (
-            0.6 * x / (1 + level * level) + 0.3 * prev / (1 + prev * prev) + 0.1 * level + 0.01 * index[:, None, None]
-        )
-
-
-class Scaled:
-    """A flow by arithmetic, the same for every row whatever the batch: f(x; c) = x (1 + s(c)) + c."""
-
-    dtype = torch.float32
-
-    def context(self, pooled, index):
-        return pooled[:, :1] + 0.01 * index.clamp(max=3)[:, None]
-
-    def __call__(self, x, context):
-        return x * (1 + 0.1 * context[:, :, None]) + context[:, :, None]
-
-    def inverse(self, y, context):
-        return (y - context[:, :, None]) / (1 + 0.1 * context[:, :, None])
-
-
-def texts(segments):
-    return [torch.randn(2, 4, generator=torch.Generator().manual_seed(j)) for j in range(segments)]
-
-
-def run(plan, transport=None, denoiser=None, **options):
-    return sample(
-        denoiser or Denoiser(), transport or Transport(Scaled()), SCHEDULE, options.pop("levels", levels(plan.steps)),
-        plan, SEEDS, SHAPE, texts(plan.segments), **options,
-    )  # fmt: skip
 
 
 def plans(steps=6, segments=(4, 7, 14), lags=(1, 3, 6)):
@@ -216,78 +167,6 @@ def test_the_lag_of_all_steps_conditions_on_finished_segments():
     }
 
 
-@pytest.mark.parametrize("transport", [IDENTITY, Transport(Scaled())], ids=["identity", "flow"])
-@pytest.mark.parametrize("past_lag", [1, 3, 5])
-def test_a_finished_past_is_told_at_the_level_it_is_said_to_have(transport, past_lag):
-    """What the network is told of the segment before is that segment's y with one noise, at the level told, pushed."""
-    plan, text, told = Staircase(5, 4, 5, lag=5), texts(4), []
-
-    def watch(x, t, prev, prev_t, index, numbers):
-        told.append((numbers[0], int(t[0]), int(prev_t[0]), prev))
-        return Denoiser()(x, t, prev, prev_t, index, numbers)
-
-    made = run(plan, transport, watch, past_lag=past_lag)
-    for segment, t, prev_t, prev in told:
-        assert prev_t == (max(t - 200 * past_lag, 0) if segment else 0)
-        if not segment:
-            assert prev.eq(0).all()
-            continue
-        before, index = segment - 1, torch.full((2,), segment - 1)
-        left, noise = made[:, before], noise_of_items(SEEDS, before, PAST, SHAPE)
-        noisy = add_noise(SCHEDULE, transport.pull(left, index, text[before]), noise, torch.full((2,), prev_t))
-        assert torch.equal(prev, transport.push(noisy, index, text[before]) if prev_t else left)
-
-
-def test_a_past_that_is_told_all_steps_ahead_is_told_clean():
-    plan = Staircase(5, 4, 5, lag=5)
-    assert torch.equal(run(plan), run(plan, past_lag=5))
-    assert not torch.equal(run(plan), run(plan, past_lag=1))
-    # The first segment has no past.
-    assert torch.equal(run(plan)[:, 0], run(plan, past_lag=1)[:, 0])
-
-
-def test_the_noise_of_the_past_is_coloured_like_any_other():
-    told = {}
-
-    def watch(x, t, prev, prev_t, index, numbers):
-        told.setdefault(numbers[0], prev)
-        return torch.zeros_like(x)
-
-    twice = {"colour": lambda z: 2 * z, "past_lag": 1}
-    run(Staircase(5, 2, 5, lag=5), IDENTITY, watch, **twice)
-    noise = noise_of_items(SEEDS, 0, PAST, SHAPE)
-    level = torch.full((2,), 800)
-    torch.testing.assert_close(told[1], add_noise(SCHEDULE, torch.zeros_like(noise), 2 * noise, level))
-
-
-def test_a_motion_that_was_given_is_told_clean():
-    """A state without the embedding of its finished segment, as of a seed motion, or of before it was kept."""
-    plan, seen = Staircase(5, None, 5, lag=5), []
-
-    def watch(x, t, prev, prev_t, index, numbers):
-        seen.append((numbers[0], prev_t.tolist()[0], prev))
-        return 0.5 * x
-
-    given = torch.ones(2, *SHAPE)
-    state = StreamState(wave=plan.begin(1), finished=1, left=given)
-    live = stream(
-        watch,
-        Transport(Scaled()),
-        SCHEDULE,
-        levels(5),
-        plan,
-        SEEDS,
-        SHAPE,
-        texts(4).__getitem__,
-        past_lag=1,
-        state=state,
-    )
-    next(live)
-    assert all(level == 0 and torch.equal(prev, given) for _, level, prev in seen)
-    next(live)
-    assert [level for segment, level, _ in seen if segment == 2] == [800, 600, 400, 200, 0]
-
-
 @pytest.mark.parametrize("options", [*CLASSES, {"eta": 0.5, "past_lag": 2}], ids=str)
 def test_a_stream_is_the_sample_and_can_be_stopped_anywhere(options):
     for plan in plans(steps=6, segments=(7,), lags=(6,) if "past_lag" in options else (1, 6)):
@@ -393,12 +272,6 @@ def test_noise_is_a_function_of_its_key():
 def test_settings_that_do_not_fit_are_refused(changed, message):
     with pytest.raises(InputError, match=message):
         run(Staircase(6, 3, 3), **changed)
-
-
-@pytest.mark.parametrize("past_lag", [0, 7])
-def test_a_past_is_told_within_the_steps(past_lag):
-    with pytest.raises(InputError, match=f"past_lag {past_lag} is not in 1 to 6"):
-        run(Staircase(6, 3, 6, lag=6), past_lag=past_lag)
 
 
 def test_a_sample_has_an_end():

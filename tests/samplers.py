@@ -1,0 +1,58 @@
+"""What the tests of RDM's samplers share: a network and a flow by arithmetic, and texts."""
+
+import torch
+
+from moveset.diffusion.schedule import linear
+from moveset.rdm.sampler import sample
+from moveset.rdm.staircase import levels
+from moveset.rdm.transport import Transport
+
+SCHEDULE = linear()
+SHAPE, SEEDS = (3, 5), (11, 12)
+IDENTITY = Transport(None)
+
+
+class Denoiser:
+    """A made-up network that is the same arithmetic for every row whatever the batch, and counts what it is asked."""
+
+    def __init__(self):
+        self.segments, self.waves, self.seen = 0, 0, []
+
+    def __call__(self, x, t, prev, prev_t, index, numbers):
+        assert len(x) == len(t) == len(prev) == len(prev_t) == len(index) == len(numbers)
+        assert index.tolist() == list(numbers)
+        assert (prev_t < t).all()
+        assert prev_t[index == 0].eq(0).all()
+        self.segments += len(x) / len(SEEDS)
+        self.waves += 1
+        self.seen.append((numbers[:: len(SEEDS)], t.tolist()[:: len(SEEDS)], prev_t.tolist()[:: len(SEEDS)]))
+        level = (t + prev_t / 3)[:, None, None] / 1000
+        return (
+            0.6 * x / (1 + level * level) + 0.3 * prev / (1 + prev * prev) + 0.1 * level + 0.01 * index[:, None, None]
+        )
+
+
+class Scaled:
+    """A flow by arithmetic, the same for every row whatever the batch: f(x; c) = x (1 + s(c)) + c."""
+
+    dtype = torch.float32
+
+    def context(self, pooled, index):
+        return pooled[:, :1] + 0.01 * index.clamp(max=3)[:, None]
+
+    def __call__(self, x, context):
+        return x * (1 + 0.1 * context[:, :, None]) + context[:, :, None]
+
+    def inverse(self, y, context):
+        return (y - context[:, :, None]) / (1 + 0.1 * context[:, :, None])
+
+
+def texts(segments):
+    return [torch.randn(2, 4, generator=torch.Generator().manual_seed(j)) for j in range(segments)]
+
+
+def run(plan, transport=None, denoiser=None, **options):
+    return sample(
+        denoiser or Denoiser(), transport or Transport(Scaled()), SCHEDULE, options.pop("levels", levels(plan.steps)),
+        plan, SEEDS, SHAPE, texts(plan.segments), **options,
+    )  # fmt: skip
