@@ -157,6 +157,22 @@ def test_networks_and_guidance(stream):
     assert evaluations("--network", "rdm") == [9, 3]
 
 
+def test_the_staircase_is_chosen_and_noted(stream, tmp_path):
+    def made(name, *plan):
+        code, out, _ = stream("a", "--total", "2.8", "--network", "rdm", "--steps", "3", *plan, "-o", name, "--json")
+        assert code == 0
+        notes = read_metadata(tmp_path / name)
+        return [row["network_evaluations"] for row in rows(out)], [notes[n] for n in ("start", "lag", "past_lag")]
+
+    assert made("one-by-one.npz", "--start", "3", "--lag", "3") == ([3, 3], [3, 3, 3])
+    assert made("noisy.npz", "--start", "3", "--lag", "3", "--past-lag", "1") == ([3, 3], [3, 3, 1])
+    calls, notes = made("overlapping.npz", "--start", "3", "--lag", "1")
+    assert sum(calls) > 6  # the segments after it have been begun by the time that the first two are finished
+    assert notes == [3, 1, 1]
+    assert stream("a", "--total", "1.4", "-o", "student.npz")[0] == 0
+    assert not {"start", "lag", "past_lag"} & set(read_metadata(tmp_path / "student.npz"))
+
+
 def test_in_place(stream, tmp_path):
     assert stream("a", "--total", "2", "-o", "i.npz", "--in-place")[0] == 0
     assert float(load(tmp_path / "i.npz").root[:, [0, 2]].abs().max()) == 0
@@ -299,6 +315,9 @@ def test_one_file_that_fails_does_not_lose_the_others(tmp_path, monkeypatch):
         (("a", "--network", "gan"), "unknown network 'gan'"),
         (("a", "--steps", "3"), "no student for 3 steps"),
         (("a", "--guidance", "99"), "guidance 99"),
+        (("a", "--lag", "2"), "start and lag are its 1 steps"),
+        (("a", "--network", "rdm", "--start", "99"), "start 99 is not in"),
+        (("a", "--network", "rdm", "--lag", "1", "--past-lag", "2"), "past_lag 2 is for network 'rdm'"),
         (("a", "--seed", "-1"), "seed -1"),
         (("a", "--device", "tpu"), "unknown device"),
         (("a", "-o", "w.mp4"), "cannot stream to 'w.mp4'"),

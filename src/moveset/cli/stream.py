@@ -41,6 +41,9 @@ def stream(
     network: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None,
     steps: Annotated[int | None, tyro.conf.arg(metavar="N")] = None,
     guidance: Annotated[float | None, tyro.conf.arg(metavar="W")] = None,
+    start: Annotated[int | None, tyro.conf.arg(metavar="N")] = None,
+    lag: Annotated[int | None, tyro.conf.arg(metavar="N")] = None,
+    past_lag: Annotated[int | None, tyro.conf.arg(metavar="N")] = None,
     seed: Annotated[int, tyro.conf.arg(metavar="N")] = 0,
     seed_motion: Annotated[Path | None, tyro.conf.arg(name="from", metavar="CLIP")] = None,
     in_place: tyro.conf.FlagCreatePairsOff[bool] = False,
@@ -71,6 +74,10 @@ def stream(
             md: the autoregressive baseline. By default the model's own choice.
         steps: Evaluations a segment takes: picks a student, or sets the sampler of --network rdm or md.
         guidance: How strongly the text is followed (w); by default the model's own choice.
+        start: --network rdm: steps that later segments are denoised for; the rest is inherited from their neighbour.
+        lag: --network rdm: steps that a segment is behind the one before it. All of its steps: each waits for a
+            finished predecessor, and a new prompt shows with the next segment. Fewer: segments overlap.
+        past_lag: --network rdm, where segments wait for each other: steps that the finished one is told to be ahead.
         seed: The same seed gives the same bytes.
         seed_motion: Go on from the end of this motion file (.bvh .glb .npz .npy) of at least 1.4 s.
         in_place: Without travel over the ground.
@@ -100,7 +107,7 @@ def stream(
     bundle = StreamBundle.find(model)
     check = partial(
         check_stream, bundle.config, prompt or None, loop=loop, seed=seed, network=network, steps=steps,
-        guidance=guidance, foot_lock=foot_lock, stages=stages,
+        guidance=guidance, start=start, lag=lag, past_lag=past_lag, foot_lock=foot_lock, stages=stages,
     )  # fmt: skip
     request = check(seconds or None)
     if total is not None and total < request.seconds and not seconds and not loop:
@@ -207,15 +214,20 @@ def _notes(made: "MotionStream", request: "StreamRequest") -> dict[str, str | in
     from moveset import __version__
 
     each = made.bundle.config.segment / made.bundle.config.fps
+    chosen = request.settings
+    plan = {} if chosen.network != "rdm" else {
+        "start": chosen.start, "lag": chosen.lag, "past_lag": chosen.past_lag or chosen.lag,
+    }  # fmt: skip
     return {
         "generator": f"moveset {__version__}",
         "model": made.bundle.config.name,
         "prompt": " | ".join(request.timeline.prompts),
         "starts": " | ".join(f"{each * start:g}" for start in request.timeline.starts),
         "seed": request.seed,
-        "network": request.settings.network,
-        "steps": request.settings.steps,
-        "guidance": request.settings.guidance,
+        "network": chosen.network,
+        "steps": chosen.steps,
+        **plan,
+        "guidance": chosen.guidance,
     }
 
 
