@@ -42,13 +42,14 @@ BLEND_SECONDS = 0.3
 
 @dataclass(frozen=True, kw_only=True)
 class Method:
-    """How sequences are sampled; ``start`` None is K, ``lag`` 0 is K."""
+    """How sequences are sampled; ``start`` None is K, ``lag`` 0 is K, ``past_lag`` None tells a finished past clean."""
 
     network: str = "rdm"
     steps: int = 10
     start: int | None = None
     shape: Shape = "parallelogram"
     lag: int = 0
+    past_lag: int | None = None
     eta: float = 0.0
     guidance: float = 0.0
     init_noise: str = "independent"
@@ -66,6 +67,7 @@ class Method:
         words = [self.network]
         if not self.network.startswith("pcm-"):
             words += [f"K={plan.steps}", f"R={plan.start}", f"lag={plan.lag}"]
+        words += [f"past_lag={self.past_lag}"] if self.past_lag else []
         words += [plan.shape] if plan.shape != "parallelogram" else []
         words += [f"eta={self.eta:g}"] if self.eta else []
         words += [self.init_noise] if self.init_noise != "independent" else []
@@ -260,12 +262,13 @@ def segments_of(
         half: evaluate the network in bfloat16.
     """
     module, plan = networks.module(method.network), method.staircase(segments)
-    bound = Bound(module, networks.text, prompts, method.guidance, plan.lag == plan.steps, half)
+    clean_left = plan.lag == plan.steps and method.past_lag is None
+    bound = Bound(module, networks.text, prompts, method.guidance, clean_left, half)
     call: Denoiser = bound
     return stream(
         call, networks.transport(method.network), SCHEDULE, networks.levels(method), plan, seeds,
         (networks.frames, networks.codec.dim), bound.pooled, eta=method.eta, init_noise=method.init_noise,
-        entry=method.entry, colour=getattr(module, "colour", None),
+        entry=method.entry, past_lag=method.past_lag, colour=getattr(module, "colour", None),
     )  # fmt: skip
 
 
