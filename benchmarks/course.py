@@ -62,9 +62,16 @@ def measured(clips: list[Tensor]) -> dict[str, Any]:
     }
 
 
-def streams(bundle: StreamBundle, network: str, sentence: str, copies: int, seconds: float = SECONDS) -> list[Tensor]:
-    """Joints of so many streams of one sentence."""
-    settings = check_stream(bundle.config, sentence, network=network).settings
+def streams(
+    bundle: StreamBundle,
+    network: str,
+    sentence: str,
+    copies: int,
+    seconds: float = SECONDS,
+    past_lag: int | None = None,
+) -> list[Tensor]:
+    """Joints (F, J, 3) of so many streams of one sentence; ``past_lag`` is the model's own by default."""
+    settings = check_stream(bundle.config, sentence, network=network, past_lag=past_lag).settings
     group = StreamGroup(bundle, settings, device="cpu")
     lanes = [group.open(sentence, seed) for seed in range(copies)]
     pieces = [group.advance(lanes) for _ in range(round(seconds * FPS / bundle.config.segment))]
@@ -89,6 +96,7 @@ def main() -> None:
     parser.add_argument("--sentences", nargs="*", default=list(SENTENCES))
     parser.add_argument("--copies", type=at_least(1), default=24)
     parser.add_argument("--seconds", type=between(3, 600), default=SECONDS)
+    parser.add_argument("--past-lag", type=at_least(1), help="of rdm; all of its steps tell a finished past clean")
     parser.add_argument("--corpus", type=Path, help="measure its walks and runs too")
     parser.add_argument("--out", type=report_path)
     given = parser.parse_args()
@@ -96,17 +104,18 @@ def main() -> None:
     bundle = StreamBundle.find(given.model)
     for network in given.networks:
         for sentence in given.sentences:
-            check_stream(bundle.config, sentence, network=network)
+            check_stream(bundle.config, sentence, network=network, past_lag=given.past_lag)
     rows = takes(Corpus.open(given.corpus)) if given.corpus else {}
     for name, row in rows.items():
         print(name, row, flush=True)
     for network in given.networks:
         for sentence in given.sentences:
-            row = measured(streams(bundle, network, sentence, given.copies, given.seconds))
+            row = measured(streams(bundle, network, sentence, given.copies, given.seconds, given.past_lag))
             rows[f"{network}: {sentence}"] = row
             print(f"{network}: {sentence}", row, flush=True)
     if given.out:
-        write_report(given.out, {"copies": given.copies, "seconds": given.seconds, "rows": rows})
+        told = {} if given.past_lag is None else {"past_lag": given.past_lag}
+        write_report(given.out, {"copies": given.copies, "seconds": given.seconds, **told, "rows": rows})
 
 
 if __name__ == "__main__":
