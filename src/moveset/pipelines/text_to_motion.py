@@ -26,6 +26,7 @@ from moveset.pipelines.denoise import Denoise
 from moveset.pipelines.device import Stopwatch, pick_device
 from moveset.pipelines.request import Method, Request, check_method, check_request, check_whole
 from moveset.pipelines.warnings import too_long, unfamiliar
+from moveset.text.ellipsis import in_full
 from moveset.text.encoder import TextEmbedding, TextEncoder, get_text_encoder, stack
 
 # Far below one half: a doubtful foot is held rather than let slide (docs/decisions.md).
@@ -182,7 +183,7 @@ class TextToMotion:
         clock = Stopwatch(self.device)
 
         prompts = [prompt for request in requests for prompt in request.prompts]
-        known = {prompt: self.encoder.encode([prompt]) for prompt in dict.fromkeys(prompts)}
+        known = {prompt: self.encoder.encode([in_full(prompt)]) for prompt in dict.fromkeys(prompts)}
         frames = [n for request in requests for n in self._frames(request, known)]
         warnings = {request.prompts: self._warnings(request.prompts, known) for request in requests}
         clock.lap("text")
