@@ -22,7 +22,6 @@ from moveset.training.segments import SEGMENT_FRAMES, CuttingConfig
 from moveset.training.tasks import Recipe
 from moveset.training.teacher import TeacherConfig
 from moveset.training.vae import VAETrainingConfig
-from moveset.training.vae_loss import ReconstructionWeights
 
 
 def vae() -> Recipe:
@@ -44,7 +43,6 @@ def decoder() -> Recipe:
             latent_noise=0.3,
             balance=0.5,
             composed_share=0.2,
-            weights=ReconstructionWeights(feet=30.0),
         ),
         engine=EngineConfig(
             steps=4600, save_every=500, validate_every=500, grad_clip=8.0, precision="bf16-mixed", threads=1

@@ -20,7 +20,6 @@ class ReconstructionWeights:
     acceleration: float = 20.0
     path: float = 1.5
     heading: float = 1.5
-    feet: float = 0.0
 
 
 def reconstruction_loss(
