@@ -18,6 +18,7 @@ from moveset.pcm.consistency import (
     phased_prediction,
     phased_target,
     teacher_step,
+    whole_target,
 )
 from moveset.pcm.losses import pseudo_huber
 from moveset.pcm.sampler import lcm_timesteps, sample_lcm, sample_phased
@@ -284,3 +285,19 @@ def test_prediction_at_the_top_is_what_sampling_uses():
     t = torch.full((4,), 999)
     eps = student(z, t, w)
     torch.testing.assert_close(jump, add_noise(SCHEDULE, predict_z0(SCHEDULE, z, eps, t), eps, torch.zeros_like(t)))
+
+
+@pytest.mark.parametrize("grid", GRIDS, ids=lambda g: f"M={g.phases}")
+def test_the_whole_target_is_the_teachers_own_way_to_the_edge(grid):
+    """From every point at once: rows arrive after unlike numbers of steps, and wait for each other unchanged."""
+    point = torch.arange(grid.points)
+    z, w = normal(grid.points, 1, 3), torch.linspace(0.0, 4.0, grid.points)
+    whole = whole_target(SCHEDULE, grid, teacher, z, point, w)
+    for i in range(grid.points):
+        one = slice(i, i + 1)
+        alone = solved(z[one], w[one], int(grid.time(point[i])), int(grid.lower(point[i])), grid)
+        torch.testing.assert_close(whole[one], alone, rtol=1e-6, atol=1e-6)
+    lowest = torch.tensor(grid.starts)
+    student = TinyStudent(grid)
+    aim = phased_target(SCHEDULE, grid, teacher, student, z[lowest], lowest, w[lowest])
+    torch.testing.assert_close(whole[lowest], aim, rtol=1e-6, atol=1e-6)

@@ -6,6 +6,7 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -86,8 +87,23 @@ def test_a_student_goes_on_with_a_discriminator_that_reads(trained: Path, tmp_pa
     assert any(not torch.equal(before[name], after[name]) for name in before)
 
 
-@pytest.mark.parametrize("wrong", [{"sampled_share": 1.5}, {"mismatched": -0.1}, {"judged_span": 2.0}])
-def test_shares_beyond_one_are_refused(wrong: dict[str, float]) -> None:
+@pytest.mark.parametrize("what", ["lcm", "pcm"])
+def test_a_student_may_be_asked_for_all_of_its_teachers_steps(trained: Path, tmp_path: Path, what: str) -> None:
+    recipe = tiny.TRAINING[what]()
+    learned = []
+    for rehearsed in (0, 2):
+        task, folder = replace(recipe.task, rehearsed=rehearsed), tmp_path / f"{what}-{rehearsed}"
+        run(task_maker(what, task, sources(trained)), replace(recipe.engine, steps=2), folder)
+        rows = [json.loads(line) for line in (folder / "metrics.jsonl").read_text().splitlines()]
+        assert all(("rehearsal" in row) == bool(rehearsed) for row in rows if row["split"] == "train")
+        learned.append(checkpoint.read_tensors(folder / "step_2", "student"))
+    assert any(not torch.equal(learned[0][name], learned[1][name]) for name in learned[0])
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"sampled_share": 1.5}, {"mismatched": -0.1}, {"judged_span": 2.0}, {"rehearsed": 65, "batch": 64}]
+)
+def test_shares_beyond_one_are_refused(wrong: dict[str, Any]) -> None:
     with pytest.raises(InputError, match="is outside 0"):
         DistillationConfig(**wrong)
 

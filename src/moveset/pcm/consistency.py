@@ -121,6 +121,24 @@ def phased_target(
     return ddim_step(schedule, stepped_BND, ema(stepped_BND, t_B, w_B), t_B, grid.lower(point_B))
 
 
+@torch.no_grad()
+def whole_target(
+    schedule: Schedule, grid: PhaseGrid, teacher: Teacher, z_BND: Tensor, point_B: Tensor, w_B: Tensor
+) -> Tensor:
+    """Where all of the teacher's guided steps from t_i to the lower edge of its phase lead.
+
+    ``phased_target`` asks the averaged student for all of them but the first, and what that one is wrong about goes on
+    upwards from point to point. This asks the teacher alone, twice for every point in between.
+    """
+    t_B, edge_B = grid.time(point_B), grid.lower(point_B)
+    while bool((going_B := t_B > edge_B).any()):
+        stepped_BND = teacher_step(schedule, grid, teacher, z_BND, point_B, w_B)
+        z_BND = torch.where(over(going_B, z_BND), stepped_BND, z_BND)
+        t_B = torch.where(going_B, grid.previous(point_B), t_B)
+        point_B = torch.where(t_B > edge_B, point_B - 1, point_B)
+    return z_BND
+
+
 def adversarial_pair(
     schedule: Schedule, grid: PhaseGrid, draws: Draws, prediction_BND: Tensor, z0_BND: Tensor
 ) -> tuple[Tensor, Tensor]:

@@ -11,12 +11,13 @@ from torch import Tensor, nn
 
 from moveset.diffusion.phases import PhaseGrid
 from moveset.diffusion.schedule import scaled_linear
-from moveset.diffusion.steps import add_noise, ddim_timesteps
+from moveset.diffusion.steps import add_noise, ddim_timesteps, over
 from moveset.models.discriminator import DiscriminatorConfig, LatentDiscriminator
 from moveset.models.latent_denoiser import LatentDenoiserConfig
 from moveset.models.registry import describe, parse_config, require_range
 from moveset.models.token_denoiser import TokenDenoiserConfig
 from moveset.pcm.consistency import (
+    Draws,
     Student,
     Teacher,
     adversarial_pair,
@@ -25,6 +26,7 @@ from moveset.pcm.consistency import (
     lcm_target,
     phased_prediction,
     phased_target,
+    whole_target,
 )
 from moveset.pcm.losses import hinge_discriminator, hinge_generator, pseudo_huber
 from moveset.pcm.sampler import lcm_timesteps, sample_ddim_cfg, sample_lcm, sample_phased
@@ -32,6 +34,7 @@ from moveset.text.encoder import TextEmbedding, stack
 from moveset.training import frozen
 from moveset.training.ema import Ema
 from moveset.training.engine import Loop, Task
+from moveset.training.latents import LatentBatch
 from moveset.training.optim import cosine_lr
 from moveset.training.reading import Disturbance
 from moveset.training.tasks import Sources
@@ -52,6 +55,8 @@ class DistillationConfig:
         mismatched: share of real latents with another item's text in what the discriminator is to call fake, so that
             it judges what is said too; 0 as published.
         judged_span: the lower part of a phase in which the discriminator looks; 1 as published.
+        rehearsed: rows of a batch that are asked, besides, for what all of the teacher's steps lead to from where
+            sampling starts (``pcm.consistency.whole_target``); 0 as published.
         ema: decay of the target network.
         model: the student's architecture; filled in from the teacher's.
     """
@@ -64,6 +69,7 @@ class DistillationConfig:
     sampled_share: float = 0.0
     mismatched: float = 0.0
     judged_span: float = 1.0
+    rehearsed: int = 0
     ema: float = 0.95
     batch: int = 128
     lr: float = 2e-4
@@ -76,6 +82,7 @@ class DistillationConfig:
 
     def __post_init__(self) -> None:
         require_shares(self.sampled_share, self.mismatched, self.judged_span)
+        require_range("rows that are rehearsed", self.rehearsed, 0, self.batch)
         if self.model is not None:
             object.__setattr__(self, "kind", describe(self.model)[0])
 
@@ -135,6 +142,24 @@ class _DistillationTask(Task):
         """Latents by this student."""
         raise NotImplementedError
 
+    def predict(self, student: Student, z: Tensor, point_B: Tensor, w_B: Tensor) -> Tensor:
+        """Where this student lands from a solver point."""
+        raise NotImplementedError
+
+    def _rehearse(self, batch: LatentBatch, draws: Draws) -> Tensor:
+        """Distance to where the teacher's whole way through a phase leads, for the first rows of a batch."""
+        count = self.config.rehearsed
+        text, frames, w_B = self.data.read(batch.captions[:count]), batch.frames[:count], draws.w_B[:count]
+        phase_B = torch.randint(self.grid.phases, (count,), generator=self.draws).to(w_B.device)
+        point_B = self.grid.highest_of(phase_B)
+        noise = draws.fake_noise_BND[:count]
+        z = add_noise(self.schedule, batch.z0[:count], noise, self.grid.time(point_B))
+        # The uppermost phase is entered from noise alone, of which the schedule's last time leaves a little short.
+        z = torch.where(over(phase_B == self.grid.phases - 1, z), noise, z)
+        target = whole_target(self.schedule, self.grid, self._bound_teacher(text, frames), z, point_B, w_B)
+        made = self.predict(_bound(self.student, text, frames), z, point_B, w_B)
+        return pseudo_huber(made, target, self.config.huber)
+
     def _bound_teacher(self, text: TextEmbedding, frames: Tensor) -> Teacher:
         both = _bound(self.teacher, stack([text, self.data.read([""] * len(text))]), frames.repeat(2))
 
@@ -161,11 +186,19 @@ class LCMTask(_DistillationTask):
         student, ema = _bound(self.student, text, batch.frames), _bound(self.ema.module, text, batch.frames)
         teacher = self._bound_teacher(text, batch.frames)
         target = lcm_target(self.schedule, self.grid, teacher, ema, z, draws.point_B, draws.w_B)
-        made = lcm_prediction(self.schedule, student, z, t, draws.w_B)
+        made = self.predict(student, z, draws.point_B, draws.w_B)
         loss = pseudo_huber(made, target, self.config.huber)
-        norm = loop.minimise(loss, "student")
+        report = {"consistency": loss.detach()}
+        if self.config.rehearsed:
+            rehearsal = self._rehearse(batch, draws)
+            loss = loss + rehearsal
+            report["rehearsal"] = rehearsal.detach()
+        report["gradient_norm"] = loop.minimise(loss, "student")
         self.ema.update(self.student)
-        return {"loss": loss.detach(), "gradient_norm": norm}
+        return report | {"loss": loss.detach()}
+
+    def predict(self, student: Student, z: Tensor, point_B: Tensor, w_B: Tensor) -> Tensor:
+        return lcm_prediction(self.schedule, student, z, self.grid.time(point_B), w_B)
 
     def sample(self, model: Student, noise: Tensor, w: float) -> Tensor:
         w_B = torch.full((len(noise),), w, device=noise.device)
@@ -206,9 +239,13 @@ class PCMTask(_DistillationTask):
         student, ema = _bound(self.student, text, batch.frames), _bound(self.ema.module, text, batch.frames)
         teacher = self._bound_teacher(text, batch.frames)
         target = phased_target(self.schedule, self.grid, teacher, ema, z, draws.point_B, draws.w_B)
-        made = phased_prediction(self.schedule, self.grid, student, z, draws.point_B, draws.w_B)
+        made = self.predict(student, z, draws.point_B, draws.w_B)
         loss = pseudo_huber(made, target, config.huber)
         report = {"consistency": loss.detach()}
+        if config.rehearsed:
+            rehearsal = self._rehearse(batch, draws)
+            loss = loss + rehearsal
+            report["rehearsal"] = rehearsal.detach()
         if config.adversarial:
             fake, real = adversarial_pair(self.schedule, self.grid, draws, made, batch.z0)
             seen = self._features(fake, draws.judged_B, text, batch.frames)
@@ -239,6 +276,9 @@ class PCMTask(_DistillationTask):
     def sample(self, model: Student, noise: Tensor, w: float) -> Tensor:
         w_B = torch.full((len(noise),), w, device=noise.device)
         return sample_phased(model, self.schedule, self.grid, noise, w_B)
+
+    def predict(self, student: Student, z: Tensor, point_B: Tensor, w_B: Tensor) -> Tensor:
+        return phased_prediction(self.schedule, self.grid, student, z, point_B, w_B)
 
     def _features(self, z: Tensor, s: Tensor, text: TextEmbedding, frames: Tensor) -> list[Tensor]:
         """The frozen teacher's block outputs: one pass serves both the discriminator's step and the student's."""
