@@ -152,7 +152,7 @@ class _DistillationTask(Task):
         text, frames, w_B = self.data.read(batch.captions[:count]), batch.frames[:count], draws.w_B[:count]
         phase_B = torch.randint(self.grid.phases, (count,), generator=self.draws).to(w_B.device)
         point_B = self.grid.highest_of(phase_B)
-        noise = draws.fake_noise_BND[:count]
+        noise = torch.randn(batch.z0[:count].shape, generator=self.draws).to(batch.z0)
         z = add_noise(self.schedule, batch.z0[:count], noise, self.grid.time(point_B))
         # The uppermost phase is entered from noise alone, of which the schedule's last time leaves a little short.
         z = torch.where(over(phase_B == self.grid.phases - 1, z), noise, z)
