@@ -6,12 +6,15 @@ grid, and the student maps every point of phase m to its lower edge s_m (MotionP
 arXiv 2405.18407). One phase makes a plain consistency model.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
 
+import torch
 from torch import Tensor
 
+from moveset.diffusion.steps import over
 from moveset.errors import InputError
 
 
@@ -97,3 +100,20 @@ class PhaseGrid:
         # Arithmetic instead of a table: nothing to copy to the device in every training step.
         start = (m * self.points).div(self.phases, rounding_mode="floor")
         return (start * (self.steps // self.points) - 1).clamp(min=0)
+
+
+def down_to_edge(grid: PhaseGrid, step: Callable[[Tensor, Tensor], Tensor], z: Tensor, point_B: Tensor) -> Tensor:
+    """``z`` (B, …) after all solver steps from t_i to the lower edge of its phase.
+
+    Args:
+        grid: the points and phases.
+        step: from z_t (B, …) at points (B,) to z at the times before them; called for all rows until the last arrives.
+        z: where rows are.
+        point_B: the points they are at.
+    """
+    t_B, edge_B = grid.time(point_B), grid.lower(point_B)
+    while bool((going_B := t_B > edge_B).any()):
+        z = torch.where(over(going_B, z), step(z, point_B), z)
+        t_B = torch.where(going_B, grid.previous(point_B), t_B)
+        point_B = torch.where(t_B > edge_B, point_B - 1, point_B)
+    return z

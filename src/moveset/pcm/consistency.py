@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 
 from moveset.diffusion.guidance import cfg
-from moveset.diffusion.phases import PhaseGrid
+from moveset.diffusion.phases import PhaseGrid, down_to_edge
 from moveset.diffusion.schedule import Schedule
 from moveset.diffusion.steps import add_noise, ddim_step, over, predict_z0, renoise
 
@@ -130,13 +130,7 @@ def whole_target(
     ``phased_target`` asks the averaged student for all of them but the first, and what that one is wrong about goes on
     upwards from point to point. This asks the teacher alone, twice for every point in between.
     """
-    t_B, edge_B = grid.time(point_B), grid.lower(point_B)
-    while bool((going_B := t_B > edge_B).any()):
-        stepped_BND = teacher_step(schedule, grid, teacher, z_BND, point_B, w_B)
-        z_BND = torch.where(over(going_B, z_BND), stepped_BND, z_BND)
-        t_B = torch.where(going_B, grid.previous(point_B), t_B)
-        point_B = torch.where(t_B > edge_B, point_B - 1, point_B)
-    return z_BND
+    return down_to_edge(grid, lambda z, i: teacher_step(schedule, grid, teacher, z, i, w_B), z_BND, point_B)
 
 
 def adversarial_pair(

@@ -21,7 +21,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from moveset.diffusion.phases import PhaseGrid
+from moveset.diffusion.phases import PhaseGrid, down_to_edge
 from moveset.diffusion.schedule import Schedule
 from moveset.diffusion.steps import denoise_step, over
 
@@ -90,12 +90,10 @@ def whole_target(
     What ``clean_target`` says far above an edge is what the averaged student says a step below: what is wrong there
     goes on upwards. This asks the teacher itself, for as many evaluations as there are points in between.
     """
-    start_B, edge_B = grid.time(point_B), grid.lower(point_B)
-    landed, t_B = z_BnD, start_B
-    while bool((t_B > edge_B).any()):
-        next_B = torch.where(t_B > edge_B, grid.previous(point_B), t_B)
-        stepped = denoise_step(schedule, landed, pull(teacher(push(landed), t_B, w_B)), t_B, next_B)
-        landed = torch.where(over(t_B > edge_B, landed), stepped, landed)
-        point_B = torch.where(t_B > edge_B, point_B - 1, point_B)
-        t_B = next_B
-    return push(implied_clean(schedule, z_BnD, landed, start_B, edge_B))
+
+    def step(z: Tensor, i: Tensor) -> Tensor:
+        t_B = grid.time(i)
+        return denoise_step(schedule, z, pull(teacher(push(z), t_B, w_B)), t_B, grid.previous(i))
+
+    landed = down_to_edge(grid, step, z_BnD, point_B)
+    return push(implied_clean(schedule, z_BnD, landed, grid.time(point_B), grid.lower(point_B)))

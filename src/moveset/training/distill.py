@@ -146,9 +146,10 @@ class _DistillationTask(Task):
         """Where this student lands from a solver point."""
         raise NotImplementedError
 
-    def _rehearse(self, batch: LatentBatch, draws: Draws) -> Tensor:
-        """Distance to where the teacher's whole way through a phase leads, for the first rows of a batch."""
-        count = self.config.rehearsed
+    def _rehearsal(self, batch: LatentBatch, draws: Draws, report: dict[str, Tensor]) -> Tensor | float:
+        """Distance to where the teacher's whole way through a phase leads, for the first rows of a batch; reported."""
+        if not (count := self.config.rehearsed):
+            return 0.0
         text, frames, w_B = self.data.read(batch.captions[:count]), batch.frames[:count], draws.w_B[:count]
         phase_B = torch.randint(self.grid.phases, (count,), generator=self.draws).to(w_B.device)
         point_B = self.grid.highest_of(phase_B)
@@ -158,7 +159,9 @@ class _DistillationTask(Task):
         z = torch.where(over(phase_B == self.grid.phases - 1, z), noise, z)
         target = whole_target(self.schedule, self.grid, self._bound_teacher(text, frames), z, point_B, w_B)
         made = self.predict(_bound(self.student, text, frames), z, point_B, w_B)
-        return pseudo_huber(made, target, self.config.huber)
+        loss = pseudo_huber(made, target, self.config.huber)
+        report["rehearsal"] = loss.detach()
+        return loss
 
     def _bound_teacher(self, text: TextEmbedding, frames: Tensor) -> Teacher:
         both = _bound(self.teacher, stack([text, self.data.read([""] * len(text))]), frames.repeat(2))
@@ -189,10 +192,7 @@ class LCMTask(_DistillationTask):
         made = self.predict(student, z, draws.point_B, draws.w_B)
         loss = pseudo_huber(made, target, self.config.huber)
         report = {"consistency": loss.detach()}
-        if self.config.rehearsed:
-            rehearsal = self._rehearse(batch, draws)
-            loss = loss + rehearsal
-            report["rehearsal"] = rehearsal.detach()
+        loss = loss + self._rehearsal(batch, draws, report)
         report["gradient_norm"] = loop.minimise(loss, "student")
         self.ema.update(self.student)
         return report | {"loss": loss.detach()}
@@ -242,10 +242,7 @@ class PCMTask(_DistillationTask):
         made = self.predict(student, z, draws.point_B, draws.w_B)
         loss = pseudo_huber(made, target, config.huber)
         report = {"consistency": loss.detach()}
-        if config.rehearsed:
-            rehearsal = self._rehearse(batch, draws)
-            loss = loss + rehearsal
-            report["rehearsal"] = rehearsal.detach()
+        loss = loss + self._rehearsal(batch, draws, report)
         if config.adversarial:
             fake, real = adversarial_pair(self.schedule, self.grid, draws, made, batch.z0)
             seen = self._features(fake, draws.judged_B, text, batch.frames)
