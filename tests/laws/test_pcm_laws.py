@@ -12,6 +12,7 @@ from moveset.diffusion.steps import add_noise, ddim_step, predict_z0
 from moveset.pcm.consistency import (
     adversarial_pair,
     draw,
+    entered,
     lcm_prediction,
     lcm_scalings,
     lcm_target,
@@ -301,3 +302,20 @@ def test_the_whole_target_is_the_teachers_own_way_to_the_edge(grid):
     student = TinyStudent(grid)
     aim = phased_target(SCHEDULE, grid, teacher, student, z[lowest], lowest, w[lowest])
     torch.testing.assert_close(whole[lowest], aim, rtol=1e-6, atol=1e-6)
+
+
+@pytest.mark.parametrize("grid", GRIDS, ids=lambda g: f"M={g.phases}")
+def test_phases_are_entered_where_sampling_enters_them(grid):
+    """Each phase's jump from there, one after the other, is sampling; rows of unlike phases do not disturb each other."""
+    student, phases = TinyStudent(grid), torch.arange(grid.phases)
+    noise, w = normal(1, 1, 3).expand(grid.phases, 1, 3), torch.full((grid.phases,), 2.0)
+    z = entered(SCHEDULE, grid, student, noise, phases, w)
+    torch.testing.assert_close(z[-1], noise[-1], rtol=0, atol=0)
+    below = phased_prediction(SCHEDULE, grid, student, z, grid.highest_of(phases), w)
+    torch.testing.assert_close(z[:-1], below[1:], rtol=1e-6, atol=1e-6)
+    zero, t_B = torch.zeros(1, dtype=torch.long), torch.full((1,), grid.jumps[-1][0])
+    sampled = sample_phased(student, SCHEDULE, grid, noise[:1], w[:1])
+    # Sampling ends in the estimate without noise, training at time 0, which keeps a little of it.
+    eps = student(z[:1], t_B, w[:1])
+    torch.testing.assert_close(sampled, predict_z0(SCHEDULE, z[:1], eps, t_B), rtol=1e-6, atol=1e-6)
+    torch.testing.assert_close(below[:1], ddim_step(SCHEDULE, z[:1], eps, t_B, zero), rtol=1e-6, atol=1e-6)

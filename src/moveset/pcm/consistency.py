@@ -133,6 +133,22 @@ def whole_target(
     return down_to_edge(grid, lambda z, i: teacher_step(schedule, grid, teacher, z, i, w_B), z_BND, point_B)
 
 
+@torch.no_grad()
+def entered(
+    schedule: Schedule, grid: PhaseGrid, student: Student, noise_BND: Tensor, phase_B: Tensor, w_B: Tensor
+) -> Tensor:
+    """Where sampling enters phase m: where the student's own jumps lead from noise through all phases above it.
+
+    Data noised to the same time, which consistency is learned from, has none of what those jumps are wrong about.
+    """
+    z_BND = noise_BND
+    for m in range(grid.phases - 1, 0, -1):
+        point_B = grid.highest_of(torch.full_like(phase_B, m))
+        below_BND = phased_prediction(schedule, grid, student, z_BND, point_B, w_B)
+        z_BND = torch.where(over(phase_B < m, z_BND), below_BND, z_BND)
+    return z_BND
+
+
 def adversarial_pair(
     schedule: Schedule, grid: PhaseGrid, draws: Draws, prediction_BND: Tensor, z0_BND: Tensor
 ) -> tuple[Tensor, Tensor]:

@@ -11,7 +11,7 @@ from torch import Tensor, nn
 
 from moveset.diffusion.phases import PhaseGrid
 from moveset.diffusion.schedule import scaled_linear
-from moveset.diffusion.steps import add_noise, ddim_timesteps, over
+from moveset.diffusion.steps import add_noise, ddim_timesteps
 from moveset.models.discriminator import DiscriminatorConfig, LatentDiscriminator
 from moveset.models.latent_denoiser import LatentDenoiserConfig
 from moveset.models.registry import describe, parse_config, require_range
@@ -22,6 +22,7 @@ from moveset.pcm.consistency import (
     Teacher,
     adversarial_pair,
     draw,
+    entered,
     lcm_prediction,
     lcm_target,
     phased_prediction,
@@ -56,7 +57,7 @@ class DistillationConfig:
             it judges what is said too; 0 as published.
         judged_span: the lower part of a phase in which the discriminator looks; 1 as published.
         rehearsed: rows of a batch that are asked, besides, for what all of the teacher's steps lead to from where
-            sampling starts (``pcm.consistency.whole_target``); 0 as published.
+            sampling enters a phase (``pcm.consistency.entered`` and ``whole_target``); 0 as published.
         ema: decay of the target network.
         model: the student's architecture; filled in from the teacher's.
     """
@@ -154,9 +155,7 @@ class _DistillationTask(Task):
         phase_B = torch.randint(self.grid.phases, (count,), generator=self.draws).to(w_B.device)
         point_B = self.grid.highest_of(phase_B)
         noise = torch.randn(batch.z0[:count].shape, generator=self.draws).to(batch.z0)
-        z = add_noise(self.schedule, batch.z0[:count], noise, self.grid.time(point_B))
-        # The uppermost phase is entered from noise alone, of which the schedule's last time leaves a little short.
-        z = torch.where(over(phase_B == self.grid.phases - 1, z), noise, z)
+        z = entered(self.schedule, self.grid, _bound(self.ema.module, text, frames), noise, phase_B, w_B)
         target = whole_target(self.schedule, self.grid, self._bound_teacher(text, frames), z, point_B, w_B)
         made = self.predict(_bound(self.student, text, frames), z, point_B, w_B)
         loss = pseudo_huber(made, target, self.config.huber)
