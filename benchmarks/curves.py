@@ -24,6 +24,10 @@ PANELS = {
     "lcm-1": ("train", "loss", "LCM-1: pseudo-Huber"),
     "pcm-1": ("train", "consistency", "PCM-1: pseudo-Huber"),
     "pcm-1 ": ("train", "discriminator", "PCM-1: discriminator hinge"),
+    "lcm-1 ": ("train", "rehearsal", "LCM-1: distance to the teacher's whole way"),
+    "pcm-1  ": ("train", "rehearsal", "PCM-1: distance to the teacher's whole way"),
+    "pcm-2 ": ("train", "rehearsal", "PCM-2: distance to the teacher's way through a phase"),
+    "pcm-4 ": ("train", "rehearsal", "PCM-4: distance to the teacher's way through a phase"),
     "pcm-2": ("train", "consistency", "PCM-2: pseudo-Huber"),
     "pcm-4": ("train", "consistency", "PCM-4: pseudo-Huber"),
     "rdm-7": ("train", "error", "RDM-7: error of the clean segment"),
@@ -56,20 +60,23 @@ def main() -> None:
     given = parser.parse_args()
     # Its folder must be one that can be written to.
     report = report_path(str(given.out / "curves.json"))
-    found = {k: v for k, v in PANELS.items() if (given.runs / k.strip() / "metrics.jsonl").is_file()}
-    if not found:
+    logs = {k: given.runs / k.strip() / "metrics.jsonl" for k in PANELS}
+    curves = {k: points(logs[k], *PANELS[k][:2]) for k in PANELS if logs[k].is_file()}
+    # A training with a setting left off does not log what belongs to it.
+    curves = {k: curve for k, curve in curves.items() if curve}
+    if not curves:
         raise InputError(f"{given.runs} holds no run with a metrics.jsonl; give a folder of runs")
-    figure, axes = plt.subplots(2, -(-len(found) // 2), figsize=(3.2 * -(-len(found) // 2), 5), squeeze=False)
+    figure, axes = plt.subplots(2, -(-len(curves) // 2), figsize=(3.2 * -(-len(curves) // 2), 5), squeeze=False)
     kept = {}
-    for axis, (run, (split, name, title)) in zip(axes.flat, found.items(), strict=False):
-        curve = points(given.runs / run.strip() / "metrics.jsonl", split, name)
+    for axis, (run, curve) in zip(axes.flat, curves.items(), strict=False):
+        split, name, title = PANELS[run]
         axis.plot(*zip(*curve, strict=True), lw=1)
         axis.set_title(title, fontsize=8)
         axis.tick_params(labelsize=7)
         axis.grid(alpha=0.3)
         every = max(1, len(curve) // 50)
         kept[f"{run.strip()}/{split}/{name}"] = [[step, round(value, 5)] for step, value in curve[::every]]
-    for axis in axes.flat[len(found) :]:
+    for axis in axes.flat[len(curves) :]:
         axis.set_visible(False)
     figure.tight_layout()
     figure.savefig(given.out / "curves.png", dpi=110)
