@@ -306,7 +306,7 @@ def test_the_whole_target_is_the_teachers_own_way_to_the_edge(grid):
 
 @pytest.mark.parametrize("grid", GRIDS, ids=lambda g: f"M={g.phases}")
 def test_phases_are_entered_where_sampling_enters_them(grid):
-    """Each phase's jump from there, one after the other, is sampling; rows of unlike phases do not disturb each other."""
+    """Each phase jumps from there as sampling does; rows of unlike phases do not disturb each other."""
     student, phases = TinyStudent(grid), torch.arange(grid.phases)
     noise, w = normal(1, 1, 3).expand(grid.phases, 1, 3), torch.full((grid.phases,), 2.0)
     z = entered(SCHEDULE, grid, student, noise, phases, w)
