@@ -1,5 +1,7 @@
 """GIF and MP4: the right number of frames at the right times, a body in every one."""
 
+import os
+
 import numpy as np
 import pytest
 import torch
@@ -79,6 +81,19 @@ def test_same_motion_same_bytes(tmp_path):
         write_gif(gait(6), tmp_path / f"{name}.gif")
     for suffix in ("mp4", "gif"):
         assert (tmp_path / f"a.{suffix}").read_bytes() == (tmp_path / f"b.{suffix}").read_bytes()
+
+
+@pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="cores cannot be taken away from a process here")
+@pytest.mark.skipif((os.cpu_count() or 1) < 2, reason="needs two cores")
+def test_a_film_does_not_depend_on_the_number_of_cores(tmp_path):
+    cores = os.sched_getaffinity(0)
+    write_mp4(gait(30), tmp_path / "all.mp4")
+    try:
+        os.sched_setaffinity(0, {min(cores)})
+        write_mp4(gait(30), tmp_path / "one.mp4")
+    finally:
+        os.sched_setaffinity(0, cores)
+    assert (tmp_path / "all.mp4").read_bytes() == (tmp_path / "one.mp4").read_bytes()
 
 
 def test_very_long_motions_are_refused(tmp_path):
