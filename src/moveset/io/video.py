@@ -43,7 +43,7 @@ def write_mp4(motion: Motion, path: str | Path, *, caption: str = "", metadata: 
 
     motion = _limited(motion, path)
     motion = motion.resampled(film_rate(motion.fps, ".mp4"))
-    # One thread: with several the bytes depend on how many cores there are, and seldom on how busy they are.
+    # One thread: with several the bytes depend on how many cores there are.
     options = ["-preset", "veryfast", "-crf", "23", "-threads", "1", "-movflags", "+faststart", "-fflags", "+bitexact"]
     options += ["-metadata", f"comment={metadata}"] if metadata else []
     # ffmpeg wants a seekable file of its own with the right extension.
