@@ -30,6 +30,8 @@ def test_what_ships_is_whole_and_small():
     assert DEFAULT_MODEL in shipped()
     assert DEFAULT_STREAM in shipped()
     assert sum(VerifiedFolder(path).verify() for path in shipped().values()) <= 80e6
+    weights = next(iter(shipped().values())).parent
+    assert sum(file.stat().st_size for file in weights.rglob("*") if file.is_file()) <= 80 * 2**20
 
 
 def test_every_method_ships():
