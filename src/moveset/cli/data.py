@@ -21,6 +21,7 @@ def build(
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("data/corpus.safetensors"),
     workers: int | None = None,
     compositions: int = 3000,
+    continuations: int = 0,
     keep_work: tyro.conf.FlagCreatePairsOff[bool] = False,
     json: tyro.conf.FlagCreatePairsOff[bool] = False,
 ) -> int:
@@ -31,6 +32,7 @@ def build(
         output: The corpus to write; a report is written beside it.
         workers: Processes (default: one a core).
         compositions: Training clips to add that are composed of two takes each.
+        continuations: Training clips to add in which one action goes on for longer than its takes last.
         keep_work: Keep the imported takes, for a faster next build.
         json: Print one JSON object on stdout and nothing else.
     """
@@ -42,10 +44,19 @@ def build(
         raise InputError(f"{workers} workers on {cores} cores; use 1 to {4 * cores}")
     if not 0 <= compositions <= 100_000:
         raise InputError(f"{compositions} compositions are not in [0, 100000]; 3000 is usual")
+    if not 0 <= continuations <= 100_000:
+        raise InputError(f"{continuations} continuations are not in [0, 100000]; 1500 is usual")
     if output.suffix != ".safetensors":
         raise InputError(f"a corpus is a .safetensors file, not {output.name!r}; choose such a name")
     begin = time.monotonic()
-    report = build_corpus(raw, output, workers=workers, compositions=compositions, keep_work=keep_work)
+    report = build_corpus(
+        raw,
+        output,
+        workers=workers,
+        compositions=compositions,
+        continuations=continuations,
+        keep_work=keep_work,
+    )
     took = time.monotonic() - begin
     if json:
         print(

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from moveset.data.augment import MAX_FRAMES
 from moveset.data.captions import train_captions
-from moveset.data.compose import add_compositions
+from moveset.data.compose import add_compositions, add_continuations
 from moveset.data.corpus import CorpusWriter, TakeEntry
 from moveset.data.importing import import_all, read_cached
 from moveset.data.labels import canonical_style, cmu_content
@@ -101,7 +101,13 @@ def _entries(ref: TakeRef, motion: Motion) -> Iterator[TakeEntry]:
 
 
 def build_corpus(
-    raw: Path, output: Path, *, workers: int, compositions: int = 3000, keep_work: bool = False
+    raw: Path,
+    output: Path,
+    *,
+    workers: int,
+    compositions: int = 3000,
+    continuations: int = 0,
+    keep_work: bool = False,
 ) -> BuildReport:
     """Import every take, cut, label, compose, and write the corpus with its report beside it.
 
@@ -113,6 +119,7 @@ def build_corpus(
         output: the corpus file; the report is written to ``<output>.report.json``.
         workers: processes.
         compositions: composed training clips to add.
+        continuations: training clips to add in which one action goes on for longer than its takes last.
         keep_work: keep the imported takes for the next build.
 
     Raises:
@@ -148,6 +155,7 @@ def build_corpus(
     clips = len(writer.records)
     seconds = sum(len(m) / m.fps for m in writer.motions)
     composed = add_compositions(writer, train=compositions, progress=sys.stderr.isatty())
+    composed += add_continuations(writer, train=continuations)
     writer.write(output)
     report = BuildReport(str(output), len(refs), clips, composed, round(seconds, 1), rejected, trimmed)
     with atomic_write(output.parent / f"{output.name}.report.json") as file:

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from moveset.data.augment import MAX_FRAMES
-from moveset.data.captions import composed_captions, names_a_side
+from moveset.data.captions import composed_captions, names_a_side, train_captions
 from moveset.data.corpus import Corpus, CorpusWriter
 from moveset.data.labels import mirror_label
 from moveset.data.records import ClipRecord, Part, Recipe
@@ -48,6 +48,9 @@ _OFTEN = {"walk": 4, "run": 3, "walk-turn-left": 2, "walk-turn-right": 2} | {
 }
 _BLEND = 12
 _SHORTEST = 24
+#: Frames of a clip in which one action goes on, and how many parts it may have.
+_GOES_ON = (80, MAX_FRAMES)
+_MOST_PARTS = 6
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,13 +102,10 @@ def add_compositions(writer: CorpusWriter, train: int = 3000, seed: int = 0, *, 
     """Add about ``train`` training compositions, and in proportion ones for validation and test; returns how many."""
     from tqdm import tqdm
 
-    splits: tuple[Split, ...] = ("train", "val", "test")
-    takes = {split: sum(r.split == split for r in writer.records) for split in splits}
-    wanted = {split: round(train * takes[split] / max(takes["train"], 1)) for split in splits}
-    pools = {split: _Pool(writer.records, writer.motions, split) for split in splits}
+    pools, wanted = _pools(writer), _in_proportion(writer, train)
     added = 0
     with tqdm(total=sum(wanted.values()), desc="compositions", unit="", disable=not progress) as bar:
-        for split in splits:
+        for split in wanted:
             chance = random.Random(f"compositions of {split}, seed {seed}")
             seen: set[Recipe] = set()
             for attempt in range(6 * wanted[split]):
@@ -121,13 +121,65 @@ def add_compositions(writer: CorpusWriter, train: int = 3000, seed: int = 0, *, 
     return added
 
 
+def add_continuations(writer: CorpusWriter, train: int, seed: int = 0) -> int:
+    """Add ``train`` training clips in which one action goes on and on, and in proportion ones for validation and test.
+
+    Few takes last as long as a clip may be asked to; these do, and are told by the sentences of their one content.
+    Contents are drawn by the root of their number of takes. Returns how many were added.
+    """
+    pools, wanted = _pools(writer), _in_proportion(writer, train)
+    added = 0
+    for split in wanted:
+        pool, chance = pools[split], random.Random(f"going on in {split}, seed {seed}")
+        contents, weights = _going_on(pool)
+        made: set[tuple[Part, ...]] = set()
+        for _ in range(6 * wanted[split] if contents else 0):
+            if len(made) == wanted[split]:
+                break
+            content = chance.choices(contents, weights)[0]
+            clips, parts = _goes_on(pool, content, chance)
+            if len(parts) < 2 or parts in made:
+                continue
+            made.add(parts)
+            style = clips[0].record.style if len({clip.record.style for clip in clips}) == 1 else None
+            frames = sum(part.stop - part.start for part in parts) - _BLEND * (len(parts) - 1)
+            record = _record(
+                writer, split, f"going_on_{split}_{len(made):04d}", "in_time", Recipe(parts, blend=_BLEND), frames,
+                (content,), style,
+            )  # fmt: skip
+            writer.add_composition(record, train_captions(content, style))
+        added += len(made)
+    return added
+
+
+def _pools(writer: CorpusWriter) -> dict[Split, _Pool]:
+    records = [record for record in writer.records if record.kind == "take"]
+    splits: tuple[Split, ...] = ("train", "val", "test")
+    return {split: _Pool(records, writer.motions, split) for split in splits}
+
+
+def _in_proportion(writer: CorpusWriter, train: int) -> dict[Split, int]:
+    """As many for validation and test, of those for training, as there are takes."""
+    splits: tuple[Split, ...] = ("train", "val", "test")
+    takes = {split: sum(r.split == split and r.kind == "take" for r in writer.records) for split in splits}
+    return {split: round(train * takes[split] / max(takes["train"], 1)) for split in splits}
+
+
 def _add(
     writer: CorpusWriter, split: Split, number: int, kind: Literal["in_time", "body"], recipe: Recipe, frames: int,
     contents: tuple[str, str], style: str | None,
 ) -> None:  # fmt: skip
-    first = writer.records[recipe.parts[0].clip]
     name = f"{kind}_{split}_{number:04d}"
-    record = ClipRecord(
+    record = _record(writer, split, name, kind, recipe, frames, contents, style)
+    writer.add_composition(record, composed_captions(kind, contents, name))
+
+
+def _record(
+    writer: CorpusWriter, split: Split, name: str, kind: Literal["in_time", "body"], recipe: Recipe, frames: int,
+    contents: tuple[str, ...], style: str | None,
+) -> ClipRecord:  # fmt: skip
+    first = writer.records[recipe.parts[0].clip]
+    return ClipRecord(
         name=name,
         take=first.take,
         source="composed",
@@ -141,7 +193,6 @@ def _add(
         captions=(),
         recipe=recipe,
     )
-    writer.add_composition(record, composed_captions(kind, contents, name))
 
 
 _Made = tuple[Literal["in_time", "body"], Recipe, int, tuple[str, str], str | None]
@@ -175,7 +226,7 @@ def _sequence(pool: _Pool, first: str, second: str, chance: random.Random) -> _M
     room_a, room_b = chance.randint(32, 110), chance.randint(40, 110)
     stops = range(min(room_a, a.record.frames) if free_a else a.record.frames, a.record.frames + 1)
     starts = range(max(1, b.record.frames - room_b + 1)) if free_b else range(1)
-    a_stop, b_start = _best_seam(pool.poses(a), pool.poses(b), stops, starts)
+    a_stop, b_start, _ = _best_seam(pool.poses(a), pool.poses(b), stops, starts)
     a_start = max(0, a_stop - room_a) if free_a else 0
     b_stop = min(b.record.frames, b_start + MAX_FRAMES + _BLEND - (a_stop - a_start))
     if free_b:
@@ -200,8 +251,7 @@ def plan_continuations(corpus: Corpus, split: Split, count: int, seed: int = 0) 
     Contents are drawn by the root of their number of takes.
     """
     pool = _corpus_pool(corpus, split)
-    contents = _available(pool, (*TRAVELLING, *ON_THE_SPOT))
-    weights = [len(pool.by_content[content]) ** 0.5 for content in contents]
+    contents, weights = _going_on(pool)
     chance = random.Random(f"continuations of {split}, seed {seed}")
     made: dict[Recipe, str] = {}
     for _ in range(6 * count):
@@ -212,6 +262,47 @@ def plan_continuations(corpus: Corpus, split: Split, count: int, seed: int = 0) 
         if planned is not None:
             made.setdefault(planned[1], content)
     return [(content, recipe) for recipe, content in made.items()]
+
+
+def _going_on(pool: _Pool) -> tuple[list[str], list[float]]:
+    """Contents that can follow themselves, with the root of their number of takes."""
+    contents = _available(pool, (*TRAVELLING, *ON_THE_SPOT))
+    return contents, [len(pool.by_content[content]) ** 0.5 for content in contents]
+
+
+def _goes_on(pool: _Pool, content: str, chance: random.Random) -> tuple[list[_Clip], tuple[Part, ...]]:
+    """Takes of one content and, where it can be, of one style, and which frames of each follow each other.
+
+    What travels is left and entered where it fits best, in the second half and the first; anything else is whole.
+    """
+    free, wanted = content in TRAVELLING and "turn" not in content, chance.randint(*_GOES_ON)
+    clips = [pool.pick(content, None, chance)]
+    spans, frames = [[0, clips[0].record.frames]], clips[0].record.frames
+    while frames < wanted and len(clips) < _MOST_PARTS:
+        last, (start, stop) = clips[-1], spans[-1]
+        # The next of three is the one that joins best.
+        found = []
+        for following in (pool.pick(content, clips[0].record.style, chance) for _ in range(3)):
+            half = following.record.frames // 2
+            stops = range(max(start + _BLEND + 12, (start + stop) // 2), stop + 1) if free else range(stop, stop + 1)
+            starts = range(max(1, half - _BLEND - 12)) if free else range(1)
+            seam = _best_seam(pool.poses(last), pool.poses(following), stops, starts)
+            found.append((seam[2], len(found), seam, following))
+        _, _, (a_stop, b_start, _), following = min(found)
+        b_stop = following.record.frames
+        total = frames - (stop - a_stop) + b_stop - b_start - _BLEND
+        if free:
+            b_stop -= max(0, total - wanted)
+        elif total > MAX_FRAMES:
+            break
+        if b_stop - b_start < _BLEND + 12:
+            break
+        frames += a_stop - stop + b_stop - b_start - _BLEND
+        spans[-1][1] = a_stop
+        clips.append(following)
+        spans.append([b_start, b_stop])
+    parts = (Part(c.number, first, stop, c.mirrored) for c, (first, stop) in zip(clips, spans, strict=True))
+    return clips, tuple(parts)
 
 
 def plan_bodies(corpus: Corpus, split: Split, count: int, seed: int = 0) -> list[tuple[tuple[str, str], Recipe]]:
@@ -239,14 +330,16 @@ def plan_bodies(corpus: Corpus, split: Split, count: int, seed: int = 0) -> list
     return [(contents, recipe) for recipe, contents in made.items()]
 
 
-def _best_seam(a: Tensor, b: Tensor, stops: range, starts: range) -> tuple[int, int]:
-    """Where to leave ``a`` (one past its last frame) and enter ``b``, so that the overlap fades between like poses."""
+def _best_seam(a: Tensor, b: Tensor, stops: range, starts: range) -> tuple[int, int, float]:
+    """Where to leave ``a`` (one past its last frame) and enter ``b``, so that the overlap fades between like poses,
+    and how unlike they are."""
     # The overlap is compared at its middle, where both count half.
     half = _BLEND // 2
     rows = torch.tensor(stops).sub(half).clamp(0, len(a) - 1)
     columns = torch.tensor(starts).add(half).clamp(0, len(b) - 1)
-    best = int(torch.cdist(a[rows], b[columns]).argmin())
-    return stops[best // len(columns)], starts[best % len(columns)]
+    apart = torch.cdist(a[rows], b[columns])
+    best = int(apart.argmin())
+    return stops[best // len(columns)], starts[best % len(columns)], float(apart.flatten()[best])
 
 
 def _body(pool: _Pool, chance: random.Random) -> _Made | None:

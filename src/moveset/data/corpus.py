@@ -10,7 +10,7 @@ import hashlib
 import json
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, reduce
 from pathlib import Path
 from typing import Any
 
@@ -108,8 +108,7 @@ class Corpus:
             span = slice(self._starts[i], self._starts[i] + record.frames)
             motion = Motion(unpack(self._packed[span]), self._root[span].clone(), record.fps, self.skeleton)
         else:
-            first, second = (self._part(p) for p in record.recipe.parts)
-            motion = compose(record.kind, record.recipe, first, second)
+            motion = compose(record.kind, record.recipe, [self._part(p) for p in record.recipe.parts])
         return motion.mirrored() if mirrored else motion
 
     def captions(self, i: int, mirrored: bool = False) -> tuple[str, ...]:
@@ -118,7 +117,7 @@ class Corpus:
         return tuple(mirror_text(s) for s in sentences) if mirrored else sentences
 
     def contents(self, i: int, mirrored: bool = False) -> tuple[str, ...]:
-        """Content labels of clip ``i``: one, or two for a composition."""
+        """Content labels of clip ``i``: one, or two for a composition of two things."""
         labels = self._record(i).contents
         return tuple(mirror_label(c) for c in labels) if mirrored else labels
 
@@ -152,11 +151,11 @@ class Corpus:
         return motion.mirrored() if part.mirrored else motion
 
 
-def compose(kind: str, recipe: Recipe, first: Motion, second: Motion) -> Motion:
-    """The composition of two parts that a recipe describes."""
+def compose(kind: str, recipe: Recipe, parts: Sequence[Motion]) -> Motion:
+    """The composition of its parts that a recipe describes."""
     if kind == "in_time":
-        return compose_in_time(first, second, recipe.blend)
-    return compose_body(first, second, recipe.arms)
+        return reduce(lambda first, second: compose_in_time(first, second, recipe.blend), parts)
+    return compose_body(*parts, recipe.arms)
 
 
 # ------------------------------------------------------------------------------------------------------- checking

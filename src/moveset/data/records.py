@@ -22,15 +22,15 @@ class Part:
 
 @dataclass(frozen=True)
 class Recipe:
-    """How a composed clip is made from two parts.
+    """How a composed clip is made from parts.
 
     Args:
-        parts: first and second in time; or upper body and legs.
+        parts: two or more one after the other; or upper body and legs.
         blend: frames of overlap, for compositions in time.
         arms: which arms the first part gives ("left", "right", "both"), for compositions of bodies.
     """
 
-    parts: tuple[Part, Part]
+    parts: tuple[Part, ...]
     blend: int = 0
     arms: Literal["left", "right", "both"] = "both"
 
@@ -51,7 +51,8 @@ class ClipRecord:
         source: the data set.
         subject: who performed.
         kind: "take" as captured; composed "in_time" or of two bodies ("body").
-        contents: what is shown: one label, or two for compositions (first, second; upper body, legs).
+        contents: what is shown: one label; or two for compositions (first, second; upper body, legs) that do not show
+            the same thing over and over.
         style: how it is performed, one label; None where unknown or mixed.
         split: "train", "val" or "test".
         fps: frames per second.
@@ -109,9 +110,8 @@ def record_from_json(data: Any, caption_sets: list[tuple[int, ...]]) -> ClipReco
             raise ValueError("captions")
         recipe = None
         if "recipe" in data:
-            first, second = (_part(p) for p in data["recipe"]["parts"])
             recipe = Recipe(
-                (first, second),
+                tuple(_part(p) for p in data["recipe"]["parts"]),
                 int(data["recipe"]["blend"]),
                 _one_of(data["recipe"]["arms"], ("left", "right", "both")),
             )
@@ -136,6 +136,8 @@ def record_from_json(data: Any, caption_sets: list[tuple[int, ...]]) -> ClipReco
         raise FormatError(f"clip {record.name!r} of the corpus has absurd numbers; build the corpus again")
     if (record.kind == "take") != (recipe is None) or (recipe is not None and record.frames > MAX_FRAMES):
         raise FormatError(f"clip {record.name!r} of the corpus has no valid recipe; build the corpus again")
+    if recipe is not None and (len(recipe.parts) < 2 or (record.kind == "body" and len(recipe.parts) > 2)):
+        raise FormatError(f"clip {record.name!r} of the corpus has {len(recipe.parts)} parts; build the corpus again")
     return record
 
 

@@ -245,7 +245,7 @@ def _corpus_item(corpus: Corpus, k: int, codec: HmlCodec, mirrored: bool) -> Ite
     record, contents = corpus.records[k], corpus.contents(k, mirrored)
     said = (
         heldout_captions(contents[0])
-        if record.kind == "take"
+        if len(contents) == 1
         else heldout_composed_captions(record.kind, (contents[0], contents[1]))
     )
     return Item(

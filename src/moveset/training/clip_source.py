@@ -97,8 +97,8 @@ class CorpusClips:
         return self.corpus.contents(clip // 2, clip % 2 == 1)
 
     def divisible(self, clip: int) -> bool:
-        """A window of a composition may miss half of what its caption says."""
-        return self.corpus.records[clip // 2].kind == "take"
+        """A window of a clip that shows two things may miss half of what its caption says."""
+        return len(self.corpus.records[clip // 2].contents) == 1
 
     def weights(self, clips: Sequence[int], power: float, composed_share: float) -> Tensor:
         records = list(dict.fromkeys(clip // 2 for clip in clips))
@@ -178,13 +178,14 @@ class FolderClips:
 
 
 def clip_weights(corpus: Corpus, records: Sequence[int], power: float, composed_share: float) -> Tensor:
-    """Sampling weights of records: each content by count^(1 - power), composed clips together ``composed_share``."""
+    """Sampling weights of records: each content by count^(1 - power), those that show two things together
+    ``composed_share``."""
     chosen = [corpus.records[k] for k in records]
     counts: dict[tuple[str, ...], int] = {}
     for record in chosen:
         counts[record.contents] = counts.get(record.contents, 0) + 1
     weights = torch.tensor([counts[record.contents] ** -power for record in chosen], dtype=torch.float64)
-    composed = torch.tensor([record.kind != "take" for record in chosen])
+    composed = torch.tensor([len(record.contents) > 1 for record in chosen])
     for part, share in ((composed, composed_share), (~composed, 1.0 - composed_share)):
         if part.any():
             weights[part] *= share / weights[part].sum()

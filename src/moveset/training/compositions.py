@@ -86,5 +86,4 @@ def _bodies(corpus: Corpus, split: Split, count: int) -> _Composed:
 
 def _composed(corpus: Corpus, kind: str, recipe: Recipe) -> Motion:
     parts = [corpus.motion(part.clip)[part.start : part.stop] for part in recipe.parts]
-    first, second = (m.mirrored() if p.mirrored else m for m, p in zip(parts, recipe.parts, strict=True))
-    return compose(kind, recipe, first, second)
+    return compose(kind, recipe, [m.mirrored() if p.mirrored else m for m, p in zip(parts, recipe.parts, strict=True)])

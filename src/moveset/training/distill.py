@@ -58,6 +58,8 @@ class DistillationConfig:
         judged_span: the lower part of a phase in which the discriminator looks; 1 as published.
         rehearsed: rows of a batch that are asked, besides, for what all of the teacher's steps lead to from where
             sampling enters a phase (``pcm.consistency.entered`` and ``whole_target``); 0 as published.
+        rehearsed_motion: weight of how far the motions are apart that those of them which come to the end are decoded
+            to, by the autoencoder's own loss: the latent's numbers do not count the same for what is seen.
         ema: decay of the target network.
         model: the student's architecture; filled in from the teacher's.
     """
@@ -71,6 +73,7 @@ class DistillationConfig:
     mismatched: float = 0.0
     judged_span: float = 1.0
     rehearsed: int = 0
+    rehearsed_motion: float = 0.0
     ema: float = 0.95
     batch: int = 128
     lr: float = 2e-4
@@ -160,6 +163,11 @@ class _DistillationTask(Task):
         made = self.predict(_bound(self.student, text, frames), z, point_B, w_B)
         loss = pseudo_huber(made, target, self.config.huber)
         report["rehearsal"] = loss.detach()
+        ending = phase_B == 0
+        if self.config.rehearsed_motion and bool(ending.any()):
+            apart = self.data.apart_in_motion(made[ending], target[ending], frames[ending])
+            report["rehearsed_motion"] = apart.detach()
+            loss = loss + self.config.rehearsed_motion * apart
         return loss
 
     def _bound_teacher(self, text: TextEmbedding, frames: Tensor) -> Teacher:

@@ -256,7 +256,7 @@ def _row(source: ClipSource, clip: int, store: FeatureStore) -> Row:
     if isinstance(source, CorpusClips):
         corpus, mirrored = source.corpus, clip % 2 == 1
         record = corpus.records[clip // 2]
-        if record.kind == "in_time" and record.recipe is not None:
+        if record.kind == "in_time" and record.recipe is not None and len(record.contents) == 2:
             said = tuple(corpus.captions(part.clip, part.mirrored != mirrored) for part in record.recipe.parts)
             return Row(features, (record.recipe.seam, len(features)), said, whole)
     return Row(features, (len(features),), (whole,), whole)

@@ -23,6 +23,7 @@ from moveset.training.latents import LatentBatch, LatentSet
 from moveset.training.optim import cosine_lr
 from moveset.training.reading import Disturbance, read_captions
 from moveset.training.tasks import Sources
+from moveset.training.vae_loss import ReconstructionWeights, judged
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,11 +55,14 @@ class LatentData:
         with loop.fabric.rank_zero_first():
             self._open(sources, text_encoder, loop.rank == 0)
         self.text = self.text.to(loop.device)
+        self.vae.module.to(loop.device)
         self.seed, self.device = loop.config.seed * 64 + loop.rank, loop.device
 
     def _open(self, sources: Sources, text_encoder: str, progress: bool) -> None:
         clips, vae, codec = open_clips(sources.corpus), self.vae, self.vae.task["codec"]
-        store = FeatureStore.of(clips, get_codec(codec), sources.cache / f"features-{codec}", progress)
+        self.codec = get_codec(codec)
+        store = FeatureStore.of(clips, self.codec, sources.cache / f"features-{codec}", progress)
+        self.normalizer = store.normalizer
         latents = sources.cache / f"latents-{vae.digest[:12]}"
         self.train = LatentSet.of(clips, "train", store, vae.module, Path(f"{latents}-train.safetensors"))
         self.train.paraphrased = self.disturbance.paraphrased
@@ -71,6 +75,19 @@ class LatentData:
     def batch(self, size: int, step: int) -> LatentBatch:
         """Training latents of a step, on the device."""
         return self.train.batch(size, self.seed, step).to(self.device)
+
+    def apart_in_motion(self, made: Tensor, real: Tensor, frames: Tensor) -> Tensor:
+        """What the autoencoder's own loss says of two sets of normalised latents (B, N, d), decoded."""
+        center, scale = (x.to(made.device) for x in (self.train.center, self.train.scale))
+        longest, task = int(frames.max()), self.vae.task
+        motion = self.vae.module.decode(made * scale + center, frames, longest)
+        with torch.no_grad():
+            wanted = self.vae.module.decode(real * scale + center, frames, longest)
+        with torch.autocast(made.device.type, enabled=False):
+            weights = ReconstructionWeights(**task["weights"])
+            return judged(
+                task["loss"], motion.float(), wanted.float(), frames, self.codec, self.normalizer, weights, decoded=True
+            )[0]
 
     def read(self, captions: list[str], disturbed_by: torch.Generator | None = None) -> TextEmbedding:
         """Token states of captions; "" is the unconditional input. Roughened if given a generator."""
