@@ -51,6 +51,8 @@ def place(tmp_path_factory):
         ("efficiency", ["--size", "huge"], "invalid choice: 'huge'"),
         ("endurance", ["--minutes", "0"], "--minutes: 0 is not in"),
         ("endurance", ["--model", "flow", "--networks", "nothing"], "nothing"),
+        ("long_clips", ["--networks", "rdm"], "rdm"),
+        ("long_clips", ["--seconds", "12"], "12 is not in 3 to 9.8"),
         ("physical_reference", ["--corpus", "nowhere"], "no corpus at nowhere"),
         ("physical_reference", ["--corpus", "corpus.safetensors", "--splits", "val"], "has no val takes"),
         ("reconstruction", ["--model", "nobody"], "nobody"),
