@@ -36,6 +36,11 @@ ORDERED = re.compile(r"\b(then|before|after|first|afterwards|next|finally|follow
         ),
         ("walks, then turns left, then turns right", ("walks and then turns left", "turns right")),
         ("runs, then turns right and waves", ("runs", "turns right and waves")),
+        ("a person walks, then his left hand waves", ("a person walks", "a person waves with his left hand")),
+        ("she runs and then her right foot is kicking", ("she runs", "she is kicking with her right foot")),
+        ("a man bows, then both arms go up", ("a man bows", "both arms go up")),
+        ("a man bows, then the left arm is raised", ("a man bows", "the left arm is raised")),
+        ("walk, then the left arm goes up", ("walk", "the left arm goes up")),
         ("a person walks then turns around and walks back", ("a person walks", "a person turns around and walks back")),
     ],
 )

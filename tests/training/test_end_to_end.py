@@ -27,6 +27,7 @@ from moveset.training.reading import Disturbance
 from moveset.training.tasks import Sources, task_maker
 from moveset.training.teacher import LatentData
 from moveset.training.unpack import unpack
+from moveset.training.vae_loss import ReconstructionWeights
 
 
 @pytest.fixture(scope="module")
@@ -125,9 +126,9 @@ def test_equal_latents_are_equal_motion_and_only_what_is_made_learns(trained: Pa
     data = LatentData(sources(trained), tiny.TRAINING["teacher"]().task.text_encoder, Disturbance(), loop)  # type: ignore[arg-type]
     batch = data.batch(3, 0)
     made, real = batch.z0.clone().requires_grad_(), batch.z0.clone().requires_grad_()
-    assert float(data.apart_in_motion(made, real, batch.frames).detach()) < 1e-6
+    assert float(data.apart_in_motion(made, real, batch.frames, ReconstructionWeights()).detach()) < 1e-6
     nudged = batch.z0 + torch.tensor([0.0, 0.0, 1.0])[:, None, None]
-    apart = data.apart_in_motion(made, nudged.requires_grad_(), batch.frames)
+    apart = data.apart_in_motion(made, nudged.requires_grad_(), batch.frames, ReconstructionWeights())
     apart.backward()
     assert float(apart.detach()) > 1e-3
     assert nudged.grad is None

@@ -52,11 +52,25 @@ def test_nothing_is_counted_beyond_the_end_of_a_clip():
     assert all(value < 1e-5 for value in parts(made, lengths=(40,)).values())
 
 
-@pytest.mark.parametrize("name", ["features", "positions", "velocity", "acceleration", "path", "heading"])
+def test_a_foot_that_is_down_costs_what_it_slides():
+    # Of sixty frames the first twenty are in the air.
+    high = torch.zeros(FRAMES, 3)
+    high[:20, 1] = 0.3
+    real = CODEC.encode(replace(walk(), root=walk().root + high))
+    # The body is carried a centimetre a frame too far: whatever stands slides by that, in metres a frame.
+    made = real.clone()
+    made[..., CODEC.groups["root_velocity"]] += torch.tensor([0.01, 0.0])
+    _, found = reconstruction_loss(
+        made[None], real[None], torch.tensor([FRAMES]), CODEC, NORMALIZER, ReconstructionWeights()
+    )
+    assert float(found["feet"]) == pytest.approx(0.01 * 39 / 59, rel=0.01)
+
+
+@pytest.mark.parametrize("name", ["features", "positions", "velocity", "acceleration", "path", "heading", "feet"])
 def test_every_weight_counts(name):
     made, real = CODEC.encode(walk(swing=0.5))[None], CODEC.encode(walk())[None]
     made[..., CODEC.groups["root_yaw"]] += 0.01
-    none = dict.fromkeys(("features", "positions", "velocity", "acceleration", "path", "heading"), 0.0)
+    none = dict.fromkeys(("features", "positions", "velocity", "acceleration", "path", "heading", "feet"), 0.0)
     total, found = reconstruction_loss(
         made, real, torch.tensor([FRAMES]), CODEC, NORMALIZER, ReconstructionWeights(**(none | {name: 3.0}))
     )

@@ -33,6 +33,13 @@ _TRAVELS = re.compile(
     r"\b(?:(?:walk|stroll|hik|trek|tramp|parad|promenad|march|wander|strid|step|jog|sprint|scamper|gallop|hustl)\w*"
     r"|tread(?:s|ing)?|trod|zip(?:s|ping|ped)?|runs?|ran|running|strode|go|goes|going|went)\b", re.I
 )  # fmt: skip
+# A limb that does something by itself, and what of it a person may be said to do with it ("waves", not "is raised").
+_LIMB = re.compile(
+    r"(?P<limb>(?:his|her|their|its|my|your|the|a|an|one|both)\s+(?:(?:left|right|other)\s+)?"
+    r"(?:(?P<one>hand|arm|leg|foot|knee|elbow|head|fist)|hands|arms|legs|feet|knees|elbows|fists))\s+(?P<does>\w.*)",
+    re.I | re.S,
+)
+_DOES = re.compile(r"(?:(?:is|was)\s+\w+ing|(?!is\b|was\b)\w+(?:s|ed))\b", re.I)
 # And nothing besides, of which only the manner may be told.
 _TURNS = re.compile(
     r"""(?:(?:is|are|was|were)\s+)?
@@ -54,6 +61,8 @@ def split_stages(sentence: str) -> tuple[str, ...]:
     ('a person walks forward', 'a person waves with the left hand')
     >>> split_stages("a man bows after running")
     ('a man running', 'a man bows')
+    >>> split_stages("a man walks, then his left hand waves")
+    ('a man walks', 'a man waves with his left hand')
     >>> split_stages("a woman walks and waves")
     ('a woman walks and waves',)
     >>> split_stages("someone runs, then turns left, then bows")
@@ -110,4 +119,7 @@ def _alone(part: str, who: str) -> str:
     elif subject := SUBJECT.match(part):
         who, part = subject.group(), part[subject.end() :].strip()
     part = _BESIDES.sub("", part)
+    if limb := _LIMB.fullmatch(part):
+        told = who and limb["one"] and _DOES.match(limb["does"])
+        return f"{who} {limb['does']} with {limb['limb']}" if told else part
     return f"{who} {part}".strip() if part else ""

@@ -40,6 +40,7 @@ from moveset.training.optim import cosine_lr
 from moveset.training.reading import Disturbance
 from moveset.training.tasks import Sources
 from moveset.training.teacher import LatentData
+from moveset.training.vae_loss import ReconstructionWeights
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,7 +60,8 @@ class DistillationConfig:
         rehearsed: rows of a batch that are asked, besides, for what all of the teacher's steps lead to from where
             sampling enters a phase (``pcm.consistency.entered`` and ``whole_target``); 0 as published.
         rehearsed_motion: weight of how far the motions are apart that those of them which come to the end are decoded
-            to, by the autoencoder's own loss: the latent's numbers do not count the same for what is seen.
+            to: the latent's numbers do not count the same for what is seen.
+        motion: weights of the parts of that distance.
         ema: decay of the target network.
         model: the student's architecture; filled in from the teacher's.
     """
@@ -74,6 +76,7 @@ class DistillationConfig:
     judged_span: float = 1.0
     rehearsed: int = 0
     rehearsed_motion: float = 0.0
+    motion: ReconstructionWeights = field(default_factory=ReconstructionWeights)
     ema: float = 0.95
     batch: int = 128
     lr: float = 2e-4
@@ -165,7 +168,7 @@ class _DistillationTask(Task):
         report["rehearsal"] = loss.detach()
         ending = phase_B == 0
         if self.config.rehearsed_motion and bool(ending.any()):
-            apart = self.data.apart_in_motion(made[ending], target[ending], frames[ending])
+            apart = self.data.apart_in_motion(made[ending], target[ending], frames[ending], self.config.motion)
             report["rehearsed_motion"] = apart.detach()
             loss = loss + self.config.rehearsed_motion * apart
         return loss

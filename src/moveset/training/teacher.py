@@ -76,17 +76,20 @@ class LatentData:
         """Training latents of a step, on the device."""
         return self.train.batch(size, self.seed, step).to(self.device)
 
-    def apart_in_motion(self, made: Tensor, real: Tensor, frames: Tensor) -> Tensor:
-        """What the autoencoder's own loss says of two sets of normalised latents (B, N, d), decoded."""
+    def apart_in_motion(self, made: Tensor, real: Tensor, frames: Tensor, weights: ReconstructionWeights) -> Tensor:
+        """How far two sets of normalised latents (B, N, d) are apart once they are decoded, by the autoencoder's loss.
+
+        Args:
+            weights: of its parts, unless it is the published one.
+        """
         center, scale = (x.to(made.device) for x in (self.train.center, self.train.scale))
-        longest, task = int(frames.max()), self.vae.task
+        longest, by = int(frames.max()), self.vae.task["loss"]
         motion = self.vae.module.decode(made * scale + center, frames, longest)
         with torch.no_grad():
             wanted = self.vae.module.decode(real * scale + center, frames, longest)
         with torch.autocast(made.device.type, enabled=False):
-            weights = ReconstructionWeights(**task["weights"])
             return judged(
-                task["loss"], motion.float(), wanted.float(), frames, self.codec, self.normalizer, weights, decoded=True
+                by, motion.float(), wanted.float(), frames, self.codec, self.normalizer, weights, decoded=True
             )[0]
 
     def read(self, captions: list[str], disturbed_by: torch.Generator | None = None) -> TextEmbedding:

@@ -10,6 +10,8 @@ from torch.nn import functional as fn
 from moveset.motion.features import FeatureCodec, Normalizer
 from moveset.motion.native import NativeCodec
 
+_LOW = 0.05
+
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ReconstructionWeights:
@@ -21,6 +23,7 @@ class ReconstructionWeights:
     acceleration: float = 20.0
     path: float = 1.5
     heading: float = 1.5
+    feet: float = 0.0
 
 
 def judged(
@@ -52,7 +55,8 @@ def reconstruction_loss(
 
     Features alone do not see what a viewer sees: an error at the hip moves the whole leg, an error in the root's speed
     adds up over the clip, and small independent errors from frame to frame are jitter. So joints are judged after
-    forward kinematics: their posture, and their world velocity and acceleration (which also keeps planted feet still).
+    forward kinematics: their posture, and their world velocity and acceleration (which also keeps planted feet still,
+    and a weight for ``feet`` more so).
 
     Args:
         made: (B, F, D) normalised features.
@@ -77,6 +81,7 @@ def reconstruction_loss(
     step = error[:, 1:] - error[:, :-1]
     parts["velocity"] = _mean(step.abs().mean((-1, -2)), valid[:, 1:])
     parts["acceleration"] = _mean((step[:, 1:] - step[:, :-1]).abs().mean((-1, -2)), valid[:, 2:])
+    parts["feet"] = _mean(_planted_error(step, true_world[..., 1], codec), valid[:, 1:])
     total = sum(
         (getattr(weights, name) * part for name, part in parts.items()), start=torch.zeros((), device=made.device)
     )
@@ -119,6 +124,18 @@ def _recorded_posture(real: Tensor, codec: NativeCodec) -> Tensor:
     root = real[..., codec.groups["root_height"]]
     ground = torch.cat((torch.zeros_like(root), root, torch.zeros_like(root)), dim=-1)
     return torch.cat((ground[..., None, :], real[..., codec.groups["positions"]].unflatten(-1, (-1, 3))), dim=-2)
+
+
+def _planted_error(step: Tensor, height: Tensor, codec: NativeCodec) -> Tensor:
+    """How far toes that are down move over the floor as they should not (B, F - 1), metres a frame, mean of both.
+
+    Down is what ``evaluation.physical.skating`` calls so.
+    """
+    _, left, _, right = codec.skeleton.feet
+    toes = [left, right]
+    low = height[..., toes] < _LOW
+    wrong = step[..., toes, :][..., [0, 2]].abs().sum(-1)
+    return (wrong * (low[:, 1:] & low[:, :-1])).mean(-1)
 
 
 def _place(posture: Tensor, heading: Tensor, path: Tensor) -> Tensor:
