@@ -12,6 +12,7 @@ from moveset.data.labels import mirror_label
 from moveset.data.splits import Split
 from moveset.data.synthetic import synthetic_motion
 from moveset.training.clip_source import CorpusClips, clip_weights
+from moveset.training.pack import caption_lengths
 
 CONTENTS = ("walk", "run", "wave-left-hand", "walk-turn-left")
 SPLITS: tuple[Split, ...] = ("train", "train", "train", "val")
@@ -111,6 +112,12 @@ def test_they_count_as_clips_of_their_content_and_not_as_compositions(corpus):
     source = CorpusClips(corpus)
     assert all(source.divisible(2 * k) for k in going_on(corpus))
     assert not any(source.divisible(2 * int(k)) for k, both in zip(records, two, strict=True) if both)
+
+
+def test_they_say_nothing_of_how_long_an_action_lasts(before, corpus):
+    (said, frames, _), (also, as_long, _) = caption_lengths(before), caption_lengths(corpus)
+    assert said == also
+    assert torch.equal(frames, as_long)
 
 
 def test_none_of_nothing():

@@ -76,6 +76,11 @@ class ClipRecord:
     first_frame: int = 0
     recipe: Recipe | None = None
 
+    @property
+    def goes_on(self) -> bool:
+        """Whether one action is shown over and over, for longer than its takes last."""
+        return self.recipe is not None and len(self.contents) == 1
+
 
 def record_to_json(record: ClipRecord, caption_set: int) -> dict[str, Any]:
     """The record as plain JSON values, its captions replaced by the number of a shared set."""

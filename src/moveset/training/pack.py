@@ -133,11 +133,15 @@ def check_phases(name: str, phases: int, found: frozen.Frozen) -> None:
 
 
 def caption_lengths(corpus: Corpus, per_clip: int = 2) -> tuple[list[str], torch.Tensor, torch.Tensor]:
-    """Captions with the frames of their clips, and which of them are of the validation split."""
+    """Captions with the frames of their clips, and which of them are of the validation split.
+
+    Clips in which an action goes on and on say nothing of how long it lasts.
+    """
     rows = [
         (caption, corpus.records[k].frames, split == "val")
         for split in ("train", "val")
         for k in corpus.indices(split)
+        if not corpus.records[k].goes_on
         for caption in corpus.captions(k)[k % 3 :: max(1, len(corpus.captions(k)) // per_clip)][:per_clip]
     ]
     captions, frames, held_out = zip(*rows, strict=True)
