@@ -93,16 +93,20 @@ def test_a_student_goes_on_with_a_discriminator_that_reads(trained: Path, tmp_pa
     assert any(not torch.equal(before[name], after[name]) for name in before)
 
 
+_ALL_ASKED: dict[str, Any] = {"rehearsed": 2, "rehearsed_motion": 1.0, "planted": 1.0}
+
+
 @pytest.mark.parametrize("what", ["lcm", "pcm"])
 def test_a_student_may_be_asked_for_all_of_its_teachers_steps(trained: Path, tmp_path: Path, what: str) -> None:
     recipe = tiny.TRAINING[what]()
     learned = []
-    for asked in ({}, {"rehearsed": 2}, {"rehearsed": 2, "rehearsed_motion": 1.0}):
+    for asked in ({}, {"rehearsed": 2}, {"rehearsed": 2, "rehearsed_motion": 1.0}, _ALL_ASKED):
         task, folder = replace(recipe.task, **asked), tmp_path / f"{what}-{len(asked)}"
         run(task_maker(what, task, sources(trained)), replace(recipe.engine, steps=2), folder)
         rows = [json.loads(line) for line in (folder / "metrics.jsonl").read_text().splitlines()]
-        names = {name for row in rows if row["split"] == "train" for name in row if name.startswith("rehears")}
-        assert names == {"rehearsal", "rehearsed_motion"} & set([*asked, *["rehearsal"] * bool(asked)])
+        told = {"rehearsal": "rehearsed", "rehearsed_motion": "rehearsed_motion", "sliding": "planted"}
+        names = {name for row in rows if row["split"] == "train" for name in row}
+        assert names & set(told) == {name for name, setting in told.items() if setting in asked}
         learned.append(checkpoint.read_tensors(folder / "step_2", "student"))
     for one, other in pairwise(learned):
         assert any(not torch.equal(one[name], other[name]) for name in one)

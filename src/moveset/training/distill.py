@@ -62,6 +62,7 @@ class DistillationConfig:
         rehearsed_motion: weight of how far the motions are apart that those of them which come to the end are decoded
             to: the latent's numbers do not count the same for what is seen.
         motion: weights of the parts of that distance.
+        planted: weight of how feet slide in these motions that are said to stand (``training.feet.sliding``).
         ema: decay of the target network.
         model: the student's architecture; filled in from the teacher's.
     """
@@ -77,6 +78,7 @@ class DistillationConfig:
     rehearsed: int = 0
     rehearsed_motion: float = 0.0
     motion: ReconstructionWeights = field(default_factory=ReconstructionWeights)
+    planted: float = 0.0
     ema: float = 0.95
     batch: int = 128
     lr: float = 2e-4
@@ -171,6 +173,10 @@ class _DistillationTask(Task):
             apart = self.data.apart_in_motion(made[ending], target[ending], frames[ending], self.config.motion)
             report["rehearsed_motion"] = apart.detach()
             loss = loss + self.config.rehearsed_motion * apart
+        if self.config.planted and bool(ending.any()):
+            slides = self.data.sliding(made[ending], frames[ending])
+            report["sliding"] = slides.detach()
+            loss = loss + self.config.planted * slides
         return loss
 
     def _bound_teacher(self, text: TextEmbedding, frames: Tensor) -> Teacher:

@@ -19,6 +19,7 @@ from moveset.training.clip_source import open_clips
 from moveset.training.clips import FeatureStore
 from moveset.training.ema import Ema, ema_warmup
 from moveset.training.engine import Loop, Task
+from moveset.training.feet import sliding
 from moveset.training.latents import LatentBatch, LatentSet
 from moveset.training.optim import cosine_lr
 from moveset.training.reading import Disturbance, read_captions
@@ -76,21 +77,28 @@ class LatentData:
         """Training latents of a step, on the device."""
         return self.train.batch(size, self.seed, step).to(self.device)
 
+    def decode(self, z: Tensor, frames: Tensor) -> Tensor:
+        """Normalised features (B, F, D) of normalised latents (B, N, d)."""
+        center, scale = (x.to(z.device) for x in (self.train.center, self.train.scale))
+        return self.vae.module.decode(z * scale + center, frames, int(frames.max())).float()
+
     def apart_in_motion(self, made: Tensor, real: Tensor, frames: Tensor, weights: ReconstructionWeights) -> Tensor:
         """How far two sets of normalised latents (B, N, d) are apart once they are decoded, by the autoencoder's loss.
 
         Args:
             weights: of its parts, unless it is the published one.
         """
-        center, scale = (x.to(made.device) for x in (self.train.center, self.train.scale))
-        longest, by = int(frames.max()), self.vae.task["loss"]
-        motion = self.vae.module.decode(made * scale + center, frames, longest)
+        by, motion = self.vae.task["loss"], self.decode(made, frames)
         with torch.no_grad():
-            wanted = self.vae.module.decode(real * scale + center, frames, longest)
+            wanted = self.decode(real, frames)
         with torch.autocast(made.device.type, enabled=False):
-            return judged(
-                by, motion.float(), wanted.float(), frames, self.codec, self.normalizer, weights, decoded=True
-            )[0]
+            return judged(by, motion, wanted, frames, self.codec, self.normalizer, weights, decoded=True)[0]
+
+    def sliding(self, made: Tensor, frames: Tensor) -> Tensor:
+        """How planted feet slide in the motion of normalised latents (B, N, d): ``training.feet.sliding``."""
+        motion = self.decode(made, frames)
+        with torch.autocast(made.device.type, enabled=False):
+            return sliding(motion, frames, self.codec, self.normalizer)
 
     def read(self, captions: list[str], disturbed_by: torch.Generator | None = None) -> TextEmbedding:
         """Token states of captions; "" is the unconditional input. Roughened if given a generator."""
