@@ -4,11 +4,8 @@ import json
 import shutil
 import subprocess
 import sys
-from contextlib import nullcontext
 from dataclasses import replace
-from itertools import pairwise
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -23,11 +20,8 @@ from moveset.training import pack as packing
 from moveset.training.distill import DistillationConfig
 from moveset.training.engine import run
 from moveset.training.pack import pack
-from moveset.training.reading import Disturbance
 from moveset.training.tasks import Sources, task_maker
-from moveset.training.teacher import LatentData
 from moveset.training.unpack import unpack
-from moveset.training.vae_loss import ReconstructionWeights
 
 
 @pytest.fixture(scope="module")
@@ -93,51 +87,17 @@ def test_a_student_goes_on_with_a_discriminator_that_reads(trained: Path, tmp_pa
     assert any(not torch.equal(before[name], after[name]) for name in before)
 
 
-_ALL_ASKED: dict[str, Any] = {"rehearsed": 2, "rehearsed_motion": 1.0, "planted": 1.0}
-
-
 @pytest.mark.parametrize("what", ["lcm", "pcm"])
 def test_a_student_may_be_asked_for_all_of_its_teachers_steps(trained: Path, tmp_path: Path, what: str) -> None:
     recipe = tiny.TRAINING[what]()
     learned = []
-    for asked in ({}, {"rehearsed": 2}, {"rehearsed": 2, "rehearsed_motion": 1.0}, _ALL_ASKED):
-        task, folder = replace(recipe.task, **asked), tmp_path / f"{what}-{len(asked)}"
+    for rehearsed in (0, 2):
+        task, folder = replace(recipe.task, rehearsed=rehearsed), tmp_path / f"{what}-{rehearsed}"
         run(task_maker(what, task, sources(trained)), replace(recipe.engine, steps=2), folder)
         rows = [json.loads(line) for line in (folder / "metrics.jsonl").read_text().splitlines()]
-        told = {"rehearsal": "rehearsed", "rehearsed_motion": "rehearsed_motion", "sliding": "planted"}
-        names = {name for row in rows if row["split"] == "train" for name in row}
-        assert names & set(told) == {name for name, setting in told.items() if setting in asked}
+        assert all(("rehearsal" in row) == bool(rehearsed) for row in rows if row["split"] == "train")
         learned.append(checkpoint.read_tensors(folder / "step_2", "student"))
-    for one, other in pairwise(learned):
-        assert any(not torch.equal(one[name], other[name]) for name in one)
-
-
-def test_of_several_phases_only_the_last_ends_in_motion(trained: Path, tmp_path: Path) -> None:
-    recipe = tiny.TRAINING["pcm"]()
-    task = replace(recipe.task, phases=2, rehearsed=2, rehearsed_motion=1.0)
-    run(task_maker("pcm", task, sources(trained)), replace(recipe.engine, steps=8), tmp_path / "two")
-    rows = [json.loads(line) for line in (tmp_path / "two" / "metrics.jsonl").read_text().splitlines()]
-    told = [row.get("rehearsed_motion", 0.0) for row in rows if row["split"] == "train"]
-    # One of four pairs of rows has no row of the last phase.
-    assert 0 < sum(value > 0 for value in told) < 8
-
-
-def test_equal_latents_are_equal_motion_and_only_what_is_made_learns(trained: Path) -> None:
-    loop = SimpleNamespace(
-        fabric=SimpleNamespace(rank_zero_first=nullcontext), rank=0, device=torch.device("cpu"),
-        config=SimpleNamespace(seed=0),
-    )  # fmt: skip
-    data = LatentData(sources(trained), tiny.TRAINING["teacher"]().task.text_encoder, Disturbance(), loop)  # type: ignore[arg-type]
-    batch = data.batch(3, 0)
-    made, real = batch.z0.clone().requires_grad_(), batch.z0.clone().requires_grad_()
-    assert float(data.apart_in_motion(made, real, batch.frames, ReconstructionWeights()).detach()) < 1e-6
-    nudged = batch.z0 + torch.tensor([0.0, 0.0, 1.0])[:, None, None]
-    apart = data.apart_in_motion(made, nudged.requires_grad_(), batch.frames, ReconstructionWeights())
-    apart.backward()
-    assert float(apart.detach()) > 1e-3
-    assert nudged.grad is None
-    assert made.grad is not None
-    assert [float(x) > 0 for x in made.grad.abs().sum((1, 2))] == [False, False, True]
+    assert any(not torch.equal(learned[0][name], learned[1][name]) for name in learned[0])
 
 
 @pytest.mark.parametrize(

@@ -40,7 +40,6 @@ from moveset.training.optim import cosine_lr
 from moveset.training.reading import Disturbance
 from moveset.training.tasks import Sources
 from moveset.training.teacher import LatentData
-from moveset.training.vae_loss import ReconstructionWeights
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,10 +58,6 @@ class DistillationConfig:
         judged_span: the lower part of a phase in which the discriminator looks; 1 as published.
         rehearsed: rows of a batch that are asked, besides, for what all of the teacher's steps lead to from where
             sampling enters a phase (``pcm.consistency.entered`` and ``whole_target``); 0 as published.
-        rehearsed_motion: weight of how far the motions are apart that those of them which come to the end are decoded
-            to: the latent's numbers do not count the same for what is seen.
-        motion: weights of the parts of that distance.
-        planted: weight of how feet slide in these motions that are said to stand (``training.feet.sliding``).
         ema: decay of the target network.
         model: the student's architecture; filled in from the teacher's.
     """
@@ -76,9 +71,6 @@ class DistillationConfig:
     mismatched: float = 0.0
     judged_span: float = 1.0
     rehearsed: int = 0
-    rehearsed_motion: float = 0.0
-    motion: ReconstructionWeights = field(default_factory=ReconstructionWeights)
-    planted: float = 0.0
     ema: float = 0.95
     batch: int = 128
     lr: float = 2e-4
@@ -168,15 +160,6 @@ class _DistillationTask(Task):
         made = self.predict(_bound(self.student, text, frames), z, point_B, w_B)
         loss = pseudo_huber(made, target, self.config.huber)
         report["rehearsal"] = loss.detach()
-        ending = phase_B == 0
-        if self.config.rehearsed_motion and bool(ending.any()):
-            apart = self.data.apart_in_motion(made[ending], target[ending], frames[ending], self.config.motion)
-            report["rehearsed_motion"] = apart.detach()
-            loss = loss + self.config.rehearsed_motion * apart
-        if self.config.planted and bool(ending.any()):
-            slides = self.data.sliding(made[ending], frames[ending])
-            report["sliding"] = slides.detach()
-            loss = loss + self.config.planted * slides
         return loss
 
     def _bound_teacher(self, text: TextEmbedding, frames: Tensor) -> Teacher:

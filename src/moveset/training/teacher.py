@@ -19,12 +19,10 @@ from moveset.training.clip_source import open_clips
 from moveset.training.clips import FeatureStore
 from moveset.training.ema import Ema, ema_warmup
 from moveset.training.engine import Loop, Task
-from moveset.training.feet import sliding
 from moveset.training.latents import LatentBatch, LatentSet
 from moveset.training.optim import cosine_lr
 from moveset.training.reading import Disturbance, read_captions
 from moveset.training.tasks import Sources
-from moveset.training.vae_loss import ReconstructionWeights, judged
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,14 +54,11 @@ class LatentData:
         with loop.fabric.rank_zero_first():
             self._open(sources, text_encoder, loop.rank == 0)
         self.text = self.text.to(loop.device)
-        self.vae.module.to(loop.device)
         self.seed, self.device = loop.config.seed * 64 + loop.rank, loop.device
 
     def _open(self, sources: Sources, text_encoder: str, progress: bool) -> None:
         clips, vae, codec = open_clips(sources.corpus), self.vae, self.vae.task["codec"]
-        self.codec = get_codec(codec)
-        store = FeatureStore.of(clips, self.codec, sources.cache / f"features-{codec}", progress)
-        self.normalizer = store.normalizer
+        store = FeatureStore.of(clips, get_codec(codec), sources.cache / f"features-{codec}", progress)
         latents = sources.cache / f"latents-{vae.digest[:12]}"
         self.train = LatentSet.of(clips, "train", store, vae.module, Path(f"{latents}-train.safetensors"))
         self.train.paraphrased = self.disturbance.paraphrased
@@ -76,29 +71,6 @@ class LatentData:
     def batch(self, size: int, step: int) -> LatentBatch:
         """Training latents of a step, on the device."""
         return self.train.batch(size, self.seed, step).to(self.device)
-
-    def decode(self, z: Tensor, frames: Tensor) -> Tensor:
-        """Normalised features (B, F, D) of normalised latents (B, N, d)."""
-        center, scale = (x.to(z.device) for x in (self.train.center, self.train.scale))
-        return self.vae.module.decode(z * scale + center, frames, int(frames.max())).float()
-
-    def apart_in_motion(self, made: Tensor, real: Tensor, frames: Tensor, weights: ReconstructionWeights) -> Tensor:
-        """How far two sets of normalised latents (B, N, d) are apart once they are decoded, by the autoencoder's loss.
-
-        Args:
-            weights: of its parts, unless it is the published one.
-        """
-        by, motion = self.vae.task["loss"], self.decode(made, frames)
-        with torch.no_grad():
-            wanted = self.decode(real, frames)
-        with torch.autocast(made.device.type, enabled=False):
-            return judged(by, motion, wanted, frames, self.codec, self.normalizer, weights, decoded=True)[0]
-
-    def sliding(self, made: Tensor, frames: Tensor) -> Tensor:
-        """How planted feet slide in the motion of normalised latents (B, N, d): ``training.feet.sliding``."""
-        motion = self.decode(made, frames)
-        with torch.autocast(made.device.type, enabled=False):
-            return sliding(motion, frames, self.codec, self.normalizer)
 
     def read(self, captions: list[str], disturbed_by: torch.Generator | None = None) -> TextEmbedding:
         """Token states of captions; "" is the unconditional input. Roughened if given a generator."""

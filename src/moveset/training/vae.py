@@ -11,6 +11,7 @@ from moveset.models.registry import describe
 from moveset.models.timed_vae import TimedVAEConfig
 from moveset.models.token_vae import TokenVAEConfig
 from moveset.motion.features import FeatureCodec, get_codec
+from moveset.motion.native import NativeCodec
 from moveset.training import frozen
 from moveset.training.clip_source import open_clips
 from moveset.training.clips import Crop, CropSampler, FeatureStore
@@ -20,9 +21,10 @@ from moveset.training.optim import cosine_lr
 from moveset.training.tasks import Sources
 from moveset.training.vae_loss import (
     ReconstructionWeights,
-    judged,
     kl_divergence,
     position_errors,
+    published_loss,
+    reconstruction_loss,
 )
 
 
@@ -119,8 +121,10 @@ class VAETask(Task):
         }
 
     def _loss(self, made: Tensor, real: Tensor, lengths: Tensor) -> tuple[Tensor, dict[str, Tensor]]:
-        config = self.config
-        return judged(config.loss, made, real, lengths, self.codec, self.store.normalizer, config.weights)
+        if self.config.loss == "published":
+            return published_loss(made, real, lengths, self.codec, self.store.normalizer)
+        codec = cast(NativeCodec, self.codec)
+        return reconstruction_loss(made, real, lengths, codec, self.store.normalizer, self.config.weights)
 
     def _spread(self, log_variance: Tensor) -> Tensor:
         """Standard deviation of the latents that the decoder learns from."""

@@ -1,7 +1,6 @@
 """What a reconstruction is judged by. B batch, F frames, D features, J joints; distances in metres."""
 
 from dataclasses import dataclass
-from typing import Literal, cast
 
 import torch
 from torch import Tensor
@@ -26,22 +25,6 @@ class ReconstructionWeights:
     feet: float = 0.0
 
 
-def judged(
-    by: Literal["kinematic", "published"],
-    made: Tensor,
-    real: Tensor,
-    lengths: Tensor,
-    codec: FeatureCodec,
-    normalizer: Normalizer,
-    weights: ReconstructionWeights,
-    decoded: bool = False,
-) -> tuple[Tensor, dict[str, Tensor]]:
-    """``reconstruction_loss``, which takes "native" features only, or ``published_loss``."""
-    if by == "published":
-        return published_loss(made, real, lengths, codec, normalizer)
-    return reconstruction_loss(made, real, lengths, cast(NativeCodec, codec), normalizer, weights, decoded)
-
-
 def reconstruction_loss(
     made: Tensor,
     real: Tensor,
@@ -49,7 +32,6 @@ def reconstruction_loss(
     codec: NativeCodec,
     normalizer: Normalizer,
     weights: ReconstructionWeights,
-    decoded: bool = False,
 ) -> tuple[Tensor, dict[str, Tensor]]:
     """Weighted sum and its parts.
 
@@ -62,15 +44,16 @@ def reconstruction_loss(
         made: (B, F, D) normalised features.
         real: the same of the clip.
         lengths: (B,) frames of each clip; the rest is ignored.
-        decoded: whether ``real`` is a decoder's output itself, whose position features need not agree with its
-            rotations: then its joints too are placed by these.
     """
     frames = real.shape[1]
     valid = (torch.arange(frames, device=real.device) < lengths[:, None]).to(real.dtype)
     parts = {"features": _mean(fn.smooth_l1_loss(made, real, reduction="none", beta=0.2).mean(-1), valid)}
     made, real = normalizer.denormalize(made), normalizer.denormalize(real)
-    posture = codec.posture(made)
-    true_posture = codec.posture(real) if decoded else _recorded_posture(real, codec)
+    posture, root = codec.posture(made), real[..., codec.groups["root_height"]]
+    ground = torch.cat((torch.zeros_like(root), root, torch.zeros_like(root)), dim=-1)
+    true_posture = torch.cat(
+        (ground[..., None, :], real[..., codec.groups["positions"]].unflatten(-1, (-1, 3))), dim=-2
+    )
     parts["positions"] = _mean((posture - true_posture).abs().mean((-1, -2)), valid)
     heading, path = codec.root_path(made)
     true_heading, true_path = codec.root_path(real)
@@ -117,13 +100,6 @@ def position_errors(
     unaligned = (made - real).norm(dim=-1).mean(-1)
     count = valid.sum(1)
     return 1000 * (aligned * valid).sum(1) / count, 1000 * (unaligned * valid).sum(1) / count
-
-
-def _recorded_posture(real: Tensor, codec: NativeCodec) -> Tensor:
-    """Joints (B, F, J, 3) above the root's place on the floor, as the features of a clip hold them."""
-    root = real[..., codec.groups["root_height"]]
-    ground = torch.cat((torch.zeros_like(root), root, torch.zeros_like(root)), dim=-1)
-    return torch.cat((ground[..., None, :], real[..., codec.groups["positions"]].unflatten(-1, (-1, 3))), dim=-2)
 
 
 def _planted_error(step: Tensor, height: Tensor, codec: NativeCodec) -> Tensor:
