@@ -45,6 +45,7 @@ def test_info_draws(corpus, tmp_path, capsys):
         (["build", "--raw", "{folder}"], "raw data"),
         (["build", "--workers", "0"], "0 workers"),
         (["build", "--compositions", "-1"], "-1 compositions"),
+        (["build", "--continuations", "100001"], "100001 continuations"),
         (["build", "-o", "corpus.npz"], "corpus.npz"),
     ],
 )

@@ -11,6 +11,7 @@ import time
 from contextlib import suppress
 from itertools import pairwise
 from pathlib import Path
+from threading import Thread
 
 import pytest
 from hypothesis import given
@@ -21,6 +22,7 @@ from moveset.data.compose import add_compositions
 from moveset.data.corpus import Corpus, CorpusWriter
 from moveset.data.raw import find_takes, unpacked
 from moveset.errors import FormatError, InputError
+from moveset.io.lock import locked
 
 
 @given(st.integers(1, 5000))
@@ -66,6 +68,20 @@ def test_archives_are_unpacked_once(tmp_path):
     assert not (tmp_path / "elsewhere").exists()
 
 
+def test_who_comes_second_waits_until_all_is_unpacked(tmp_path):
+    raw, scratch = tmp_path / "raw", tmp_path / "scratch"
+    raw.mkdir()
+    archive(raw / "cmu.tar.xz", {"cmu/trials.jsonl": b""})
+    second = Thread(target=unpacked, args=(raw, scratch))
+    with locked(scratch):
+        second.start()
+        second.join(0.3)
+        assert second.is_alive()
+        assert not (scratch / "cmu").exists()
+    second.join(10)
+    assert (scratch / "cmu" / "trials.jsonl").is_file()
+
+
 def test_archives_cannot_write_elsewhere(tmp_path):
     raw, scratch = tmp_path / "raw", tmp_path / "inner" / "scratch"
     raw.mkdir()
@@ -90,7 +106,7 @@ def test_a_damaged_archive_leaves_nothing(tmp_path):
     (raw / "cmu.tar.xz").write_bytes(data[: len(data) // 2])
     with pytest.raises(FormatError, match="cannot be unpacked"):
         unpacked(raw, scratch)
-    assert list(scratch.iterdir()) == []
+    assert [path.name for path in scratch.iterdir()] == [".lock"]
 
 
 def test_no_data_names_the_remedy(tmp_path):

@@ -10,6 +10,7 @@ from pathlib import Path
 from moveset.data import bandai_namco, cmu
 from moveset.data.takes import TakeRef
 from moveset.errors import FormatError, InputError
+from moveset.io.lock import locked
 
 _ARCHIVES = {"bandai-namco.tar.xz": ("dataset-1", "dataset-2"), "cmu.tar.xz": ("cmu",)}
 _MAX_UNPACKED = 16 * 2**30
@@ -29,10 +30,11 @@ def unpacked(raw: Path, scratch: Path) -> Path:
     archives = [raw / name for name in _ARCHIVES if (raw / name).is_file()]
     if not archives:
         raise InputError(f"{raw} holds none of {', '.join((*folders, *_ARCHIVES))}; give the folder with the raw data")
-    scratch.mkdir(parents=True, exist_ok=True)
-    for archive in archives:
-        if not all((scratch / f).is_dir() for f in _ARCHIVES[archive.name]):
-            _unpack(archive, scratch)
+    # Who builds another corpus at the same time waits, and finds everything there.
+    with locked(scratch):
+        for archive in archives:
+            if not all((scratch / f).is_dir() for f in _ARCHIVES[archive.name]):
+                _unpack(archive, scratch)
     return scratch
 
 
