@@ -48,6 +48,11 @@ _OFTEN = {"walk": 4, "run": 3, "walk-turn-left": 2, "walk-turn-right": 2} | {
 }
 _BLEND = 12
 _SHORTEST = 24
+#: What may go on for as long as it is asked for. Raising a hand or bowing again and again would be another action.
+ENDLESS = (
+    *(content for content in TRAVELLING if "turn" not in content), "wave-left-hand", "wave-right-hand",
+    "wave-both-hands", "bye", "byebye",
+)  # fmt: skip
 #: Frames of a clip in which one action goes on, and how many parts it may have.
 _GOES_ON = (80, MAX_FRAMES)
 _MOST_PARTS = 6
@@ -124,14 +129,14 @@ def add_compositions(writer: CorpusWriter, train: int = 3000, seed: int = 0, *, 
 def add_continuations(writer: CorpusWriter, train: int, seed: int = 0) -> int:
     """Add ``train`` training clips in which one action goes on and on, and in proportion ones for validation and test.
 
-    Few takes last as long as a clip may be asked to; these do, and are told by the sentences of their one content.
-    Contents are drawn by the root of their number of takes. Returns how many were added.
+    Few takes last as long as a clip may be asked to; these do, and are told by the sentences of their one content, one
+    of ``ENDLESS``, drawn by the root of its number of takes. Returns how many were added.
     """
     pools, wanted = _pools(writer), _in_proportion(writer, train)
     added = 0
     for split in wanted:
         pool, chance = pools[split], random.Random(f"going on in {split}, seed {seed}")
-        contents, weights = _going_on(pool)
+        contents, weights = _by_takes(pool, ENDLESS)
         made: set[tuple[Part, ...]] = set()
         for _ in range(6 * wanted[split] if contents else 0):
             if len(made) == wanted[split]:
@@ -251,7 +256,7 @@ def plan_continuations(corpus: Corpus, split: Split, count: int, seed: int = 0) 
     Contents are drawn by the root of their number of takes.
     """
     pool = _corpus_pool(corpus, split)
-    contents, weights = _going_on(pool)
+    contents, weights = _by_takes(pool, (*TRAVELLING, *ON_THE_SPOT))
     chance = random.Random(f"continuations of {split}, seed {seed}")
     made: dict[Recipe, str] = {}
     for _ in range(6 * count):
@@ -264,9 +269,9 @@ def plan_continuations(corpus: Corpus, split: Split, count: int, seed: int = 0) 
     return [(content, recipe) for recipe, content in made.items()]
 
 
-def _going_on(pool: _Pool) -> tuple[list[str], list[float]]:
-    """Contents that can follow themselves, with the root of their number of takes."""
-    contents = _available(pool, (*TRAVELLING, *ON_THE_SPOT))
+def _by_takes(pool: _Pool, contents: Sequence[str]) -> tuple[list[str], list[float]]:
+    """Those of the contents that there are, with the root of their number of takes."""
+    contents = _available(pool, contents)
     return contents, [len(pool.by_content[content]) ** 0.5 for content in contents]
 
 
