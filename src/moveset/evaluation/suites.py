@@ -135,7 +135,7 @@ def motionpcm() -> Suite:
             for n in (1, 2, 4)
         ),
         *(
-            Row(key=key, label=f"PCM, 1 step, {what}", group="Ablations, trained alike from an earlier teacher",
+            Row(key=key, label=f"PCM, 1 step, {what}", group="Ablations, trained alike",
                 model=f"{CLIPS}-{key}", network="pcm-1", steps=1,
                 against=() if key == "reference" else ("reference",))
             for key, what in (
