@@ -1,6 +1,6 @@
 """Do clips that are longer than takes of their action keep their pace and their feet?
 
-    python benchmarks/long_clips.py --networks teacher lcm-1 pcm-1 --out docs/training/long-clips.json
+    python benchmarks/long_clips.py --networks pcm-1 lcm-1 --out docs/training/long-clips.json
 
 Of every sentence, length and network ``--copies`` clips, feet locked as users get them, measured as streams are
 (``course.py``).

@@ -46,6 +46,7 @@ _LEGS = ("walk", "walk", "walk", "run", "run", "walk-turn-left", "walk-turn-righ
 _OFTEN = {"walk": 4, "run": 3, "walk-turn-left": 2, "walk-turn-right": 2} | {
     c: 3 for c in ON_THE_SPOT if c.startswith(("wave", "raise"))
 }
+_SPLITS: tuple[Split, ...] = ("train", "val", "test")
 _BLEND = 12
 _SHORTEST = 24
 #: What may go on for as long as it is asked for. Raising a hand or bowing again and again would be another action.
@@ -159,15 +160,13 @@ def add_continuations(writer: CorpusWriter, train: int, seed: int = 0) -> int:
 
 def _pools(writer: CorpusWriter) -> dict[Split, _Pool]:
     records = [record for record in writer.records if record.kind == "take"]
-    splits: tuple[Split, ...] = ("train", "val", "test")
-    return {split: _Pool(records, writer.motions, split) for split in splits}
+    return {split: _Pool(records, writer.motions, split) for split in _SPLITS}
 
 
 def _in_proportion(writer: CorpusWriter, train: int) -> dict[Split, int]:
     """As many for validation and test, of those for training, as there are takes."""
-    splits: tuple[Split, ...] = ("train", "val", "test")
-    takes = {split: sum(r.split == split and r.kind == "take" for r in writer.records) for split in splits}
-    return {split: round(train * takes[split] / max(takes["train"], 1)) for split in splits}
+    takes = {split: sum(r.split == split and r.kind == "take" for r in writer.records) for split in _SPLITS}
+    return {split: round(train * takes[split] / max(takes["train"], 1)) for split in _SPLITS}
 
 
 def _add(

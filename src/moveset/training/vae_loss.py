@@ -6,10 +6,9 @@ import torch
 from torch import Tensor
 from torch.nn import functional as fn
 
+from moveset.motion.contacts import TOE_HEIGHT
 from moveset.motion.features import FeatureCodec, Normalizer
 from moveset.motion.native import NativeCodec
-
-_LOW = 0.05
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -109,7 +108,7 @@ def _planted_error(step: Tensor, height: Tensor, codec: NativeCodec) -> Tensor:
     """
     _, left, _, right = codec.skeleton.feet
     toes = [left, right]
-    low = height[..., toes] < _LOW
+    low = height[..., toes] < TOE_HEIGHT
     wrong = step[..., toes, :][..., [0, 2]].abs().sum(-1)
     return (wrong * (low[:, 1:] & low[:, :-1])).mean(-1)
 
