@@ -87,6 +87,17 @@ def test_what_travels_may_be_cut_and_anything_else_is_whole(corpus):
         assert all(a.stop - a.start > 12 < b.stop - b.start for a, b in pairwise(record.recipe.parts))
 
 
+def test_the_last_take_keeps_its_end_where_there_is_room(corpus):
+    kept = 0
+    for k in going_on(corpus):
+        record = corpus.records[k]
+        last = record.recipe.parts[-1]
+        ended = last.stop == corpus.records[last.clip].frames
+        assert ended or record.frames == 196
+        kept += ended
+    assert kept > len(going_on(corpus)) / 2
+
+
 def test_the_same_takes_give_the_same_clips(corpus):
     again = CorpusWriter()
     for k in corpus.indices(composed=False):

@@ -277,7 +277,8 @@ def _by_takes(pool: _Pool, contents: Sequence[str]) -> tuple[list[str], list[flo
 def _goes_on(pool: _Pool, content: str, chance: random.Random) -> tuple[list[_Clip], tuple[Part, ...]]:
     """Takes of one content and, where it can be, of one style, and which frames of each follow each other.
 
-    What travels is left and entered where it fits best, in the second half and the first; anything else is whole.
+    What travels is left and entered where it fits best, in the second half and the first, and keeps the end of its last
+    take, in which people slow down, wherever there is room for it; anything else is whole.
     """
     free, wanted = content in TRAVELLING and "turn" not in content, chance.randint(*_GOES_ON)
     clips = [pool.pick(content, None, chance)]
@@ -296,7 +297,7 @@ def _goes_on(pool: _Pool, content: str, chance: random.Random) -> tuple[list[_Cl
         b_stop = following.record.frames
         total = frames - (stop - a_stop) + b_stop - b_start - _BLEND
         if free:
-            b_stop -= max(0, total - wanted)
+            b_stop -= max(0, total - MAX_FRAMES)
         elif total > MAX_FRAMES:
             break
         if b_stop - b_start < _BLEND + 12:
