@@ -21,11 +21,11 @@ from moveset.evaluation.generators import (
     weights_of,
 )
 from moveset.motion.clip import Motion
+from moveset.motion.contacts import PLANTED
 from moveset.motion.foot_lock import FootLock
 from moveset.motion.hold_root import hold_root
 from moveset.pipelines.baseline_bundle import DENOISER, IDLE, BaselineBundle
 from moveset.pipelines.device import pick_device
-from moveset.pipelines.stream_settings import CONTACT
 from moveset.rdm.autoregressive import idle_prefix, rollout_chunks, sample_piece
 from moveset.rdm.prediction import clean_from_noise
 from moveset.rdm.staircase import levels
@@ -55,7 +55,7 @@ class Baseline:
         "moveset.evaluation.generators", "moveset.evaluation.baselines", "moveset.rdm.autoregressive",
         "moveset.rdm.prediction", "moveset.rdm.noise", "moveset.diffusion.steps", "moveset.diffusion.guidance",
         "moveset.motion.foot_lock", "moveset.motion.cleanup", "moveset.motion.hover", "moveset.motion.hold_root",
-        "moveset.pipelines.stream_settings",
+        "moveset.pipelines.stream_settings", "moveset.motion.contacts",
     )  # fmt: skip
 
     def __init__(
@@ -167,7 +167,7 @@ class Baseline:
     def _motion(self, features: Tensor) -> Motion:
         if not self._foot_lock:
             return self._codec.decode(features)
-        planted = features[:, self._codec.groups["contacts"]] > CONTACT
+        planted = features[:, self._codec.groups["contacts"]] > PLANTED
         motion = self._codec.decode(hold_root(features, planted, self._codec))
         return FootLock(self._codec.skeleton, self._codec.fps)(motion, planted[: len(motion)])
 

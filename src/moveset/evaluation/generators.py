@@ -128,6 +128,7 @@ class Clips:
     code = (
         "moveset.evaluation.generators", "moveset.pipelines.text_to_motion", "moveset.pipelines.denoise",
         "moveset.pcm.sampler", "moveset.diffusion.steps", "moveset.motion.cleanup", "moveset.motion.hover",
+        "moveset.motion.contacts",
     )  # fmt: skip
 
     def __init__(

@@ -20,12 +20,13 @@ from moveset.evaluation.generators import Remembered, Tick, Wanted, frames_at, j
 from moveset.models.flow import CouplingFlow
 from moveset.models.symmetric import Symmetric
 from moveset.motion.clip import Motion
+from moveset.motion.contacts import PLANTED
 from moveset.motion.foot_lock import FootLock
 from moveset.motion.hold_root import hold_root
 from moveset.motion.incremental import IncrementalDecoder
 from moveset.pipelines.device import pick_device
 from moveset.pipelines.stream_bundle import FLOW, StreamBundle
-from moveset.pipelines.stream_settings import CONTACT, StreamSettings, get_schedule, share_evenly
+from moveset.pipelines.stream_settings import StreamSettings, get_schedule, share_evenly
 from moveset.rdm.sampler import stream
 from moveset.rdm.staircase import Shape, Staircase
 from moveset.rdm.transport import Transport
@@ -51,7 +52,7 @@ class Streams:
         "moveset.text.stages", "moveset.rdm.sampler", "moveset.rdm.staircase", "moveset.rdm.transport",
         "moveset.rdm.noise", "moveset.diffusion.steps", "moveset.diffusion.coloured", "moveset.motion.incremental",
         "moveset.motion.foot_lock", "moveset.motion.cleanup", "moveset.motion.hover", "moveset.motion.hold_root",
-        "moveset.models.symmetric",
+        "moveset.models.symmetric", "moveset.motion.contacts",
     )  # fmt: skip
 
     def __init__(
@@ -147,7 +148,7 @@ class Streams:
         decoder, feet = IncrementalDecoder(codec, settings.blend_seconds), FootLock(codec.skeleton, codec.fps)
         pieces = []
         for piece in features.split(self._bundle.config.segment):
-            planted = piece[:, codec.groups["contacts"]] > CONTACT
+            planted = piece[:, codec.groups["contacts"]] > PLANTED
             locked = settings.foot_lock
             pieces.append(feet(decoder(hold_root(piece, planted, codec)), planted) if locked else decoder(piece))
         turned, root = (torch.cat([getattr(piece, name) for piece in pieces]) for name in ("rotations", "root"))

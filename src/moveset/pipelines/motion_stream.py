@@ -21,6 +21,7 @@ from torch import Tensor
 from moveset.errors import FormatError, InputError
 from moveset.models.flow import CouplingFlow
 from moveset.motion.clip import Motion
+from moveset.motion.contacts import PLANTED
 from moveset.motion.foot_lock import FootLock
 from moveset.motion.hold_root import hold_root
 from moveset.motion.incremental import IncrementalDecoder
@@ -31,7 +32,6 @@ from moveset.pipelines.segment_denoise import SegmentDenoise
 from moveset.pipelines.stream_bundle import DEFAULT_STREAM, FLOW, StreamBundle
 from moveset.pipelines.stream_settings import (
     BLEND_SECONDS,
-    CONTACT,
     StreamRequest,
     StreamSettings,
     Timeline,
@@ -310,7 +310,7 @@ class MotionStream(Iterator[Segment]):
             self._decoder = IncrementalDecoder.from_state(
                 self.codec, {**self._decoder.state(), "heading": seed.heading, "x": seed.x, "z": seed.z}
             )
-            self._feet(self._decoder(seed.features), seed.features[:, self.codec.groups["contacts"]] > CONTACT)
+            self._feet(self._decoder(seed.features), seed.features[:, self.codec.groups["contacts"]] > PLANTED)
             left = (seed.features.to(self.device) - self._mean) / self._std
             self._go_on(seed.state(left[None], settings, self._seed, config, self._colour), 1)
 
@@ -358,7 +358,7 @@ class MotionStream(Iterator[Segment]):
             # Outside, so that what users get are ordinary tensors.
             features = features.cpu().clone()
             if self._settings.foot_lock:
-                planted = features[:, self.codec.groups["contacts"]] > CONTACT
+                planted = features[:, self.codec.groups["contacts"]] > PLANTED
                 motion = self._feet(self._decoder(hold_root(features, planted, self.codec)), planted)
             else:
                 motion = self._decoder(features)

@@ -23,6 +23,7 @@ from moveset.errors import InputError
 from moveset.models.flow import CouplingFlow
 from moveset.models.symmetric import Symmetric
 from moveset.motion.clip import Motion
+from moveset.motion.contacts import PLANTED
 from moveset.motion.foot_lock import FootLock
 from moveset.motion.hold_root import hold_root
 from moveset.motion.incremental import IncrementalDecoder
@@ -31,7 +32,7 @@ from moveset.pipelines.motion_stream import Segment
 from moveset.pipelines.prompt_memory import PromptMemory
 from moveset.pipelines.segment_denoise import Reader
 from moveset.pipelines.stream_bundle import FLOW, StreamBundle
-from moveset.pipelines.stream_settings import CONTACT, StreamSettings, Timeline, get_schedule, held
+from moveset.pipelines.stream_settings import StreamSettings, Timeline, get_schedule, held
 from moveset.pipelines.warnings import too_long, unfamiliar
 from moveset.rdm.noise import PAST, START, segment_noise
 from moveset.rdm.transport import Transport
@@ -203,7 +204,7 @@ class StreamGroup:
             lane.reading_ms += (time.perf_counter() - start) * 1e3
 
     def _decoded(self, lane: Lane, features: Tensor) -> tuple[Motion, Tensor]:
-        planted = features[:, self.codec.groups["contacts"]] > CONTACT
+        planted = features[:, self.codec.groups["contacts"]] > PLANTED
         if not self.settings.foot_lock:
             return lane.decoder(features), planted
         return lane.feet(lane.decoder(hold_root(features, planted, self.codec)), planted), planted

@@ -20,8 +20,6 @@ STAGE_SEGMENTS = 3  # of each stage of a prompt that has several and was given n
 MAX_SECONDS = 86_400.0
 MAX_BUFFER = 64
 BLEND_SECONDS = 0.3
-# A foot counts as planted above this; lower than for clips, since the feet of streams slide more (docs/decisions.md).
-CONTACT = 0.15
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,7 @@ from moveset.errors import InputError
 from moveset.models.length import LengthPredictor
 from moveset.motion.cleanup import lock_feet
 from moveset.motion.clip import Motion
+from moveset.motion.contacts import PLANTED
 from moveset.motion.features import get_codec
 from moveset.motion.join import join
 from moveset.pcm.sampler import item_noise
@@ -28,9 +29,6 @@ from moveset.pipelines.request import Method, Request, check_method, check_reque
 from moveset.pipelines.warnings import too_long, unfamiliar
 from moveset.text.ellipsis import in_full
 from moveset.text.encoder import TextEmbedding, TextEncoder, get_text_encoder, stack
-
-# Far below one half: a doubtful foot is held rather than let slide (docs/decisions.md).
-CONTACT = 0.25
 
 
 @dataclass(frozen=True, eq=False)
@@ -259,6 +257,6 @@ class TextToMotion:
         x_BFD = vae.decode(torch.addcmul(n["latent_mean"], z_BND, n["latent_std"]), lengths, max(frames))
         x_BFD = torch.addcmul(n["feature_mean"], x_BFD, n["feature_std"]).cpu()
         codec = get_codec(self.bundle.config.codec)
-        planted_BF4 = x_BFD[..., codec.groups["contacts"]] > CONTACT
+        planted_BF4 = x_BFD[..., codec.groups["contacts"]] > PLANTED
         rows = zip(x_BFD, planted_BF4, frames, strict=True)
         return [(codec.decode(x[:length]), planted[:length]) for x, planted, length in rows]
