@@ -21,13 +21,13 @@ from moveset.diffusion.schedule import linear
 from moveset.errors import InputError
 from moveset.models.symmetric import Symmetric
 from moveset.motion.clip import Motion
+from moveset.motion.contacts import PLANTED
 from moveset.motion.features import FeatureCodec, Normalizer, get_codec
 from moveset.motion.foot_lock import FootLock
 from moveset.motion.hold_root import hold_root
 from moveset.motion.incremental import IncrementalDecoder
 from moveset.motion.native import NativeCodec
 from moveset.pipelines.stream_bundle import FLOW, StreamBundle
-from moveset.pipelines.stream_settings import CONTACT
 from moveset.rdm.sampler import Denoiser, stream
 from moveset.rdm.staircase import Shape, Staircase, levels
 from moveset.rdm.transport import Transport
@@ -309,7 +309,7 @@ def finished_motion(networks: Networks, features: Tensor, blend_seconds: float =
     decoder, feet = IncrementalDecoder(codec, blend_seconds), FootLock(codec.skeleton, codec.fps)
     pieces = []
     for piece in networks.normalizer.denormalize(features).split(networks.frames):
-        planted = piece[:, codec.groups["contacts"]] > CONTACT
+        planted = piece[:, codec.groups["contacts"]] > PLANTED
         pieces.append(feet(decoder(hold_root(piece, planted, codec)), planted))
     turned, root = (torch.cat([getattr(p, name) for p in pieces]) for name in ("rotations", "root"))
     return Motion(turned, root, codec.fps, codec.skeleton)
