@@ -87,6 +87,37 @@ def test_a_student_goes_on_with_a_discriminator_that_reads(trained: Path, tmp_pa
     assert any(not torch.equal(before[name], after[name]) for name in before)
 
 
+def test_a_student_waits_while_the_discriminator_learns_alone(trained: Path, tmp_path: Path) -> None:
+    recipe = tiny.TRAINING["pcm"]()
+    task, engine = replace(recipe.task, judge_alone=2), replace(recipe.engine, steps=4, save_every=1, log_every=1)
+    run(
+        task_maker("pcm", task, sources(trained)),
+        replace(engine, keep_last=4),
+        tmp_path / "pcm",
+        False,
+        trained / "pcm",
+    )
+    start = checkpoint.resolve(trained / "pcm")
+
+    def kept(name: str, step: int) -> bool:
+        before, after = (checkpoint.read_tensors(at, name) for at in (start, tmp_path / "pcm" / f"step_{step}"))
+        return all(torch.equal(before[key], after[key]) for key in before)
+
+    assert [kept("student", step) for step in (1, 2, 3)] == [True, True, False]
+    assert [kept("student_ema", step) for step in (1, 2, 3)] == [True, True, False]
+    assert not kept("discriminator", 1)
+    rows = [json.loads(line) for line in (tmp_path / "pcm" / "metrics.jsonl").read_text().splitlines()]
+    rates = [row["lr_student"] for row in rows if row["split"] == "train"]
+    assert rates[:2] == [0.0, 0.0]
+    assert rates[2] > 0.0
+
+
+@pytest.mark.parametrize("wrong", [{"judge_alone": -1}, {"judge_alone": 5, "adversarial": 0.0}])
+def test_a_discriminator_alone_must_exist(wrong: dict[str, Any]) -> None:
+    with pytest.raises(InputError, match="judge_alone"):
+        DistillationConfig(**wrong)
+
+
 @pytest.mark.parametrize("what", ["lcm", "pcm"])
 def test_a_student_may_be_asked_for_all_of_its_teachers_steps(trained: Path, tmp_path: Path, what: str) -> None:
     recipe = tiny.TRAINING[what]()

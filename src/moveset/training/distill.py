@@ -12,6 +12,7 @@ from torch import Tensor, nn
 from moveset.diffusion.phases import PhaseGrid
 from moveset.diffusion.schedule import scaled_linear
 from moveset.diffusion.steps import add_noise, ddim_timesteps
+from moveset.errors import InputError
 from moveset.models.discriminator import DiscriminatorConfig, LatentDiscriminator
 from moveset.models.latent_denoiser import LatentDenoiserConfig
 from moveset.models.registry import describe, parse_config, require_range
@@ -56,6 +57,8 @@ class DistillationConfig:
         mismatched: share of real latents with another item's text in what the discriminator is to call fake, so that
             it judges what is said too; 0 as published.
         judged_span: the lower part of a phase in which the discriminator looks; 1 as published.
+        judge_alone: steps at the beginning in which the discriminator learns and the student waits, so that a student
+            that is good already (``--init``) is not pushed by one that knows nothing yet; 0 as published.
         rehearsed: rows of a batch that are asked, besides, for what all of the teacher's steps lead to from where
             sampling enters a phase (``pcm.consistency.entered`` and ``whole_target``); 0 as published.
         ema: decay of the target network.
@@ -70,6 +73,7 @@ class DistillationConfig:
     sampled_share: float = 0.0
     mismatched: float = 0.0
     judged_span: float = 1.0
+    judge_alone: int = 0
     rehearsed: int = 0
     ema: float = 0.95
     batch: int = 128
@@ -84,6 +88,10 @@ class DistillationConfig:
     def __post_init__(self) -> None:
         require_shares(self.sampled_share, self.mismatched, self.judged_span)
         require_range("rows that are rehearsed", self.rehearsed, 0, self.batch)
+        if self.judge_alone < 0 or (self.judge_alone and not self.adversarial):
+            raise InputError(
+                f"judge_alone = {self.judge_alone} asks for a discriminator and 0 steps at least; set adversarial too"
+            )
         if self.model is not None:
             object.__setattr__(self, "kind", describe(self.model)[0])
 
@@ -122,7 +130,8 @@ class _DistillationTask(Task):
         return {"student": self.optimizer}
 
     def learning_rates(self, step: int) -> dict[str, float]:
-        return {"student": cosine_lr(step, self.config.lr, self.config.warmup, self.steps)}
+        alone = self.config.judge_alone
+        return {"student": cosine_lr(max(step - alone, 0), self.config.lr, self.config.warmup, self.steps - alone)}
 
     def validate(self, step: int, loop: Loop) -> dict[str, float]:
         """Mean squared distance in the latent to the teacher's 50 guided steps from the same noise, captions of val."""
@@ -236,35 +245,21 @@ class PCMTask(_DistillationTask):
         draws = draw(self.grid, batch.z0, config.guidance, self.draws, config.sampled_share, config.judged_span)
         z = add_noise(self.schedule, batch.z0, draws.noise_BND, self.grid.time(draws.point_B))
         student, ema = _bound(self.student, text, batch.frames), _bound(self.ema.module, text, batch.frames)
+        report: dict[str, Tensor] = {}
+        if step <= config.judge_alone:
+            with torch.no_grad():
+                self._judged(batch, text, draws, self.predict(student, z, draws.point_B, draws.w_B), report, loop)
+            return report
         teacher = self._bound_teacher(text, batch.frames)
         target = phased_target(self.schedule, self.grid, teacher, ema, z, draws.point_B, draws.w_B)
         made = self.predict(student, z, draws.point_B, draws.w_B)
         loss = pseudo_huber(made, target, config.huber)
-        report = {"consistency": loss.detach()}
+        report["consistency"] = loss.detach()
         loss = loss + self._rehearsal(batch, draws, report)
         if config.adversarial:
-            fake, real = adversarial_pair(self.schedule, self.grid, draws, made, batch.z0)
-            seen = self._features(fake, draws.judged_B, text, batch.frames)
-            with torch.no_grad():
-                real_seen = self._features(real, draws.judged_B, text, batch.frames)
-            real_logits, fake_logits = self.judge.heads(real_seen), self.judge.heads([x.detach() for x in seen])
-            misread_logits = None
-            if config.mismatched:
-                with torch.no_grad():
-                    others = text[torch.arange(len(text), device=real.device).roll(1)]
-                    misread_seen = self._features(real, draws.judged_B, others, batch.frames)
-                misread_logits = self.judge.heads(misread_seen)
-                report["misread_logit"] = misread_logits.mean().detach()
-            verdict = hinge_discriminator(real_logits, fake_logits, misread_logits, config.mismatched)
-            loop.minimise(verdict, "discriminator")
-            fooled = hinge_generator(self.judge.heads(seen))
+            fooled = hinge_generator(self.judge.heads(self._judged(batch, text, draws, made, report, loop)))
+            report["generator"] = fooled.detach()
             loss = loss + config.adversarial * fooled
-            report |= {
-                "discriminator": verdict.detach(),
-                "generator": fooled.detach(),
-                "real_logit": real_logits.mean().detach(),
-                "fake_logit": fake_logits.mean().detach(),
-            }
         report["gradient_norm"] = loop.minimise(loss, "student")
         self.ema.update(self.student)
         return report | {"loss": loss.detach()}
@@ -275,6 +270,33 @@ class PCMTask(_DistillationTask):
 
     def predict(self, student: Student, z: Tensor, point_B: Tensor, w_B: Tensor) -> Tensor:
         return phased_prediction(self.schedule, self.grid, student, z, point_B, w_B)
+
+    def _judged(
+        self, batch: LatentBatch, text: TextEmbedding, draws: Draws, made: Tensor, report: dict[str, Tensor], loop: Loop
+    ) -> list[Tensor]:
+        """One step of the discriminator, reported; returns the features of what the student made, for its own step."""
+        fake, real = adversarial_pair(self.schedule, self.grid, draws, made, batch.z0)
+        seen = self._features(fake, draws.judged_B, text, batch.frames)
+        with torch.no_grad():
+            real_seen = self._features(real, draws.judged_B, text, batch.frames)
+        misread_seen = None
+        if self.config.mismatched:
+            with torch.no_grad():
+                others = text[torch.arange(len(text), device=real.device).roll(1)]
+                misread_seen = self._features(real, draws.judged_B, others, batch.frames)
+        with torch.enable_grad():
+            real_logits, fake_logits = self.judge.heads(real_seen), self.judge.heads([x.detach() for x in seen])
+            misread_logits = self.judge.heads(misread_seen) if misread_seen else None
+            verdict = hinge_discriminator(real_logits, fake_logits, misread_logits, self.config.mismatched)
+            loop.minimise(verdict, "discriminator")
+        report |= {
+            "discriminator": verdict.detach(),
+            "real_logit": real_logits.mean().detach(),
+            "fake_logit": fake_logits.mean().detach(),
+        }
+        if misread_logits is not None:
+            report["misread_logit"] = misread_logits.mean().detach()
+        return seen
 
     def _features(self, z: Tensor, s: Tensor, text: TextEmbedding, frames: Tensor) -> list[Tensor]:
         """The frozen teacher's block outputs: one pass serves both the discriminator's step and the student's."""
