@@ -24,7 +24,7 @@ def train(
     *,
     recipe: Literal["small", "paper", "tiny"] = "small",
     resume: tyro.conf.FlagCreatePairsOff[bool] = False,
-    init: Path | None = None,
+    init: tyro.conf.UseAppendAction[tuple[Path, ...]] = (),
     folder: Path | None = None,
     corpus: Path = Path("data/corpus.safetensors"),
     vae: Path | None = None,
@@ -57,7 +57,8 @@ def train(
         recipe: small: what ships. paper: the published sizes. tiny: seconds, to try the machinery.
         resume: Continue from the latest checkpoint in the folder, or start if there is none.
         init: Checkpoint or run folder whose weights to start with; `python -m moveset.training.unpack` makes such
-            folders of a model.
+            folders of a model. May be given several times: what the first lacks, such as a discriminator, comes from
+            the next.
         folder: Where checkpoints and logs go; by default runs/RECIPE/WHAT.
         corpus: What `moveset data build` wrote, or a HumanML3D or KIT-ML folder.
         vae: Checkpoint or run folder of the autoencoder; by default runs/RECIPE/vae.

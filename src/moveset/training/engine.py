@@ -13,7 +13,7 @@ noticeable at these sizes (72 MB of gradients for the largest model).
 import hashlib
 import signal
 import threading
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -212,7 +212,7 @@ def run(
     config: EngineConfig,
     folder: Path,
     resume_from_latest: bool = False,
-    init: Path | None = None,
+    init: Path | Sequence[Path] = (),
 ) -> TrainResult:
     """Trains a task until ``config.steps`` or a signal.
 
@@ -221,7 +221,8 @@ def run(
         config: how to run.
         folder: gets ``step_N/`` and ``metrics.jsonl``.
         resume_from_latest: continue from the latest valid checkpoint in ``folder``, or start if there is none.
-        init: run folder or checkpoint whose weights a training starts with, at step 0 and with fresh optimisers.
+        init: run folder or checkpoint whose weights a training starts with, at step 0 and with fresh optimisers; of
+            several, each module is taken from the first that has it.
 
     Raises:
         InputError: the folder holds another run, is in use, or its checkpoint or ``init`` does not fit the task.
@@ -244,7 +245,7 @@ def run(
         task = make_task(loop)
         loop._optimizers = task.optimizers()
         torch.manual_seed(stream_seed(config.seed, "dropout", loop.rank))  # the ranks were alike so far
-        start = _start(task, loop, folder, resume_from_latest, init)
+        start = _start(task, loop, folder, resume_from_latest, [init] if isinstance(init, Path) else init)
         if loop.world_size > 1:
             for tensor in resume.shared_tensors(task):
                 torch.distributed.broadcast(tensor, src=0)
@@ -293,7 +294,7 @@ def _train(task: Task, loop: Loop, folder: Path, start: int, signals: list[int],
     return TrainResult(step, saved, signal.Signals(stopped).name if stopped else None, validation)
 
 
-def _start(task: Task, loop: Loop, folder: Path, resume_from_latest: bool, init: Path | None) -> int:
+def _start(task: Task, loop: Loop, folder: Path, resume_from_latest: bool, init: Sequence[Path]) -> int:
     """Loads the latest checkpoint if asked; returns the number of finished steps."""
     if not resume_from_latest:
         if existing := checkpoint.steps(folder):
@@ -301,15 +302,15 @@ def _start(task: Task, loop: Loop, folder: Path, resume_from_latest: bool, init:
                 f"{folder} already holds a training up to step {existing[-1]}; continue it with --resume or give "
                 "another folder"
             )
-        if init is not None:
-            resume.begin(task, checkpoint.resolve(init))
+        if init:
+            resume.begin(task, [checkpoint.resolve(path) for path in init])
         return 0
     # One process looks, so that all agree on what they find.
     found = checkpoint.latest(folder) if loop.rank == 0 else None
     found = loop.fabric.broadcast(found)
     start = resume.load(task, loop, found) if found else 0
-    if init is not None and not found:
-        resume.begin(task, checkpoint.resolve(init))
+    if init and not found:
+        resume.begin(task, [checkpoint.resolve(path) for path in init])
     if loop.rank == 0:
         checkpoint.set_aside(folder, after=start)
         checkpoint.prune(folder, loop.config.keep_last, loop.config.keep_every)

@@ -10,7 +10,7 @@ config.json                  {"task": NAME, "config": {…}, "engine": {…}}
 import dataclasses
 import json
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -91,23 +91,28 @@ def load(task: "Task", loop: "Loop", path: Path) -> int:
     return int(state["step"])
 
 
-def begin(task: "Task", path: Path) -> None:
-    """Loads the weights of a verified checkpoint into a freshly built task, and nothing else of it.
+def begin(task: "Task", paths: Sequence[Path]) -> None:
+    """Loads the weights of verified checkpoints into a freshly built task, and nothing else of them.
 
-    Warns of modules that the checkpoint lacks, such as a discriminator: they start as they were built.
+    A module is taken from the first that has it: a student of one training may meet the discriminator of another.
+    Warns of modules that none has: they start as they were built.
 
     Raises:
-        InputError: it has none of the task's modules, or one of other sizes.
+        InputError: one has none of the task's modules, or none that those before it lack, or one of other sizes.
         FormatError: a file is damaged.
     """
     modules = {**task.modules(), **task.averages()}
-    found = [name for name in modules if (path / f"{name}.safetensors").is_file()]
-    if not found:
-        raise InputError(f"{path} has none of {', '.join(modules)}; give a checkpoint of {task.name!r} or the like")
-    for name in found:
-        checkpoint.load_module(modules[name], path, name)
-    if missing := [name for name in modules if name not in found]:
-        warnings.warn(f"{path} has no {', '.join(missing)}: that starts anew", stacklevel=4)
+    missing = list(modules)
+    for path in paths:
+        if not (found := [name for name in missing if (path / f"{name}.safetensors").is_file()]):
+            raise InputError(f"{path} has none of {', '.join(missing)}; give a checkpoint of {task.name!r} or the like")
+        for name in found:
+            checkpoint.load_module(modules[name], path, name)
+            missing.remove(name)
+        if not missing and path is not paths[-1]:
+            raise InputError(f"{path} has all that {task.name!r} needs; leave out what follows it")
+    if missing:
+        warnings.warn(f"{paths[-1]} has no {', '.join(missing)}: that starts anew", stacklevel=4)
 
 
 def shared_tensors(task: "Task") -> Iterator[Tensor]:
