@@ -16,7 +16,7 @@ from torch import Tensor
 DIFFERENCE, SCALE = ":difference", ":scale"
 LEVELS = 127
 # A tensor whose difference is too large for 8 bits (relative error of the tensor) is stored whole.
-MAX_ERROR = 4e-3
+MAX_ERROR = 8e-3
 
 
 def halved(state: Mapping[str, Tensor]) -> dict[str, Tensor]:
