@@ -182,6 +182,21 @@ def test_a_student_of_several_phases_needs_the_grid_of_the_model(models, runs, t
     assert not (tmp_path / "out").exists()
 
 
+def test_differences_may_be_coarser_where_that_is_asked_for(models, runs, tmp_path):
+    sizes, errors = [], []
+    wanted = frozen.load(runs / "pcm-2", "student_ema").module.state_dict()
+    for most in (0.0, 4e-3, 0.1):
+        out = Bundle(exchange.exchange(models[0], {"pcm-2": runs / "pcm-2"}, tmp_path / str(most), max_error=most))
+        got = out.weights("pcm-2")
+        sizes.append(out.files["pcm-2.safetensors"][1])
+        errors.append(max(float((got[key] - wanted[key]).norm() / wanted[key].norm()) for key in wanted))
+        assert errors[-1] <= most + 1e-3
+    assert sizes == sorted(sizes, reverse=True)
+    assert sizes[0] > sizes[-1]
+    with pytest.raises(InputError, match="error of differences"):
+        exchange.exchange(models[0], {"pcm-2": runs / "pcm-2"}, tmp_path / "out", max_error=0.2)
+
+
 def test_several_runs_make_their_mean(models, runs, tmp_path):
     both = [runs / "pcm-1", runs / "lcm-1"]
     out = Bundle(exchange.exchange(models[0], {"pcm-1": both}, tmp_path / "out"))

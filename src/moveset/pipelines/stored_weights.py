@@ -16,7 +16,7 @@ from torch import Tensor
 DIFFERENCE, SCALE = ":difference", ":scale"
 LEVELS = 127
 # A tensor whose difference is too large for 8 bits (relative error of the tensor) is stored whole.
-MAX_ERROR = 8e-3
+MAX_ERROR = 4e-3
 
 
 def halved(state: Mapping[str, Tensor]) -> dict[str, Tensor]:
@@ -28,12 +28,15 @@ def halved(state: Mapping[str, Tensor]) -> dict[str, Tensor]:
     return {name: _half(name, value.detach().cpu()) for name, value in state.items()}
 
 
-def subtracted(state: Mapping[str, Tensor], base: Mapping[str, Tensor]) -> dict[str, Tensor]:
+def subtracted(
+    state: Mapping[str, Tensor], base: Mapping[str, Tensor], max_error: float = MAX_ERROR
+) -> dict[str, Tensor]:
     """Matrices as 8-bit differences from the base's of the same name and shape; the rest as in ``halved``.
 
     Args:
         state: a network's weights.
         base: another network's, as stored by ``halved``.
+        max_error: a matrix that its difference would miss by more than this, relative to its norm, is stored whole.
 
     Raises:
         ValueError: values that half precision cannot hold.
@@ -44,7 +47,7 @@ def subtracted(state: Mapping[str, Tensor], base: Mapping[str, Tensor]) -> dict[
             value = value.detach().cpu().float()
             difference, scale = _quantised(value - base[name].float())
             error = torch.linalg.vector_norm(_sum(base[name], difference, scale) - value)
-            if error <= MAX_ERROR * torch.linalg.vector_norm(value):
+            if error <= max_error * torch.linalg.vector_norm(value):
                 del stored[name]
                 stored |= {name + DIFFERENCE: difference, name + SCALE: scale}
     return stored

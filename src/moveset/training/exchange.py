@@ -13,10 +13,10 @@ from safetensors.torch import save as save_safetensors
 from torch import Tensor
 
 from moveset.errors import InputError, exit_code_of
-from moveset.models.registry import describe
+from moveset.models.registry import describe, require_range
 from moveset.pipelines.bundle import Bundle
 from moveset.pipelines.model_folder import FORMAT, TEXT_TO_MOTION, ModelSpec, find_folder, task_of
-from moveset.pipelines.stored_weights import subtracted
+from moveset.pipelines.stored_weights import MAX_ERROR, subtracted
 from moveset.pipelines.stream_bundle import StreamBundle
 from moveset.pipelines.verified_folder import json_bytes, write_whole
 from moveset.training import checkpoint, frozen
@@ -31,6 +31,7 @@ def exchange(
     guidance: Mapping[str, float] | None = None,
     tremor: Mapping[str, float] | None = None,
     averaged: bool = True,
+    max_error: float = MAX_ERROR,
     **changes: Any,
 ) -> Path:
     """Write ``out``: the model with these students, stored as differences from what they were distilled from.
@@ -44,13 +45,15 @@ def exchange(
         tremor: of a stream's student by name, instead of that of its training; guidance makes it tremble
             (``SegmentTransformerConfig``).
         averaged: the students' averaged weights instead of the last ones.
+        max_error: how far 8-bit differences may be from the weights (``pipelines.stored_weights.subtracted``).
         changes: other fields of the model's configuration, such as ``symmetric``.
 
     Raises:
         InputError: a network that is no student, one of other sizes or phases, a new one without guidance, or guidance
-            or tremor of a network that has none.
+            or tremor of a network that has none, or ``max_error`` above .1.
         FormatError: the model is damaged.
     """
+    require_range("error of differences", max_error, 0.0, 0.1)
     folder = find_folder(model)
     is_clips = task_of(folder) == TEXT_TO_MOTION
     opened: Any = Bundle(folder) if is_clips else StreamBundle(folder)
@@ -67,7 +70,7 @@ def exchange(
         sha256 = hashlib.sha256(blobs[f"{base}.safetensors"]).hexdigest()
         specs[name] = ModelSpec(kind=kind, config=settings, base=base, base_sha256=sha256)
         provenance[name] = " and ".join(checkpoint.resolve(path).name.replace("_", " ") for path in paths)
-        blobs[f"{name}.safetensors"] = save_safetensors(subtracted(_mean(name, loaded), stored))
+        blobs[f"{name}.safetensors"] = save_safetensors(subtracted(_mean(name, loaded), stored, max_error))
     for what, known, numbers in (("guide", specs, guidance), ("damp", students, tremor)):
         if unknown := set(numbers or {}) - set(known):
             raise InputError(f"there is no network {sorted(unknown)[0]!r} to {what}; choose {', '.join(known)}")
@@ -131,6 +134,9 @@ def main() -> None:
     parser.add_argument("--symmetric", nargs="*", help="of a stream: networks to be sampled with mirror images")
     parser.add_argument("--name", help="what the model is called from now on")
     parser.add_argument("--last", action="store_true", help="the students' last weights instead of the averaged ones")
+    parser.add_argument(
+        "--max-error", type=float, default=MAX_ERROR, help="of 8-bit differences, relative; half precision beyond it"
+    )
     parser.add_argument("--out", type=Path, required=True)
     given = parser.parse_args()
     pairs = [pair.partition("=") for pair in given.students]
@@ -142,7 +148,7 @@ def main() -> None:
     if given.symmetric is not None and task_of(find_folder(given.model)) == TEXT_TO_MOTION:
         raise InputError(f"--symmetric is of streams, and {given.model!r} makes clips; leave it out")
     scales, tremor = (by_network(chosen, tuple(students)) for chosen in (given.guidance, given.tremor))
-    print(exchange(given.model, students, given.out, scales, tremor, not given.last, **changes))
+    print(exchange(given.model, students, given.out, scales, tremor, not given.last, given.max_error, **changes))
 
 
 if __name__ == "__main__":
