@@ -70,6 +70,25 @@ def stored(trained: Path, run: str, name: str) -> dict[str, torch.Tensor]:
     return checkpoint.read_tensors(trained / "runs" / run / "step_7", name)
 
 
+def test_of_several_runs_the_mean_is_packed(trained, tmp_path, monkeypatch, quick):
+    """Of the flow, too: it is part of a run of "rdm"."""
+    runs = trained / "runs"
+    torch.manual_seed(3)
+    task = RDMConfig(model=MODEL, flow=FLOW, grid=GridConfig(frames=FRAMES), depth_cap=2)
+    write_run(trained, "other", task, denoiser_ema=MODEL.build(), flow_ema=FLOW.build())
+    two = command(monkeypatch, trained, tmp_path / "two", "--networks", "--folder", "rdm=rdm-7,other")
+    for network, name in (("rdm", "denoiser_ema"), ("flow", "flow_ema")):
+        parts = [checkpoint.read_tensors(runs / run / "step_7", name) for run in ("rdm-7", "other")]
+        for key, value in two.module(network).state_dict().items():
+            mean = ((parts[0][key] + parts[1][key]) / 2).to(value.dtype)
+            torch.testing.assert_close(value, mean, rtol=1e-3, atol=1e-4)
+    assert two.config.provenance["rdm"] == "step 7 and step 7"
+    narrow = replace(task, model=replace(MODEL, hidden=16))
+    write_run(trained, "narrow", narrow, denoiser_ema=narrow.model.build(), flow_ema=FLOW.build())
+    with pytest.raises(InputError, match="'rdm' is to be the mean of networks of different sizes"):
+        command(monkeypatch, trained, tmp_path / "no", "--networks", "--folder", "rdm=rdm-7,narrow")
+
+
 def test_the_folder_holds_the_averaged_networks_of_the_latest_checkpoints(trained, tmp_path, monkeypatch):
     networks = ("--networks", "rdm", "md", "pcm-1", "pcm-2")
     scales = ("--guidance", "1.5", "pcm-1=2.5")

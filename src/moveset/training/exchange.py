@@ -8,9 +8,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-import torch
 from safetensors.torch import save as save_safetensors
-from torch import Tensor
 
 from moveset.errors import InputError, exit_code_of
 from moveset.models.registry import describe, require_range
@@ -19,7 +17,7 @@ from moveset.pipelines.model_folder import FORMAT, TEXT_TO_MOTION, ModelSpec, fi
 from moveset.pipelines.stored_weights import MAX_ERROR, subtracted
 from moveset.pipelines.stream_bundle import StreamBundle
 from moveset.pipelines.verified_folder import json_bytes, write_whole
-from moveset.training import checkpoint, frozen
+from moveset.training import frozen
 from moveset.training.pack import check_phases, student_phases
 from moveset.training.pack_stream import by_network
 
@@ -66,11 +64,12 @@ def exchange(
         loaded = [frozen.load(path, "student_ema" if averaged else "student") for path in paths]
         for found in loaded:
             _check(name, found, phases, specs[base], opened.config.points)
-        kind, settings = describe(_damped(loaded[0].module.config, name, tremor or {}))
+        network = frozen.mean(name, loaded).module
+        kind, settings = describe(_damped(network.config, name, tremor or {}))
         sha256 = hashlib.sha256(blobs[f"{base}.safetensors"]).hexdigest()
         specs[name] = ModelSpec(kind=kind, config=settings, base=base, base_sha256=sha256)
-        provenance[name] = " and ".join(checkpoint.resolve(path).name.replace("_", " ") for path in paths)
-        blobs[f"{name}.safetensors"] = save_safetensors(subtracted(_mean(name, loaded), stored, max_error))
+        provenance[name] = frozen.provenance(loaded)
+        blobs[f"{name}.safetensors"] = save_safetensors(subtracted(network.state_dict(), stored, max_error))
     for what, known, numbers in (("guide", specs, guidance), ("damp", students, tremor)):
         if unknown := set(numbers or {}) - set(known):
             raise InputError(f"there is no network {sorted(unknown)[0]!r} to {what}; choose {', '.join(known)}")
@@ -89,13 +88,6 @@ def exchange(
     type(config).parse(blobs["config.json"], out / "config.json")
     write_whole(out, blobs)
     return out
-
-
-def _mean(name: str, loaded: Sequence[frozen.Frozen]) -> dict[str, Tensor]:
-    parts = [found.module.state_dict() for found in loaded]
-    if any({k: v.shape for k, v in part.items()} != {k: v.shape for k, v in parts[0].items()} for part in parts):
-        raise InputError(f"{name!r} is to be the mean of networks of different sizes; give runs of one architecture")
-    return {key: torch.stack([part[key].float() for part in parts]).mean(0) for key in parts[0]}
 
 
 def _damped(config: Any, name: str, tremor: Mapping[str, float]) -> Any:

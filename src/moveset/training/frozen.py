@@ -1,5 +1,6 @@
 """Trained networks as the next stage uses them: in evaluation mode, without gradients, known by their weights' hash."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -7,6 +8,7 @@ from typing import Any
 import torch
 from torch import nn
 
+from moveset.errors import InputError
 from moveset.models import (  # noqa: F401  (they register their kinds)
     dip_decoder,
     evaluator,
@@ -62,3 +64,33 @@ def load(path: Path, name: str, device: torch.device | str = "cpu", part: str = 
     checkpoint.load_module(module, step, name)
     digest = checkpoint.verify(step)["files"][f"{name}.safetensors"]["sha256"]
     return Frozen(module.eval().requires_grad_(False).to(device), kind, config, task, digest, step)
+
+
+def mean(name: str, networks: Sequence[Frozen]) -> Frozen:
+    """The first of these networks with the mean of all their weights, which suits runs that began alike.
+
+    Args:
+        name: what it is to be, for the error.
+        networks: one or more.
+
+    Raises:
+        InputError: networks of different sizes, or of different whole numbers, such as the order of a flow's features.
+
+    Source: model soups (arXiv 2203.05482).
+    """
+    states = [network.module.state_dict() for network in networks]
+    if any({k: v.shape for k, v in one.items()} != {k: v.shape for k, v in states[0].items()} for one in states):
+        raise InputError(f"{name!r} is to be the mean of networks of different sizes; give runs of one architecture")
+    average = {}
+    for key, first in states[0].items():
+        values = torch.stack([one[key] for one in states])
+        if not first.is_floating_point() and bool((values != first).any()):
+            raise InputError(f"{name!r} is to be the mean of networks of other {key}; give runs that began alike")
+        average[key] = values.float().mean(0).to(first.dtype)
+    networks[0].module.load_state_dict(average)
+    return networks[0]
+
+
+def provenance(networks: Sequence[Frozen]) -> str:
+    """How far the trainings went whose mean a network is, for people to read: "step 400 and step 300"."""
+    return " and ".join(network.path.name.replace("_", " ") for network in networks)

@@ -2,7 +2,7 @@
 
 import argparse
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -13,7 +13,7 @@ from moveset.errors import InputError, exit_code_of
 from moveset.pipelines.stream_bundle import DEFAULT_STREAM, FLOW, StreamConfig, save_stream_bundle
 from moveset.text.cache import EmbeddingCache, cache_file
 from moveset.text.vocabulary import words_of
-from moveset.training import checkpoint, frozen
+from moveset.training import frozen
 from moveset.training.clips import FeatureStore
 from moveset.training.pack import familiarity_limit, known_captions, trained_words
 from moveset.training.stills import SENTENCES
@@ -40,7 +40,7 @@ class Sampling:
 def pack_stream(
     corpus_path: Path,
     cache: Path,
-    runs: Mapping[str, Path],
+    runs: Mapping[str, Path | Sequence[Path]],
     guidance: Mapping[str, float],
     name: str,
     out: Path,
@@ -70,15 +70,18 @@ def pack_stream(
     """
     if RDM not in runs:
         raise InputError(f"a stream needs the network {RDM!r}, got {', '.join(runs) or 'none'}; give its run folder")
-    rdm = frozen.load(runs[RDM], "denoiser_ema")
-    modules: dict[str, nn.Module] = {RDM: rdm.module}
-    students = {k: path for k, path in runs.items() if k.startswith("pcm-")}
-    loaded = {k: frozen.load(path, "student_ema" if averaged else "student") for k, path in students.items()}
-    if MD in runs:
-        loaded[MD] = frozen.load(runs[MD], "denoiser_ema")
+    loaded: dict[str, frozen.Frozen] = {}
+    provenance: dict[str, str] = {}
+    of_student = "student_ema" if averaged else "student"
+    for network in sorted(runs, key=lambda name: (name != RDM, name == MD)):
+        weights = of_student if network.startswith("pcm-") else "denoiser_ema"
+        parts = [frozen.load(path, weights) for path in _paths(runs[network])]
+        provenance[network] = frozen.provenance(parts)
+        loaded[network] = frozen.mean(network, parts)
+    rdm, students = loaded[RDM], [network for network in runs if network.startswith("pcm-")]
     for network, found in loaded.items():
         _check(network, found, rdm)
-        modules[network] = found.module
+    modules: dict[str, nn.Module] = {network: found.module for network, found in loaded.items()}
     for network, value in (smoothing or {}).items():
         if network not in modules:
             raise InputError(f"there is no network {network!r} to smooth; choose {', '.join(modules)}")
@@ -86,7 +89,8 @@ def pack_stream(
     if unknown := set(guidance) - set(modules):
         raise InputError(f"there is no network {sorted(unknown)[0]!r} to guide; choose {', '.join(modules)}")
     if rdm.task["flow"] is not None:
-        modules[FLOW] = frozen.load(rdm.path, "flow_ema", part="coupling_flow").module
+        flows = [frozen.load(path, "flow_ema", part="coupling_flow") for path in _paths(runs[RDM])]
+        modules[FLOW] = frozen.mean(FLOW, flows).module
     points = {loaded[k].task["points"] for k in students} or {StreamConfig(name="", network="").points}
     if len(points) > 1:
         raise InputError(f"the students were distilled on grids of {sorted(points)} points; pack those of one grid")
@@ -106,7 +110,7 @@ def pack_stream(
         far_prompt=familiarity_limit(pooled, encoder),
         provenance={
             "corpus": f"{len(corpus.indices(composed=False))} clips, {corpus.seconds / 3600:.2f} h",
-            **{network: checkpoint.resolve(path).name.replace("_", " ") for network, path in runs.items()},
+            **provenance,
         },
         segment=rdm.task["grid"]["frames"],
         depth_cap=rdm.task["depth_cap"],
@@ -118,12 +122,16 @@ def pack_stream(
     return save_stream_bundle(out, config, modules, normalizer, known, pooled, bases, words)
 
 
+def _paths(given: Path | Sequence[Path]) -> list[Path]:
+    return [given] if isinstance(given, Path) else list(given)
+
+
 def _check(network: str, found: frozen.Frozen, rdm: frozen.Frozen) -> None:
     """Raises InputError for a network that cannot share a folder with "rdm"."""
     for size in ("features", "frames", "text_dim"):
         if (ours := found.config[size]) != rdm.config[size]:
             raise InputError(f"{network!r} has {ours} {size} and {RDM!r} {rdm.config[size]}; pack networks of one kind")
-    if network != MD and (phases := found.task["phases"]) != int(network.removeprefix("pcm-")):
+    if network.startswith("pcm-") and (phases := found.task["phases"]) != int(network.removeprefix("pcm-")):
         raise InputError(f"{network!r} would be a student of {phases} phases; give it its own run folder")
 
 
@@ -134,7 +142,11 @@ def main() -> None:
     parser.add_argument("--corpus", type=Path, default=Path("data/corpus.safetensors"))
     parser.add_argument("--networks", nargs="*", default=list(RUNS), help="which of them to pack; 'rdm' always is")
     parser.add_argument(
-        "--folder", nargs="*", default=[], metavar="NETWORK=FOLDER", help="a run folder below --runs of another name"
+        "--folder",
+        nargs="*",
+        default=[],
+        metavar="NETWORK=FOLDER[,FOLDER]",
+        help="a run folder below --runs of another name, or several, whose mean is packed",
     )
     parser.add_argument(
         "--guidance", nargs="*", default=["1.5"], metavar="[NETWORK=]W", help="one scale for all, or one by network"
@@ -164,7 +176,7 @@ def main() -> None:
     if useless := [network for network, folder in pairs.items() if network not in networks or not folder]:
         raise InputError(f"--folder {useless[0]} is no NETWORK=FOLDER of {', '.join(networks)}, which are packed")
     folders = RUNS | pairs
-    runs = {network: given.runs / folders[network] for network in networks}
+    runs = {network: [given.runs / folder for folder in folders[network].split(",")] for network in networks}
     sampling = Sampling(
         network=given.network,
         sampler_steps=given.steps,
