@@ -57,6 +57,17 @@ def test_a_first_segment_has_no_previous_one(model, inputs):
     assert float(moved[1:].min()) > 1e-3
 
 
+def test_who_is_alone_takes_every_segment_for_a_first_one(model, inputs):
+    alone = replace(CONFIG, alone=True).build().eval()
+    alone.load_state_dict(model.state_dict())
+    nothing = {name: torch.zeros_like(inputs[name]) for name in ("prev_BnD", "prev_t_B", "index_B")}
+    made = alone(**inputs)
+    assert torch.equal(made, model(**{**inputs, **nothing}))
+    assert float(gap(made, model(**inputs))[1:].min()) > 1e-3
+    told = [inputs[name] for name in ("tokens_BLC", "mask_BL", "prev_BnD", "prev_t_B", "index_B")]
+    assert torch.equal(alone.denoise(inputs["x_BnD"], inputs["t_B"], alone.read(*told)), made)
+
+
 def test_the_level_of_the_previous_segment_is_read(model, inputs):
     after = model(**{**inputs, "prev_t_B": torch.tensor([0, 400, 400, 400])})
     assert float(gap(model(**inputs), after)[1:].min()) > 1e-3

@@ -210,6 +210,7 @@ def test_what_an_autoregressive_baseline_is_told(folder, tmp_path):
         assert not spy.asked[3].any()  # the level of the segment before: clean
         torch.testing.assert_close(spy.asked[2], batch.previous)
         assert bool(spy.asked[4].any()) == later
+        assert task.denoiser.config.alone != later  # and so it is in use
         if later:
             assert torch.equal(spy.asked[4], batch.index)
 

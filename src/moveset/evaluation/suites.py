@@ -168,6 +168,8 @@ def rdm() -> Suite:
         Row(key="real", label="Real", group="Reference", model=REAL, ranked=False),
         replace(stream, key="md-7", label="MD-7", group="Autoregressive", network="md", repeats=MORE, shipped=True,
                 against=()),
+        replace(stream, key="md-7-alone", label="MD-7, told nothing of the past", group="Autoregressive",
+                model="md-7-alone", network="md", against=("md-7",)),
         replace(stream, key="rdm-7", label="RDM-7", settings=entangled, repeats=MORE, shipped=True),
         replace(stream, key="rdm-pcm-1", label="RDM-7's student, 1 step", network="pcm-1", steps=1, repeats=None,
                 shipped=True, against=("md-7", "rdm-7")),

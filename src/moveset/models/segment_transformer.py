@@ -40,7 +40,7 @@ class SegmentTransformerConfig:
     data: frames are made by one token each, and what little they disagree in is worth nothing to a squared error and
     all to the eye. ``tremor`` is c where it is larger, for the frequencies above a third of the highest, in which
     nobody moves on purpose: with one c for all that is strong enough against trembling, feet swing too low. 0 leaves
-    all as it is.
+    all as it is. ``alone`` takes every segment for a first one, whatever is told of the one before it.
     """
 
     features: int = 269
@@ -54,6 +54,7 @@ class SegmentTransformerConfig:
     smoothing: float = 0.0
     tremor: float = 0.0
     guided: bool = False
+    alone: bool = False
 
     def __post_init__(self) -> None:
         for name in ("features", "text_dim", "width", "heads", "hidden"):
@@ -132,6 +133,8 @@ class SegmentTransformer(nn.Module):
 
     def read(self, tokens_BLC: Tensor, mask_BL: Tensor, prev_BnD: Tensor, prev_t_B: Tensor, index_B: Tensor) -> Context:
         """Text and previous segment, for any number of calls in which neither they nor their level change."""
+        if self.config.alone:
+            prev_t_B, index_B = torch.zeros_like(prev_t_B), torch.zeros_like(index_B)
         length = tokens_BLC.shape[1]
         text = self.text_norm(self.text_in(tokens_BLC) + self.text_position[:length])
         keep = mask_BL[..., None].to(text.dtype)

@@ -353,6 +353,10 @@ def _sized(config: RDMConfig, data: SegmentData) -> RDMConfig:
     """With the sizes that follow from the codec, the segment and the text encoder filled in."""
     features, text = data.codec.dim, data.text
     model = replace(config.model, features=features, frames=config.grid.frames, text_dim=text.tokens.shape[1])
+    if config.md_condition == "none":
+        # Whoever samples it tells it of the segment before: the network itself must not listen.
+        deaf = {"alone": True} if isinstance(model, SegmentTransformerConfig) else {"prev": "none", "max_index": 0}
+        model = replace(model, **deaf)
     flow = None if config.flow is None else replace(config.flow, features=features, text_dim=text.pooled.shape[1])
     return replace(config, model=model, flow=flow)
 
