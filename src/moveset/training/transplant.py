@@ -1,0 +1,65 @@
+"""A student that is given what its teacher has learned since: no training, but a share of the difference of weights.
+
+A student begins as its teacher and stays near it, so a difference between two stages of the teacher means in it much
+the same. It reads its guidance scale, which no teacher has, as before.
+Source: task arithmetic (arXiv 2212.04089), with the teacher's further training as the task.
+"""
+
+import argparse
+import sys
+from pathlib import Path
+
+from moveset.errors import InputError, exit_code_of
+from moveset.training import checkpoint
+
+STUDENT, TEACHER = "student_ema", "denoiser_ema"
+
+
+def transplant(student: Path, before: Path, after: Path, share: float, out: Path) -> Path:
+    """Write ``out/step_N``: the student of a stream with ``share`` of what lies between two stages of its teacher.
+
+    Args:
+        student: run folder or checkpoint of the student; N is its number of steps. Its averaged weights are taken.
+        before: the teacher that it was distilled from.
+        after: the same teacher, trained on; whichever flow it has is what the student is packed with.
+        share: of the difference, in 0 to 1.
+        out: a run folder without checkpoints.
+
+    Raises:
+        InputError: no such checkpoints, teachers of other sizes than the student's, a share out of range, or a run
+            folder in use.
+        FormatError: a file is damaged.
+    """
+    if not 0.0 <= share <= 1.0:
+        raise InputError(f"a share of {share:g} is not in 0 to 1; a half is usual")
+    if checkpoint.steps(out):
+        raise InputError(f"{out} already holds a training; choose another folder")
+    step = checkpoint.resolve(student)
+    weights = checkpoint.read_tensors(step, STUDENT)
+    stages = [checkpoint.read_tensors(checkpoint.resolve(path), TEACHER) for path in (before, after)]
+    for path, stage in zip((before, after), stages, strict=True):
+        if unfit := [key for key, value in stage.items() if key not in weights or weights[key].shape != value.shape]:
+            raise InputError(f"{path} has another {unfit[0]} than {student}; give stages of the student's own teacher")
+    for key, value in weights.items():
+        if value.is_floating_point() and key in stages[0]:
+            old, new = (stage[key].double() for stage in stages)
+            weights[key] = (value.double() + share * (new - old)).to(value.dtype)
+    documents = {"config": checkpoint.read_document(step, "config"), "origin": {"student": step.name, "share": share}}
+    modules = {STUDENT: weights, STUDENT.removesuffix("_ema"): weights}
+    return checkpoint.write(out, int(step.name.removeprefix("step_")), modules, documents)
+
+
+def main() -> None:
+    """Command line: ``python -m moveset.training.transplant STUDENT --before RUN --after RUN --out RUN``."""
+    parser = argparse.ArgumentParser(description=main.__doc__)
+    parser.add_argument("student", type=Path, help="run folder of the student")
+    parser.add_argument("--before", type=Path, required=True, help="run folder of the teacher it was distilled from")
+    parser.add_argument("--after", type=Path, required=True, help="run folder of that teacher, trained on")
+    parser.add_argument("--share", type=float, default=0.5, help="of what lies between them")
+    parser.add_argument("--out", type=Path, required=True, help="the run folder to write")
+    given = parser.parse_args()
+    print(transplant(given.student, given.before, given.after, given.share, given.out))
+
+
+if __name__ == "__main__":
+    sys.exit(exit_code_of(main))
