@@ -16,7 +16,7 @@ from moveset.evaluation import results as results_module
 from moveset.evaluation.items import open_items
 from moveset.evaluation.job import Job, open_session, run
 from moveset.evaluation.protocol import Protocol, Session, run_repeat
-from moveset.evaluation.results import Results
+from moveset.evaluation.results import Results, summary
 from tests.bundles import tiny_bundle
 from tests.evaluation.corpora import content_corpus
 from tests.evaluation.judges import Oracle, Painter
@@ -84,6 +84,13 @@ def test_the_same_seed_gives_the_same_bytes_but_for_the_time(items, oracle, tmp_
     other, b = whole(items, oracle, tmp_path / "b", order=(2, 0, 3, 1))
     assert same(one, other)
     assert timeless(a.path) == timeless(b.path)
+
+
+def test_the_time_of_an_item_is_that_of_the_quickest_repeat():
+    """What else the machine does can only add to it."""
+    repeats = [{"metrics": {}, "seconds": {"generating": spent, "all": spent + 1}} for spent in (30.0, 10.0, 50.0)]
+    found = summary(repeats, 20)
+    assert (found["seconds_per_item"], found["seconds"]) == (0.5, 93.0)
 
 
 def test_an_interrupted_evaluation_goes_on(items, oracle, tmp_path):

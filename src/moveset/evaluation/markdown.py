@@ -68,7 +68,8 @@ def about(table: Table) -> str:
         "Mean ± 95 % interval over repeats (1.96 standard deviations / √repeats), in which captions, lengths, noise "
         "and groups were drawn again; it does not say what other test items would give. ↑ more is better, ↓ less is "
         "better, → nearer to real motion is better. **Best** and <u>second best</u> of the rows that generate. "
-        "Milliseconds an item are those of this run: in batches, on whatever the machine was doing besides.",
+        "Milliseconds an item are those of the quickest repeat: in batches, on whatever the machine was doing "
+        "besides.",
     ]
     if table.odd:
         lines.append(
