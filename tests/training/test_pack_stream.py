@@ -83,6 +83,12 @@ def test_of_several_runs_the_mean_is_packed(trained, tmp_path, monkeypatch, quic
             mean = ((parts[0][key] + parts[1][key]) / 2).to(value.dtype)
             torch.testing.assert_close(value, mean, rtol=1e-3, atol=1e-4)
     assert two.config.provenance["rdm"] == "step 7 and step 7"
+    with pytest.raises(InputError, match="'pcm-1' would be a student of 2 phases"):
+        command(monkeypatch, trained, tmp_path / "no", "--networks", "pcm-1", "--folder", "pcm-1=rdm-pcm-1,rdm-pcm-2")
+    other = replace(FLOW, seed=FLOW.seed + 1)
+    write_run(trained, "shuffled", replace(task, flow=other), denoiser_ema=MODEL.build(), flow_ema=other.build())
+    with pytest.raises(InputError, match=r"'flow' is to be the mean of networks of other .*order"):
+        command(monkeypatch, trained, tmp_path / "no", "--networks", "--folder", "rdm=rdm-7,shuffled")
     narrow = replace(task, model=replace(MODEL, hidden=16))
     write_run(trained, "narrow", narrow, denoiser_ema=narrow.model.build(), flow_ema=FLOW.build())
     with pytest.raises(InputError, match="'rdm' is to be the mean of networks of different sizes"):

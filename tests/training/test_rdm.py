@@ -215,6 +215,15 @@ def test_what_an_autoregressive_baseline_is_told(folder, tmp_path):
             assert torch.equal(spy.asked[4], batch.index)
 
 
+def test_networks_of_every_kind_can_be_told_nothing(folder, tmp_path):
+    nothing = ("grid.condition=clean", "md_condition=none")
+    listens = ("model.max_index=1", "model.prev=xattn", "model.boundary=2")
+    denoiser, _ = trained(folder, "motiondiffuse", tmp_path / "denoiser", *nothing, *listens, steps=1)
+    config = denoiser.denoiser.config
+    assert (config.prev, config.boundary, config.max_index) == ("none", 0, 0)
+    trained(folder, "light-rdm-1", tmp_path / "light", *nothing, steps=1)  # it has nobody to listen to
+
+
 def test_saying_the_clean_segment_costs_nothing(rdm7):
     task, _ = rdm7
     batch = task.data.train.batch(32, 0, 0)

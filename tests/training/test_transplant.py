@@ -29,7 +29,7 @@ def moved(module, seed):
 
 @pytest.fixture
 def runs(tmp_path):
-    """A teacher at two stages, its student of the first, and a teacher of another width."""
+    """A teacher at two stages, its student of the first, and teachers of another width and depth."""
     task = RDMConfig(model=MODEL, flow=None, grid=GridConfig(frames=8))
     torch.manual_seed(0)
     before = MODEL.build()
@@ -42,6 +42,8 @@ def runs(tmp_path):
     write_run(tmp_path, "student", learned, student=moved(before.student(), 3), student_ema=student)
     narrow = replace(MODEL, hidden=16)
     write_run(tmp_path, "narrow", replace(task, model=narrow), denoiser_ema=narrow.build())
+    deep = replace(MODEL, blocks=2)
+    write_run(tmp_path, "deep", replace(task, model=deep), denoiser_ema=deep.build())
     return tmp_path / "runs"
 
 
@@ -78,8 +80,11 @@ def test_what_is_written_is_a_students_run(runs, monkeypatch, capsys):
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"share": 1.5}, r"a share of 1.5 is not in 0 to 1"),
+        ({"share": 1.5}, "share = 1.5 is outside"),
+        ({"share": float("nan")}, "share = nan is outside"),
         ({"after": "narrow"}, r"narrow has another blocks.0.*; give stages"),
+        ({"after": "deep"}, "deep has another blocks.1.*; give stages"),
+        ({"before": "deep"}, "deep has another blocks.1.*; give stages"),
         ({"before": "nowhere"}, "nowhere"),
         ({"student": "before"}, "student_ema"),
         ({"out": "student"}, "already holds a training"),

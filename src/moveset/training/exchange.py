@@ -60,8 +60,8 @@ def exchange(
     stored = opened.tensors(f"{base}.safetensors")
     specs, provenance = dict(opened.config.models), dict(opened.config.provenance)
     for name, given in students.items():
-        phases, paths = student_phases(name), [given] if isinstance(given, Path) else [*given]
-        loaded = [frozen.load(path, "student_ema" if averaged else "student") for path in paths]
+        phases = student_phases(name)
+        loaded = frozen.load_all(given, "student_ema" if averaged else "student")
         for found in loaded:
             _check(name, found, phases, specs[base], opened.config.points)
         network = frozen.mean(name, loaded).module

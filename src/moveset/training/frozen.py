@@ -1,7 +1,8 @@
 """Trained networks as the next stage uses them: in evaluation mode, without gradients, known by their weights' hash."""
 
+import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +35,7 @@ class Frozen:
         kind: its name in the registry of models.
         config: the registry's JSON object.
         task: the configuration of its training.
-        digest: sha256 of its weights file.
+        digest: sha256 of its weights file; of a mean's, of the digests of all.
         path: the checkpoint it is from.
     """
 
@@ -66,29 +67,39 @@ def load(path: Path, name: str, device: torch.device | str = "cpu", part: str = 
     return Frozen(module.eval().requires_grad_(False).to(device), kind, config, task, digest, step)
 
 
+def load_all(paths: Path | Sequence[Path], name: str, part: str = "") -> list[Frozen]:
+    """The networks of one or several runs, for ``mean``; as ``load``."""
+    return [load(path, name, part=part) for path in ([paths] if isinstance(paths, Path) else paths)]
+
+
 def mean(name: str, networks: Sequence[Frozen]) -> Frozen:
     """The first of these networks with the mean of all their weights, which suits runs that began alike.
 
     Args:
         name: what it is to be, for the error.
-        networks: one or more.
+        networks: one or more; the first one's module is changed.
 
     Raises:
         InputError: networks of different sizes, or of different whole numbers, such as the order of a flow's features.
 
     Source: model soups (arXiv 2203.05482).
     """
+    first = networks[0]
+    if len(networks) == 1:
+        return first
     states = [network.module.state_dict() for network in networks]
     if any({k: v.shape for k, v in one.items()} != {k: v.shape for k, v in states[0].items()} for one in states):
         raise InputError(f"{name!r} is to be the mean of networks of different sizes; give runs of one architecture")
     average = {}
-    for key, first in states[0].items():
+    for key, value in states[0].items():
         values = torch.stack([one[key] for one in states])
-        if not first.is_floating_point() and bool((values != first).any()):
+        if value.is_floating_point():
+            average[key] = values.float().mean(0)
+        elif bool((values != value).any()):
             raise InputError(f"{name!r} is to be the mean of networks of other {key}; give runs that began alike")
-        average[key] = values.float().mean(0).to(first.dtype)
-    networks[0].module.load_state_dict(average)
-    return networks[0]
+    first.module.load_state_dict(states[0] | average)
+    digests = "".join(network.digest for network in networks)
+    return replace(first, digest=hashlib.sha256(digests.encode()).hexdigest())
 
 
 def provenance(networks: Sequence[Frozen]) -> str:

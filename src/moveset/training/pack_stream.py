@@ -74,13 +74,12 @@ def pack_stream(
     provenance: dict[str, str] = {}
     of_student = "student_ema" if averaged else "student"
     for network in sorted(runs, key=lambda name: (name != RDM, name == MD)):
-        weights = of_student if network.startswith("pcm-") else "denoiser_ema"
-        parts = [frozen.load(path, weights) for path in _paths(runs[network])]
+        parts = frozen.load_all(runs[network], of_student if network.startswith("pcm-") else "denoiser_ema")
+        for found in parts:
+            _check(network, found, loaded.get(RDM, found))
         provenance[network] = frozen.provenance(parts)
         loaded[network] = frozen.mean(network, parts)
     rdm, students = loaded[RDM], [network for network in runs if network.startswith("pcm-")]
-    for network, found in loaded.items():
-        _check(network, found, rdm)
     modules: dict[str, nn.Module] = {network: found.module for network, found in loaded.items()}
     for network, value in (smoothing or {}).items():
         if network not in modules:
@@ -89,8 +88,7 @@ def pack_stream(
     if unknown := set(guidance) - set(modules):
         raise InputError(f"there is no network {sorted(unknown)[0]!r} to guide; choose {', '.join(modules)}")
     if rdm.task["flow"] is not None:
-        flows = [frozen.load(path, "flow_ema", part="coupling_flow") for path in _paths(runs[RDM])]
-        modules[FLOW] = frozen.mean(FLOW, flows).module
+        modules[FLOW] = frozen.mean(FLOW, frozen.load_all(runs[RDM], "flow_ema", part="coupling_flow")).module
     points = {loaded[k].task["points"] for k in students} or {StreamConfig(name="", network="").points}
     if len(points) > 1:
         raise InputError(f"the students were distilled on grids of {sorted(points)} points; pack those of one grid")
@@ -120,10 +118,6 @@ def pack_stream(
     normalizer = {"feature_mean": store.normalizer.mean, "feature_std": store.normalizer.std}
     bases = dict.fromkeys(students, RDM) if differences else None
     return save_stream_bundle(out, config, modules, normalizer, known, pooled, bases, words)
-
-
-def _paths(given: Path | Sequence[Path]) -> list[Path]:
-    return [given] if isinstance(given, Path) else list(given)
 
 
 def _check(network: str, found: frozen.Frozen, rdm: frozen.Frozen) -> None:

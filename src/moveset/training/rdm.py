@@ -355,8 +355,10 @@ def _sized(config: RDMConfig, data: SegmentData) -> RDMConfig:
     model = replace(config.model, features=features, frames=config.grid.frames, text_dim=text.tokens.shape[1])
     if config.md_condition == "none":
         # Whoever samples it tells it of the segment before: the network itself must not listen.
-        deaf = {"alone": True} if isinstance(model, SegmentTransformerConfig) else {"prev": "none", "max_index": 0}
-        model = replace(model, **deaf)
+        if isinstance(model, SegmentTransformerConfig):
+            model = replace(model, alone=True)
+        elif isinstance(model, SegmentDenoiserConfig):
+            model = replace(model, prev="none", max_index=0, boundary=0)
     flow = None if config.flow is None else replace(config.flow, features=features, text_dim=text.pooled.shape[1])
     return replace(config, model=model, flow=flow)
 

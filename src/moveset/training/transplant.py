@@ -10,6 +10,7 @@ import sys
 from pathlib import Path
 
 from moveset.errors import InputError, exit_code_of
+from moveset.models.registry import require_range
 from moveset.training import checkpoint
 
 STUDENT, TEACHER = "student_ema", "denoiser_ema"
@@ -30,20 +31,20 @@ def transplant(student: Path, before: Path, after: Path, share: float, out: Path
             folder in use.
         FormatError: a file is damaged.
     """
-    if not 0.0 <= share <= 1.0:
-        raise InputError(f"a share of {share:g} is not in 0 to 1; a half is usual")
+    require_range("share", share, 0.0, 1.0)
     if checkpoint.steps(out):
         raise InputError(f"{out} already holds a training; choose another folder")
     step = checkpoint.resolve(student)
     weights = checkpoint.read_tensors(step, STUDENT)
-    stages = [checkpoint.read_tensors(checkpoint.resolve(path), TEACHER) for path in (before, after)]
-    for path, stage in zip((before, after), stages, strict=True):
-        if unfit := [key for key, value in stage.items() if key not in weights or weights[key].shape != value.shape]:
-            raise InputError(f"{path} has another {unfit[0]} than {student}; give stages of the student's own teacher")
-    for key, value in weights.items():
-        if value.is_floating_point() and key in stages[0]:
-            old, new = (stage[key].double() for stage in stages)
-            weights[key] = (value.double() + share * (new - old)).to(value.dtype)
+    old, new = (checkpoint.read_tensors(checkpoint.resolve(path), TEACHER) for path in (before, after))
+    for path, stage in ((before, old), (after, new)):
+        shapes = {key: value.shape for key, value in weights.items() if key in old or key in new}
+        if unfit := {(key, value.shape) for key, value in stage.items()} ^ set(shapes.items()):
+            raise InputError(f"{path} has another {min(unfit)[0]} than {student}; give stages of its own teacher")
+    for key in old:
+        if weights[key].is_floating_point():
+            moved = weights[key].double() + share * (new[key].double() - old[key].double())
+            weights[key] = moved.to(weights[key].dtype)
     documents = {"config": checkpoint.read_document(step, "config"), "origin": {"student": step.name, "share": share}}
     modules = {STUDENT: weights, STUDENT.removesuffix("_ema"): weights}
     return checkpoint.write(out, int(step.name.removeprefix("step_")), modules, documents)
