@@ -20,8 +20,10 @@ def tiny_stream(path: Path, *, seed: int = 0) -> Path:
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
         sizes = {"features": len(features), "frames": FRAMES, "width": 32, "heads": 2, "hidden": 32, "blocks": 1}
-        modules = {name: SegmentTransformerConfig(**sizes).build() for name in ("rdm", "md")}
-        modules |= {f"pcm-{k}": SegmentTransformerConfig(**sizes, guided=True).build() for k in (1, 2)}
+        placed = {"rdm", "pcm-1"}  # which networks are told where in the time of a sentence a segment lies
+        modules = {name: SegmentTransformerConfig(**sizes, placed=name in placed).build() for name in ("rdm", "md")}
+        for name in ("pcm-1", "pcm-2"):
+            modules[name] = SegmentTransformerConfig(**sizes, guided=True, placed=name in placed).build()
         modules["flow"] = FlowConfig(
             features=len(features), blocks=2, hidden=8, text_context=4, index_context=4
         ).build()

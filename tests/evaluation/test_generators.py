@@ -205,12 +205,13 @@ def test_real_motion_is_itself(items):
 def test_streams_in_batches_are_those_of_users(streams, network, options):
     """Noise is keyed and rows do not see each other, so a batch only differs in the last bits."""
     settings = check_stream(streams.config, network=network, **options).settings
-    asked = [Wanted(((WALK, 70),), 5), Wanted(((BOW, 30),), 6), Wanted(((BOW, 70),), 7)]
+    asked = [Wanted(((WALK, 70),), 5), Wanted(((BOW, 30),), 6), Wanted(((BOW, 84),), 7)]
     made = Streams(streams, settings, device="cpu").generate(asked, 20.0)
-    assert [len(joints) for joints in made] == [70, 30, 70]
-    request = check_stream(streams.config, BOW, network=network, seed=7, **options)
+    assert [len(joints) for joints in made] == [70, 30, 84]
+    # Items have a length, which networks may be told.
+    request = check_stream(streams.config, BOW, 4.2, network=network, seed=7, **options)
     users = MotionStream(streams, request, device="cpu")
-    alone = torch.cat([next(users).motion.joints for _ in range(3)])[:70]
+    alone = torch.cat([next(users).motion.joints for _ in range(3)])
     assert torch.allclose(made[2].float(), alone.float(), atol=2e-3)
 
 
@@ -226,6 +227,8 @@ def test_streams_of_guidance_and_shapes(streams):
 def test_prompts_change_at_the_nearest_segment():
     said = timeline(Wanted(((WALK, 40), (BOW, 30), (WALK, 60)), 0), 20.0, 1.4)
     assert [said(k) for k in range(5)] == [WALK, BOW, WALK, WALK, WALK]  # 40 frames are 1.43, 70 are 2.5 segments
+    assert [said.place(k)[0] for k in range(5)] == [0, 0, 0, 1, 2]
+    assert [said.place(k)[1] for k in range(5)] == pytest.approx([1, 1, *(130 / 28 - k for k in (2, 3, 4))])
     crowded = timeline(Wanted(((WALK, 5), (BOW, 5), (WALK, 60)), 0), 20.0, 1.4)
     assert [crowded(k) for k in range(3)] == [WALK, BOW, WALK]
 

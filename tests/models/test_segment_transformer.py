@@ -68,6 +68,27 @@ def test_who_is_alone_takes_every_segment_for_a_first_one(model, inputs):
     assert torch.equal(alone.denoise(inputs["x_BnD"], inputs["t_B"], alone.read(*told)), made)
 
 
+def test_a_place_in_the_time_of_the_sentence_is_read_where_it_is_known(model, inputs):
+    placed = replace(CONFIG, placed=True).build().eval()
+    lacking = placed.load_state_dict(model.state_dict(), strict=False)
+    assert tuple(lacking.missing_keys) == placed.learned_later
+    place = torch.tensor([[0.0, 98.0], [28.0, 70.0], [-1.0, -1.0], [28.0, 28.0]])
+    # Fresh, it changes nothing; nor does it ever where nothing is told.
+    assert torch.equal(placed(**inputs, place_B2=place), model(**inputs))
+    placed = awake(placed.config)
+    untold, told = placed(**inputs), placed(**inputs, place_B2=place)
+    assert torch.equal(placed(**inputs, place_B2=torch.full((ROWS, 2), -1.0)), untold)
+    moved = gap(told, untold)
+    assert float(moved[2]) == 0
+    assert float(moved[[0, 1, 3]].min()) > 1e-3
+    assert torch.equal(placed(**inputs, place_B2=torch.tensor([[0.0, 197.0]]).expand(ROWS, 2)), untold)
+    # Behind it is not ahead of it.
+    assert float(gap(placed(**inputs, place_B2=place.flip(1)), told)[:2].min()) > 1e-3
+    read = [inputs[name] for name in ("tokens_BLC", "mask_BL", "prev_BnD", "prev_t_B", "index_B")]
+    assert torch.equal(placed.denoise(inputs["x_BnD"], inputs["t_B"], placed.read(*read, place)), told)
+    assert torch.equal(model(**inputs, place_B2=place), model(**inputs))
+
+
 def test_the_level_of_the_previous_segment_is_read(model, inputs):
     after = model(**{**inputs, "prev_t_B": torch.tensor([0, 400, 400, 400])})
     assert float(gap(model(**inputs), after)[1:].min()) > 1e-3

@@ -71,6 +71,24 @@ def test_nothing_but_the_mean_over_frames_is_changed(network):
     torch.testing.assert_close(moved, moved[:, :1].expand_as(moved), atol=1e-5, rtol=0)
 
 
+def test_both_images_are_at_the_same_place():
+    torch.manual_seed(0)
+    network = SegmentTransformerConfig(
+        features=CODEC.dim, frames=8, text_dim=5, width=16, heads=2, hidden=32, blocks=1, placed=True
+    ).build()
+    for parameter in network.parameters():
+        nn.init.normal_(parameter, std=0.1)
+    even, (x, t, prev, prev_t, index, said, mirrored) = Symmetric(network, ORDER, SIGNS), inputs()
+    place = torch.tensor([[0.0, 40.0], [8.0, 32.0], [-1.0, -1.0]])
+    mask = torch.ones(said.shape[:2], dtype=torch.bool)
+    with torch.no_grad():
+        made = even(x, t, prev, prev_t, index, torch.cat((said, mirrored)), mask.repeat(2, 1), place_B2=place)
+        one = network(x, t, prev, prev_t, index, said, mask, place_B2=place)
+        flipped = even.flipped(x), t, even.flipped(prev)
+        other = even.flipped(network(*flipped, prev_t, index, mirrored, mask, place_B2=place))
+    torch.testing.assert_close(made.mean(dim=1), (one + other).mean(dim=1) / 2, atol=1e-5, rtol=0)
+
+
 def test_rows_do_not_mix(network):
     even = Symmetric(network, ORDER, SIGNS)
     x, t, prev, prev_t, index, said, mirrored = inputs()

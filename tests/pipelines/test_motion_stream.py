@@ -190,7 +190,7 @@ def test_the_memory_of_prompts_is_bounded(encoder):
 def test_a_timeline_is_rounded_together(opened):
     made = opened(["a", "b", "c"], [3.0, 0.1, 4.0])
     # 3.0, 3.1 and 7.1 s are 2.1, 2.2 and 5.1 segments; each prompt gets at least one.
-    assert made.timeline == Timeline(("a", "b", "c"), (0, 2, 3), 5)
+    assert made.timeline == Timeline(("a", "b", "c"), (0, 2, 3), 5, timed=True)
     assert made.timeline.segments() == (2, 1, 2)
     assert [s.prompt for s in take(made, 7)] == ["a", "a", "b", "c", "c", "c", "c"]
 
@@ -308,9 +308,9 @@ def test_a_seed_motion_is_told_clean_and_is_no_first_segment(opened, monkeypatch
     seen = []
     network = made.bundle.module("rdm")
 
-    def spy(x, t, prev, prev_t, index, *more, forward=network.forward):
+    def spy(x, t, prev, prev_t, index, *more, forward=network.forward, **told):
         seen.extend(zip(t.tolist(), prev_t.tolist(), index.tolist(), strict=True))
-        return forward(x, t, prev, prev_t, index, *more)
+        return forward(x, t, prev, prev_t, index, *more, **told)
 
     monkeypatch.setattr(network, "forward", spy)
     take(made, 2)

@@ -45,6 +45,53 @@ def test_stages_share_their_prompts_time(bundle, prompts, seconds, starts, count
     assert whole.timeline.prompts == ((prompts,) if isinstance(prompts, str) else prompts)
 
 
+UNKNOWN = (-1, -1)
+
+
+@pytest.mark.parametrize(
+    ("prompts", "options", "places"),
+    [
+        (WALK, {}, [UNKNOWN] * 3),
+        (WALK, {"seconds": 2 * SEGMENT}, [(0, 2), (1, 1), UNKNOWN]),
+        (WALK, {"seconds": 2 * SEGMENT, "loop": True}, [(0, 2), (1, 1), (0, 2)]),
+        (BOTH, {}, [(0, 3), (1, 2), (2, 1), UNKNOWN]),
+        ((WALK, BOW), {"seconds": [SEGMENT, 2 * SEGMENT]}, [(0, 1), (0, 2), (1, 1), UNKNOWN]),
+    ],
+)
+def test_a_segment_knows_its_place_where_the_prompt_has_an_end(bundle, prompts, options, places):
+    timeline = check_stream(bundle.config, prompts, **options).timeline
+    assert [timeline.place(k) for k in range(len(places))] == places
+    later = timeline.beginning(5)
+    if not timeline.loop:
+        assert [later.place(k + 5) for k in range(len(places))] == places
+        assert later.place(2) == UNKNOWN
+
+
+def test_networks_that_read_it_are_told(opened):
+    for network, read in (("pcm-1", True), ("pcm-2", False), ("rdm", True), ("md", False)):
+        held, timed = (opened(WALK, seconds, network=network, seed=1) for seconds in (None, 2 * SEGMENT))
+        made = [torch.stack([next(stream).motion.rotations for _ in range(3)]) for stream in (held, timed)]
+        assert bool((made[0][0] != made[1][0]).any()) == read
+
+
+@pytest.mark.parametrize("network", ["pcm-1", "rdm"])
+def test_a_place_survives_a_restart(opened, network):
+    through, again = (opened((BOTH, BOW), [4 * SEGMENT, 2 * SEGMENT], network=network) for _ in range(2))
+    next(again)
+    rest = opened(BOW, network=network).restore(again.state())
+    next(through)
+    for _ in range(5):
+        assert torch.equal(next(through).motion.rotations, next(rest).motion.rotations)
+
+
+def test_a_state_from_before_there_were_places_goes_on(opened):
+    stream = opened(WALK, network="rdm")
+    next(stream)
+    state = stream.state()
+    del state.numbers["places"], state.numbers["timeline"]["timed"], state.numbers["timeline"]["origin"]
+    assert torch.equal(next(opened(BOW, network="rdm").restore(state)).motion.rotations, next(stream).motion.rotations)
+
+
 @pytest.mark.parametrize("count", range(1, 9))
 @pytest.mark.parametrize("length", range(8, 20))
 def test_even_shares_differ_by_one_at_most(count, length):
@@ -61,7 +108,7 @@ def test_a_stream_does_one_after_the_other_and_holds_the_last(opened):
 
 
 def test_a_staged_sentence_equals_its_stages_as_prompts(opened):
-    one, two = opened(BOTH, seed=4), opened((WALK, BOW), 3 * SEGMENT, seed=4)
+    one, two = opened(BOTH, 6 * SEGMENT, seed=4), opened((WALK, BOW), 3 * SEGMENT, seed=4)
     for a, b in itertools.islice(zip(one, two, strict=True), 5):
         assert torch.equal(a.motion.rotations, b.motion.rotations)
 

@@ -14,7 +14,7 @@ def sources(folder, corpus=None):
     )  # fmt: skip
 
 
-def trained(folder, what, into, *settings, corpus=None, resume=False, **engine):
+def trained(folder, what, into, *settings, corpus=None, resume=False, init=(), **engine):
     """A tiny training and the task it trained."""
     recipe, made = tiny.TRAINING[what](), []
     maker = task_maker(what, with_settings(recipe.task, settings), sources(folder, corpus))
@@ -24,7 +24,7 @@ def trained(folder, what, into, *settings, corpus=None, resume=False, **engine):
         return made[0]
 
     given = {"steps": 3, "save_every": 100, "validate_every": 0, **engine}
-    result = run(make, replace(recipe.engine, **given), into, resume)
+    result = run(make, replace(recipe.engine, **given), into, resume, init)
     return made[0], result
 
 

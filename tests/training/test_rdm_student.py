@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from moveset.errors import InputError
-from moveset.training import rdm_student
+from moveset.training import frozen, rdm_student
 from moveset.training.rdm_student import RDMStudentConfig
 from tests.training.recurrent import tensors, trained
 
@@ -97,3 +97,38 @@ def test_lower_phases_meet_what_the_student_landed_at(folder, rdm7, tmp_path, mo
 def test_a_share_of_own_pasts_is_a_share(wrong):
     with pytest.raises(InputError, match="own_past"):
         RDMStudentConfig(own_past=wrong)
+
+
+def test_places_are_learned_later_by_teacher_and_student(folder, rdm7, tmp_path, monkeypatch):
+    """From a teacher that was trained without, whose every other weight is taken."""
+    before = rdm7[1].checkpoint
+    teacher, _ = trained(folder, "rdm-7", tmp_path / "teacher", "placed=0.5", init=before, steps=1)
+    assert teacher.denoiser.config.placed
+    assert bool(teacher.denoiser.place.weight.any())
+    with pytest.raises(InputError, match="a teacher that was trained with placed"):
+        trained(folder, "rdm-student", tmp_path / "refused", "placed=0.5")
+
+    (copied := tmp_path / "folder").mkdir()
+    shutil.copytree(tmp_path / "teacher", copied / "rdm-7")
+    told, read = [], rdm_student.place_of
+    monkeypatch.setattr(
+        rdm_student, "place_of", lambda network, place: told.append((network, place)) or read(network, place)
+    )
+    corpus = folder / "corpus.safetensors"
+    task, result = trained(
+        copied, "rdm-student", tmp_path / "student", "placed=0.6", "own_past=0.5", corpus=corpus, steps=4
+    )
+    assert bool(task.student.place.weight.any())
+    assert frozen.load(result.checkpoint, "student_ema").module.config.placed
+    known = torch.cat([(place >= 0).all(dim=1) for network, place in told if network is task.student])
+    assert 0.1 < float(known.float().mean()) < 0.9
+    told.clear()
+    unplaced, _ = trained(copied, "rdm-student", tmp_path / "unplaced", "own_past=0.5", corpus=corpus, steps=2)
+    assert told
+    assert all((place < 0).all() for _, place in told)
+    assert (unplaced.own.state()["place"] < 0).all()
+
+
+def test_a_network_that_cannot_read_places_is_refused(folder, rdm7, tmp_path):
+    with pytest.raises(InputError, match="placed is for the segment transformer"):
+        trained(folder, "light-rdm-1", tmp_path / "run", "placed=0.5")

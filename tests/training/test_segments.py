@@ -143,6 +143,24 @@ def test_a_part_of_a_clip_is_told_by_its_own_sentence(corpus):
     assert whole.say(two[0][1], 0, N, [0.9, 0.0, 0.9]) == two[0][1].whole[0]
 
 
+def test_a_segment_lies_in_the_time_of_its_sentence(corpus):
+    found = corpus.cut(replace(PLAIN, whole_caption=0.5))
+    frames = np.arange(100, dtype=np.float32)[:, None]
+    found.rows = [
+        Row(frames, (50, 100), (("one",), ("two",)), ("both",)),
+        Row(frames, (40, 100), (("on",), ("on",)), ("on",), goes_on=True),
+    ]
+    found.weights = torch.ones(2, dtype=torch.float64)
+    batch, seen = found.batch(400, seed=0, step=0), set()
+    spans = {"one": (0, 50), "two": (50, 100), "both": (0, 100), "on": (0, 100)}
+    for clean, caption, (behind, ahead) in zip(batch.clean, batch.captions, batch.place.tolist(), strict=True):
+        start, (begin, end) = float(clean[0, 0]), spans[caption]
+        assert (behind, ahead) == (max(start - begin, 0), end - start)
+        seen.add((caption, start < begin))
+    # Of a segment in which a sentence begins, the time begins with the segment.
+    assert seen == {("one", False), ("two", False), ("two", True), ("both", False), ("on", False)}
+
+
 def test_the_sentence_before_is_that_of_the_segment_before(corpus):
     found = corpus.cut(PLAIN)
     found.rows = [Row(np.zeros((100, 1), np.float32), (50, 100), (("one",), ("two",)), ("both",))]

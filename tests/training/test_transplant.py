@@ -67,6 +67,24 @@ def test_a_share_of_the_teachers_way_is_added_to_what_the_student_shares_with_it
     assert not torch.equal(made["out.weight"], student["out.weight"])
 
 
+def test_what_the_teacher_has_learned_to_read_since_the_student_reads_too(runs, tmp_path):
+    placed = replace(MODEL, placed=True)
+    after = placed.build()
+    after.load_state_dict(frozen.load(runs / "after", "denoiser_ema").module.state_dict(), strict=False)
+    task = RDMConfig(model=placed, flow=None, grid=GridConfig(frames=8))
+    write_run(tmp_path, "placed", task, denoiser_ema=moved(after, 4))
+    transplant.transplant(runs / "student", runs / "before", runs / "placed", 0.5, runs / "given")
+    given, teacher = (
+        frozen.load(runs / run, f"{name}_ema") for run, name in (("given", "student"), ("placed", "denoiser"))
+    )
+    assert given.module.config == replace(frozen.load(runs / "student", "student_ema").module.config, placed=True)
+    torch.testing.assert_close(given.module.place.weight, teacher.module.place.weight / 2)
+    # A student that reads it already moves by the difference, as in everything else.
+    transplant.transplant(runs / "given", runs / "placed", runs / "placed", 0.5, runs / "again")
+    again = frozen.load(runs / "again", "student_ema")
+    torch.testing.assert_close(again.module.place.weight, given.module.place.weight)
+
+
 def test_what_is_written_is_a_students_run(runs, monkeypatch, capsys):
     given = [str(runs / "student"), "--before", str(runs / "before"), "--after", str(runs / "after")]
     monkeypatch.setattr(sys, "argv", ["transplant", *given, "--share", "0.25", "--out", str(runs / "given")])

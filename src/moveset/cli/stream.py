@@ -110,9 +110,10 @@ def stream(
         guidance=guidance, start=start, lag=lag, past_lag=past_lag, foot_lock=foot_lock, stages=stages,
     )  # fmt: skip
     request = check(seconds or None)
-    if total is not None and total < request.seconds and not seconds and not loop:
-        # Nobody said how long each prompt lasts: so that all of them come, and not the first alone.
-        request = check([total * share / request.seconds for share in request.durations])
+    length = request.seconds if total is None else total
+    if length <= request.seconds and not (seconds or loop or forever or prompts):
+        # Nobody said how long each prompt lasts, but it ends: so that all of them come, and know of it.
+        request = check([length * share / request.seconds for share in request.durations])
     one_thread()
     with ExitStack() as stack:
         lines = None if prompts is None else stack.enter_context(PromptLines(prompts))

@@ -18,6 +18,7 @@ from moveset.data.captions import mirror_text
 from moveset.diffusion.guidance import cfg
 from moveset.evaluation.generators import Remembered, Tick, Wanted, frames_at, joints_at, weights_of
 from moveset.models.flow import CouplingFlow
+from moveset.models.segment_transformer import place_of
 from moveset.models.symmetric import Symmetric
 from moveset.motion.clip import Motion
 from moveset.motion.contacts import PLANTED
@@ -156,13 +157,26 @@ class Streams:
 
 
 class _Line:
-    """Which prompt a segment has."""
+    """Which prompt a segment has, and where in its time the segment lies.
 
-    def __init__(self, prompts: Sequence[str], starts: Sequence[int]) -> None:
-        self._prompts, self._starts = tuple(prompts), tuple(starts)
+    Args:
+        starts: the first segment of each prompt.
+        total: segments of all of them together, the last not always whole.
+    """
+
+    def __init__(self, prompts: Sequence[str], starts: Sequence[int], total: float) -> None:
+        self._prompts, self._bounds = tuple(prompts), (*starts, total)
 
     def __call__(self, segment: int) -> str:
-        return self._prompts[bisect_right(self._starts, segment) - 1]
+        return self._prompts[self._part(segment)]
+
+    def place(self, segment: int) -> tuple[float, float]:
+        """Segments behind this one and from its beginning on, of what its prompt has."""
+        begin, end = self._bounds[(part := self._part(segment)) : part + 2]
+        return segment - begin, end - segment
+
+    def _part(self, segment: int) -> int:
+        return bisect_right(self._bounds[:-1], segment) - 1
 
 
 def timeline(wanted: Wanted, fps: float, seconds: float, stages: bool = True) -> _Line:
@@ -178,7 +192,7 @@ def timeline(wanted: Wanted, fps: float, seconds: float, stages: bool = True) ->
         for end in share_evenly(frames, frames + count, len(said))[1:]:
             starts.append(max(starts[-1] + 1, round(end / fps / seconds)))
         frames += count
-    return _Line(prompts, starts[:-1])
+    return _Line(prompts, starts[:-1], frames / fps / seconds)
 
 
 class Bound:
@@ -214,19 +228,25 @@ class Bound:
             x_BnD, prev_BnD = (z.repeat(2, 1, 1) for z in (x_BnD, prev_BnD))
             t_B, prev_t_B, index_B = (z.repeat(2) for z in (t_B, prev_t_B, index_B))
         w_B = torch.full((len(x_BnD),), self._w, device=self._device) if self._guided else None
+        placed = place_of(self._network, self._place(segments, x_BnD.shape[1]))
         if self._once:
             network: Any = self._network
             if self._context is None or self._context[0] != segments[0]:
-                read = network.read(text.tokens, text.mask, prev_BnD, prev_t_B, index_B)
+                read = network.read(text.tokens, text.mask, prev_BnD, prev_t_B, index_B, **placed)
                 self._context = (segments[0], read)
             made = network.denoise(x_BnD, t_B, self._context[1], w_B)
         else:
-            made = self._network(x_BnD, t_B, prev_BnD, prev_t_B, index_B, text.tokens, text.mask, w_B)
+            made = self._network(x_BnD, t_B, prev_BnD, prev_t_B, index_B, text.tokens, text.mask, w_B, **placed)
         return cfg(*made.chunk(2), self._w) if self._twice else made
 
     def pooled(self, segment: int) -> Tensor:
         """(B, C) sentence embeddings of a segment's prompts."""
         return self._text.encode([line(segment) for line in self._said]).pooled.to(self._device)
+
+    def _place(self, segments: Sequence[int], frames: int) -> Tensor:
+        """(B, 2) where in the time of their prompts these rows lie, in frames."""
+        place = torch.tensor([line.place(segment) for segment in dict.fromkeys(segments) for line in self._said])
+        return (place * frames).repeat(2 if self._twice else 1, 1).to(self._device)
 
     def _read(self, segments: tuple[int, ...]) -> TextEmbedding:
         """Of the rows of these segments; below them the empty text for guidance, or what mirror images are told."""

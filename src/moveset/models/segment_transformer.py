@@ -29,6 +29,10 @@ from moveset.models.registry import register, require_range
 
 _WAVES = 256
 _SCHEDULE = linear()
+LONGEST = 196
+"""Frames of the longest sentence that a network is told its place in: as many as the longest clip of training has."""
+UNKNOWN = -1
+"""Of a segment whose place in the time of its sentence is not known."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -40,7 +44,8 @@ class SegmentTransformerConfig:
     data: frames are made by one token each, and what little they disagree in is worth nothing to a squared error and
     all to the eye. ``tremor`` is c where it is larger, for the frequencies above a third of the highest, in which
     nobody moves on purpose: with one c for all that is strong enough against trembling, feet swing too low. 0 leaves
-    all as it is. ``alone`` takes every segment for a first one, whatever is told of the one before it.
+    all as it is. ``alone`` takes every segment for a first one, whatever is told of the one before it. ``placed`` reads
+    where a segment lies in the time of its sentence, wherever that is told.
     """
 
     features: int = 269
@@ -55,6 +60,7 @@ class SegmentTransformerConfig:
     tremor: float = 0.0
     guided: bool = False
     alone: bool = False
+    placed: bool = False
 
     def __post_init__(self) -> None:
         for name in ("features", "text_dim", "width", "heads", "hidden"):
@@ -87,7 +93,10 @@ class Context:
 
 
 class SegmentTransformer(nn.Module):
-    """``denoiser(x, t, prev, prev_t, index, tokens, mask, w, valid, taps) -> x0``."""
+    """``denoiser(x, t, prev, prev_t, index, tokens, mask, w, valid, taps, place) -> x0``."""
+
+    learned_later = ("place.weight",)
+    """What a training may add to a network that was trained without it."""
 
     def __init__(self, config: SegmentTransformerConfig) -> None:
         super().__init__()
@@ -112,6 +121,10 @@ class SegmentTransformer(nn.Module):
         self.time = nn.Sequential(nn.Linear(_WAVES, c.width), nn.SiLU(), nn.Linear(c.width, c.width))
         self.index = nn.Embedding(c.max_index + 1, c.width)
         nn.init.normal_(self.index.weight, std=0.02)
+        if c.placed:
+            # Zero at the start, so that a network may learn it after the rest.
+            self.place = nn.Linear(2 * _WAVES, c.width, bias=False)
+            nn.init.zeros_(self.place.weight)
         if c.guided:
             # Zero at the start: a fresh student is its teacher, whatever the guidance scale.
             self.guidance = nn.Linear(_WAVES, c.width, bias=False)
@@ -131,7 +144,15 @@ class SegmentTransformer(nn.Module):
         """Standard normal noise (B, n, D) as this network was trained on it."""
         return colour(noise_BnD, cast(Tensor, self.spectrum))
 
-    def read(self, tokens_BLC: Tensor, mask_BL: Tensor, prev_BnD: Tensor, prev_t_B: Tensor, index_B: Tensor) -> Context:
+    def read(
+        self,
+        tokens_BLC: Tensor,
+        mask_BL: Tensor,
+        prev_BnD: Tensor,
+        prev_t_B: Tensor,
+        index_B: Tensor,
+        place_B2: Tensor | None = None,
+    ) -> Context:
         """Text and previous segment, for any number of calls in which neither they nor their level change."""
         if self.config.alone:
             prev_t_B, index_B = torch.zeros_like(prev_t_B), torch.zeros_like(index_B)
@@ -151,6 +172,8 @@ class SegmentTransformer(nn.Module):
             bias = torch.zeros(context.shape[:2], dtype=torch.float32, device=context.device)
             bias[:, :length].masked_fill_(~mask_BL, -1e4)
         condition = pooled + self.index(index_B.clamp(max=self.config.max_index)) + level
+        if self.config.placed and place_B2 is not None:
+            condition = condition + self.place(place_waves(place_B2))
         pairs = tuple(cast(Block, block).read(context) for block in self.blocks)
         return Context(pairs, bias, condition, last, self._expected(prev_BnD, prev_t_B, index_B))
 
@@ -173,6 +196,7 @@ class SegmentTransformer(nn.Module):
         w_B: Tensor | None = None,
         mask_Bn: Tensor | None = None,
         taps: list[Tensor] | None = None,
+        place_B2: Tensor | None = None,
     ) -> Tensor:
         """The clean segment (B, n, D).
 
@@ -184,8 +208,11 @@ class SegmentTransformer(nn.Module):
             w_B: guidance scale, for students (``guided``) only.
             mask_Bn: True at valid frames; None means all.
             taps: a list that receives every block's output (B, n, W), for the discriminator.
+            place_B2: frames from where the sentence begins to where the segment does, and from there to where the
+                sentence ends; negative where that is not known. Only networks with ``placed`` read it, and none of
+                a sentence that is longer than ``LONGEST``.
         """
-        context = self.read(tokens_BLC, mask_BL, prev_BnD, prev_t_B, index_B)
+        context = self.read(tokens_BLC, mask_BL, prev_BnD, prev_t_B, index_B, place_B2)
         return self.denoise(x_BnD, t_B, context, w_B, mask_Bn, taps)
 
     def denoise(
@@ -244,6 +271,18 @@ class SegmentTransformer(nn.Module):
         keys = context.pairs[0][0].shape[2]
         told = x.new_zeros(len(x), keys) if context.bias is None else context.bias.to(x.dtype)
         return torch.cat((own, told), dim=1)[:, None, None, :]
+
+
+def place_of(network: nn.Module, place_B2: Tensor) -> dict[str, Tensor]:
+    """The keyword by which a denoiser is told places (``SegmentTransformer.forward``), if it is one that reads them."""
+    return {"place_B2": place_B2} if getattr(network.config, "placed", False) else {}
+
+
+def place_waves(place_B2: Tensor) -> Tensor:
+    """Sinusoids (B, 512) of both numbers of a place, in frames; zero where it is not known, or too far from a take."""
+    told_B = torch.cat((waves(place_B2[:, 0]), waves(place_B2[:, 1])), dim=-1)
+    known_B = (place_B2.amin(dim=1) >= 0) & (place_B2.sum(dim=1) <= LONGEST)
+    return told_B * known_B[:, None]
 
 
 register("segment_transformer", SegmentTransformerConfig)

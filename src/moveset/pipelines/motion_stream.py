@@ -20,6 +20,7 @@ from torch import Tensor
 
 from moveset.errors import FormatError, InputError
 from moveset.models.flow import CouplingFlow
+from moveset.models.segment_transformer import UNKNOWN
 from moveset.motion.clip import Motion
 from moveset.motion.contacts import PLANTED
 from moveset.motion.foot_lock import FootLock
@@ -226,6 +227,7 @@ class MotionStream(Iterator[Segment]):
                 "timeline": dict(vars(self._timeline)),
                 "given": self._given,
                 "prompts": {str(j): self._prompts[j] for j in progress.active},
+                "places": {str(j): self._places[j] for j in progress.active},
                 "sampler": progress.numbers(),
                 "decoder": self._decoder.state(),
                 "feet": self._feet.state(),
@@ -255,13 +257,18 @@ class MotionStream(Iterator[Segment]):
             line = numbers["timeline"]
             self._begin(settings, None)
             self._seed = numbers["seed"]
-            self._timeline = Timeline(tuple(line["prompts"]), tuple(line["starts"]), line["end"], line["loop"])
+            self._timeline = Timeline(**{**line, "prompts": tuple(line["prompts"]), "starts": tuple(line["starts"])})
             found = {k.removeprefix("sampler."): x for k, x in snapshot.tensors.items() if k.startswith("sampler.")}
             found = {k: x.to(self.device) for k, x in found.items()}
             self._go_on(StreamState.restore(numbers["sampler"], found), int(numbers["given"]))
             self._prompts |= {int(segment): prompt for segment, prompt in numbers["prompts"].items()}
+            # States from before streams were told it have none.
+            places = {
+                segment: numbers.get("places", {}).get(str(segment), (UNKNOWN, UNKNOWN)) for segment in self._prompts
+            }
+            self._places |= {segment: tuple(place) for segment, place in places.items()}
             for segment, prompt in self._prompts.items():
-                self._denoise.enter(segment, prompt)
+                self._denoise.enter(segment, prompt, self._places[segment])
             self._decoder = IncrementalDecoder.from_state(self.codec, numbers["decoder"])
             self._feet = FootLock.from_state(self.codec.skeleton, self.codec.fps, numbers["feet"])
             for k, made in enumerate(numbers["waiting"]):
@@ -299,6 +306,7 @@ class MotionStream(Iterator[Segment]):
         self._ahead: deque[Future[Segment]] = deque()
         self._waiting: deque[Segment] = deque()
         self._prompts: dict[int, str] = {}
+        self._places: dict[int, tuple[int, int]] = {}
         self._network = self.bundle.module(settings.network, self.device)
         # Networks that were trained on other than white noise say so.
         self._colour: Callable[[Tensor], Tensor] | None = getattr(self._network, "colour", None)
@@ -323,7 +331,7 @@ class MotionStream(Iterator[Segment]):
         """A sampler from this state on, of which the first ``given`` segments are none of the stream's own."""
         config, settings = self.bundle.config, self._settings
         self._given, self._told = given, 0
-        self._prompts = {}
+        self._prompts, self._places = {}, {}
         self._denoise = SegmentDenoise(
             self._network,
             guided=bool(config.models[settings.network].config.get("guided")),
@@ -364,6 +372,7 @@ class MotionStream(Iterator[Segment]):
                 motion = self._decoder(features)
             finished = self._sampler.progress.finished - 1
             self._denoise.leave(finished)
+            self._places.pop(finished)
             number, frames = finished - self._given, len(features)
             evaluations, self._told = self._denoise.evaluations - self._told, self._denoise.evaluations
             spent, self._reading = time.perf_counter() - start + self._reading, 0.0
@@ -374,7 +383,8 @@ class MotionStream(Iterator[Segment]):
     def _enter(self, segment: int) -> Tensor | None:
         """Called by the sampler when a segment enters: its prompt, which stays."""
         prompt = self._prompts[segment] = self._timeline.at(segment - self._given)
-        pooled = self._denoise.enter(segment, prompt)
+        place = self._places[segment] = self._timeline.place(segment - self._given)
+        pooled = self._denoise.enter(segment, prompt, place)
         return None if self._transport.flow is None else pooled
 
     def _weights(self, settings: StreamSettings) -> dict[str, Any]:

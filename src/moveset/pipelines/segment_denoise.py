@@ -11,6 +11,7 @@ from torch import Tensor, nn
 
 from moveset.data.captions import mirror_text
 from moveset.diffusion.guidance import cfg
+from moveset.models.segment_transformer import place_of
 from moveset.models.symmetric import Symmetric
 from moveset.text.encoder import TextEmbedding, stack
 
@@ -20,7 +21,7 @@ class Reader(Protocol):
     """A denoiser that reads text and previous segment apart from denoising."""
 
     def read(
-        self, tokens_BLC: Tensor, mask_BL: Tensor, prev_BnD: Tensor, prev_t_B: Tensor, index_B: Tensor
+        self, tokens_BLC: Tensor, mask_BL: Tensor, prev_BnD: Tensor, prev_t_B: Tensor, index_B: Tensor, **told: Tensor
     ) -> object: ...
 
     def denoise(self, x_BnD: Tensor, t_B: Tensor, context: object, w_B: Tensor | None) -> Tensor: ...
@@ -58,11 +59,13 @@ class SegmentDenoise:
         self._even = isinstance(network, Symmetric)
         self._texts: dict[int, TextEmbedding] = {}
         self._mirrored: dict[int, TextEmbedding] = {}
+        self._places: dict[int, tuple[int, int]] = {}
         self._context: tuple[int, object] | None = None
         self.evaluations = 0
 
-    def enter(self, segment: int, prompt: str) -> Tensor:
-        """Bind the prompt of a segment; its sentence embedding (1, C)."""
+    def enter(self, segment: int, prompt: str, place: tuple[int, int]) -> Tensor:
+        """Bind the prompt of a segment, and where in its time the segment lies; the sentence embedding (1, C)."""
+        self._places[segment] = place
         self._texts[segment] = self._encode(prompt).to(self._device)
         if self._even:
             self._mirrored[segment] = self._encode(mirror_text(prompt)).to(self._device)
@@ -71,6 +74,7 @@ class SegmentDenoise:
     def leave(self, segment: int) -> None:
         """Forget a finished segment."""
         self._texts.pop(segment, None)
+        self._places.pop(segment, None)
         self._mirrored.pop(segment, None)
 
     def __call__(
@@ -86,20 +90,25 @@ class SegmentDenoise:
             x_BnD, prev_BnD = (z.repeat(2, 1, 1) for z in (x_BnD, prev_BnD))
             t_B, prev_t_B, index_B = (z.repeat(2) for z in (t_B, prev_t_B, index_B))
         w_B = torch.full((rows,), self._guidance, device=self._device) if self._guided else None
+        placed = place_of(self._network, self._place(segments, x_BnD.shape[1]))
         if self._once:
             network = cast(Reader, self._network)
             if self._context is None or self._context[0] != segments[0]:
                 text = self._text(segments)
-                read = network.read(text.tokens, text.mask, prev_BnD, prev_t_B, index_B)
+                read = network.read(text.tokens, text.mask, prev_BnD, prev_t_B, index_B, **placed)
                 self._context = (segments[0], read)
             made = network.denoise(x_BnD, t_B, self._context[1], w_B)
         else:
             text = self._text(segments)
-            made = self._network(x_BnD, t_B, prev_BnD, prev_t_B, index_B, text.tokens, text.mask, w_B)
+            made = self._network(x_BnD, t_B, prev_BnD, prev_t_B, index_B, text.tokens, text.mask, w_B, **placed)
         if not self._twice:
             return made
         told, untold = made.chunk(2)
         return cfg(told, untold, self._guidance)
+
+    def _place(self, segments: Sequence[int], frames: int) -> Tensor:
+        place = torch.tensor([self._places[segment] for segment in segments], device=self._device) * float(frames)
+        return place.repeat(2 if self._twice else 1, 1)
 
     def _text(self, segments: Sequence[int]) -> TextEmbedding:
         texts = [self._texts[segment] for segment in segments]

@@ -21,6 +21,7 @@ from moveset.diffusion.guidance import cfg
 from moveset.diffusion.steps import add_noise, denoise_step
 from moveset.errors import InputError
 from moveset.models.flow import CouplingFlow
+from moveset.models.segment_transformer import place_of
 from moveset.models.symmetric import Symmetric
 from moveset.motion.clip import Motion
 from moveset.motion.contacts import PLANTED
@@ -271,6 +272,8 @@ class StreamGroup:
             text = stack([text, *[self._texts("").to(self.device)] * len(lanes)])
             index_B = index_B.repeat(2)
         network = self._network
+        places = [lane.line.place(lane.number - lane.since) for lane in lanes] * (2 if twice else 1)
+        placed = place_of(network, torch.tensor(places, device=self.device) * float(self._shape[0]))
         context: object = None  # text and past, read once if they stay the same
 
         def denoise(x_BnD: Tensor, t_B: Tensor, left_BnD: Tensor, left_t_B: Tensor) -> Tensor:
@@ -280,10 +283,10 @@ class StreamGroup:
                 t_B, left_t_B = t_B.repeat(2), left_t_B.repeat(2)
             if isinstance(network, Reader):
                 if context is None or not self.settings.clean_left:
-                    context = network.read(text.tokens, text.mask, left_BnD, left_t_B, index_B)
+                    context = network.read(text.tokens, text.mask, left_BnD, left_t_B, index_B, **placed)
                 made = network.denoise(x_BnD, t_B, context, scale_B)
             else:
-                made = network(x_BnD, t_B, left_BnD, left_t_B, index_B, text.tokens, text.mask, scale_B)
+                made = network(x_BnD, t_B, left_BnD, left_t_B, index_B, text.tokens, text.mask, scale_B, **placed)
             if not twice:
                 return made
             told, untold = made.chunk(2)

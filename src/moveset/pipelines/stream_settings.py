@@ -10,6 +10,7 @@ from typing import cast
 from moveset.diffusion.phases import PhaseGrid
 from moveset.diffusion.schedule import Schedule, cosine, linear
 from moveset.errors import InputError
+from moveset.models.segment_transformer import UNKNOWN
 from moveset.pipelines.request import MAX_GUIDANCE, MAX_PROMPTS, SEEDS, check_prompt, check_real, check_whole
 from moveset.pipelines.stream_bundle import FLOW, StreamConfig
 from moveset.rdm.staircase import Staircase, levels
@@ -83,12 +84,16 @@ class Timeline:
         starts: number of the segment with which each begins; the first is 0.
         end: segments in all; after them the last prompt is held.
         loop: begin again instead.
+        timed: the last prompt was given a time of its own, though it may be held beyond it.
+        origin: number of the segment with which the first prompt was taken up.
     """
 
     prompts: tuple[str, ...]
     starts: tuple[int, ...]
     end: int
     loop: bool = False
+    timed: bool = False
+    origin: int = 0
 
     def at(self, segment: int) -> str:
         """The prompt of a segment.
@@ -97,7 +102,24 @@ class Timeline:
         >>> [line.at(k) for k in (2, 3, 9)]
         ['walk', 'bow', 'bow']
         """
-        return self.prompts[bisect_right(self.starts, segment % self.end if self.loop else segment) - 1]
+        return self.prompts[self._part(segment)]
+
+    def place(self, segment: int) -> tuple[int, int]:
+        """Where a segment lies in the time of its prompt: segments behind it, and those from it on.
+
+        Of a prompt that is held nobody knows when it ends.
+
+        >>> line = Timeline(("walk", "bow"), (0, 3), 4)
+        >>> [line.place(k) for k in (0, 2, 3)]
+        [(0, 3), (2, 1), (-1, -1)]
+        """
+        part, segment = self._part(segment), segment % self.end if self.loop else segment
+        begin, end = (self.origin, *self.starts[1:], self.end)[part : part + 2]
+        known = begin <= segment < end and (end < self.end or self.timed or self.loop)
+        return (segment - begin, end - segment) if known else (UNKNOWN, UNKNOWN)
+
+    def _part(self, segment: int) -> int:
+        return bisect_right(self.starts, segment % self.end if self.loop else segment) - 1
 
     def segments(self) -> tuple[int, ...]:
         """How many segments each prompt has."""
@@ -109,7 +131,8 @@ class Timeline:
         >>> Timeline(("walk", "bow"), (0, 3), 6).beginning(10).starts
         (0, 13)
         """
-        return replace(self, starts=(0, *(start + segment for start in self.starts[1:])), end=self.end + segment)
+        starts = (0, *(start + segment for start in self.starts[1:]))
+        return replace(self, starts=starts, end=self.end + segment, origin=segment)
 
 
 @dataclass(frozen=True)
@@ -259,7 +282,8 @@ def _timeline(
         starts += share_evenly(begin, end, len(parts))[:-1]
         bounds.append(end)
     counts = tuple(end - begin for begin, end in pairwise(bounds))
-    return Timeline(tuple(chain.from_iterable(said)), tuple(starts), bounds[-1], loop), given, counts
+    timeline = Timeline(tuple(chain.from_iterable(said)), tuple(starts), bounds[-1], loop, seconds is not None)
+    return timeline, given, counts
 
 
 def share_evenly(begin: int, end: int, count: int) -> list[int]:

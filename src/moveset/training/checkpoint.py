@@ -11,7 +11,7 @@ import os
 import re
 import shutil
 import warnings
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -161,15 +161,19 @@ def read_document(path: Path, name: str) -> dict[str, Any]:
     return _read_json(path / f"{name}.json")
 
 
-def load_module(module: nn.Module, path: Path, name: str) -> None:
+def load_module(module: nn.Module, path: Path, name: str, lacking: Collection[str] = ()) -> None:
     """Loads ``NAME.safetensors`` of a checkpoint into a module, strictly.
+
+    Args:
+        lacking: tensors that the file may be without; they stay as they are.
 
     Raises:
         InputError: the checkpoint has no such file, or was made for a module of other sizes.
         FormatError: the file is damaged.
     """
+    tensors, own = read_tensors(path, name), module.state_dict()
     try:
-        module.load_state_dict(read_tensors(path, name))
+        module.load_state_dict({**{key: own[key] for key in lacking if key in own}, **tensors})
     except RuntimeError as error:
         reason = " ".join(str(error).split())[:300]
         raise InputError(

@@ -26,12 +26,13 @@ from moveset.training.clips import FeatureStore
 @dataclass(frozen=True, eq=False)
 class Row:
     """A clip: its normalised features (F, D), the sentences of each part, which ends at a frame, and those of all of
-    it, if any."""
+    it, if any. Of a clip that ``goes_on`` all parts are one thing, and its time is that of the clip."""
 
     features: np.ndarray
     ends: tuple[int, ...]
     said: tuple[tuple[str, ...], ...]
     whole: tuple[str, ...]
+    goes_on: bool = False
 
 
 def composed_rows(
@@ -64,7 +65,7 @@ def composed_rows(
     rows, start = [], 0
     for frames, ends, said in table:
         parts = tuple(map(tuple, said))
-        rows.append(Row(features[start : start + frames], tuple(ends), parts, parts[0]))
+        rows.append(Row(features[start : start + frames], tuple(ends), parts, parts[0], kind == "continuations"))
         start += frames
     return rows
 

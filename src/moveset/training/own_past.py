@@ -32,13 +32,15 @@ STAYING = 0.5
 
 @dataclass(frozen=True, eq=False)
 class _Streams:
-    """What streams are told (S, …): past, segment number, guidance scale, sentence; and an example of the sentence.
+    """What streams are told (S, …): past, segment number, place in the time of the sentence, guidance scale, sentence;
+    and an example of the sentence.
 
     ``phase`` is the one that is next, and ``landed`` the noisy segment there, of no meaning where one begins.
     """
 
     previous: Tensor
     index: Tensor
+    place: Tensor
     w: Tensor
     clean: Tensor
     phase: Tensor
@@ -81,12 +83,18 @@ class OwnPast:
         if self._streams is None:
             self._streams = offered
         old = self._streams
-        ends_S = (ends < 1 / SEGMENTS) & (old.phase == self.grid.phases - 1)
+        over_S = (old.place[:, 0] >= 0) & (old.place[:, 1] <= 0)
+        ends_S = ((ends < 1 / SEGMENTS) | over_S) & (old.phase == self.grid.phases - 1)
         begins_S = ends_S & (stays >= STAYING)
         new_captions = zip(ends_S.tolist(), offered.captions, old.captions, strict=True)
+        # What is said to a running stream begins then.
+        whole_S2 = torch.stack((torch.zeros_like(ends), offered.place.sum(dim=1)), dim=1)
+        said_S2 = torch.where(offered.place >= 0, whole_S2, offered.place)
+        place_S2 = _mixed(ends_S, _mixed(begins_S, offered.place, said_S2), old.place)
         now = self._streams = _Streams(
             _mixed(begins_S, offered.previous, old.previous),
             _mixed(begins_S, offered.index, old.index),
+            place_S2,
             _mixed(begins_S, offered.w, old.w),
             _mixed(ends_S, offered.clean, old.clean),
             old.phase,
@@ -102,6 +110,7 @@ class OwnPast:
             valid=batch.valid.index_fill(0, rows, True),
             previous=batch.previous.index_copy(0, rows, now.previous),
             index=batch.index.index_copy(0, rows, now.index),
+            place=batch.place.index_copy(0, rows, now.place),
             captions=captions,
             previous_captions=before,
         )
@@ -134,10 +143,13 @@ class OwnPast:
         old, rows = self._streams, self.rows.to(made_BnD.device)
         made, landed = (x.detach()[rows].to(old.previous.dtype) for x in (made_BnD, landed_BnD))
         done_S, self._moving = old.phase == 0, True
+        frames = made_BnD.shape[1]
+        on_S2 = torch.where(old.place >= 0, old.place + torch.tensor([frames, -frames], device=rows.device), old.place)
         self._streams = replace(
             old,
             previous=_mixed(done_S, made, old.previous),
             index=old.index + done_S.long(),
+            place=_mixed(done_S, on_S2, old.place),
             phase=torch.where(done_S, self.grid.phases - 1, old.phase - 1),
             landed=landed,
         )
@@ -161,7 +173,8 @@ class OwnPast:
         rows = whole[torch.arange(self.count, device=whole.device) % len(whole)]
         captions = [batch.captions[row] for row in rows.tolist()]
         clean, phase = batch.clean[rows], self._turns().to(batch.index.device)
-        return _Streams(batch.previous[rows], batch.index[rows], w_B[rows], clean, phase, clean, captions)
+        told = (batch.previous[rows], batch.index[rows], batch.place[rows], w_B[rows])
+        return _Streams(*told, clean, phase, clean, captions)
 
     def _turns(self) -> Tensor:
         """Phases (S,) in which streams begin: the highest, the one below, and so on."""

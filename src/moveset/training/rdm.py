@@ -19,7 +19,7 @@ from moveset.models.flow import CouplingFlow, FlowConfig
 from moveset.models.light_t2m import LightT2MConfig
 from moveset.models.registry import describe
 from moveset.models.segment_denoiser import SegmentDenoiserConfig
-from moveset.models.segment_transformer import SegmentTransformer, SegmentTransformerConfig
+from moveset.models.segment_transformer import UNKNOWN, SegmentTransformer, SegmentTransformerConfig
 from moveset.motion.features import FeatureCodec, Normalizer, get_codec
 from moveset.rdm.grid import GridConfig, corrupt, draw
 from moveset.rdm.losses import flow_loss, masked_mse, velocity_loss
@@ -77,6 +77,8 @@ class RDMConfig:
             ``rdm.prediction.clean_from_noise``.
         md_condition: what an autoregressive baseline (``grid.condition="clean"``, no flow) is told of the past: the
             segment before, or nothing; then every segment counts as a first one.
+        placed: share of segments that are told where they lie in the time of their sentence (the segment transformer);
+            the others are for streams, whose sentences have no end.
         max_tokens: tokens of a caption that are read; other numbers than 32 are for undisturbed captions.
 
     Raises:
@@ -114,6 +116,7 @@ class RDMConfig:
     disturbance: Disturbance = field(default_factory=Disturbance)
     predict: Prediction = "x0"
     md_condition: Told = "clean_prev"
+    placed: float = 0.0
     max_tokens: int = MAX_TOKENS
     kind: str = field(init=False)
 
@@ -302,9 +305,12 @@ class RDMTask(Task):
         if config.bent:
             previous = bend(previous, batch.index, config.bent, self.data.codec, self.normalizer, generator)
         cell = corrupt(config.grid, SCHEDULE, transport, clean, previous, first, batch.index, said, before, draws)
+        # Nothing is drawn for networks that are not told: their trainings stay what they were.
+        placed = {"place_B2": hide_place(batch.place, 1 - config.placed, generator)} if config.placed else {}
         made = denoiser(
-            cell.x_BnD, cell.t_B, cell.prev_BnD, cell.prev_t_B, batch.index, text.tokens, text.mask, None, batch.valid
-        ).float()
+            cell.x_BnD, cell.t_B, cell.prev_BnD, cell.prev_t_B, batch.index, text.tokens, text.mask, None, batch.valid,
+            **placed,
+        ).float()  # fmt: skip
         scale = self.feature_weight.sqrt()
         weight_B = _level_weight(config.weight, cell.t_B)
         root_B = weight_B.sqrt()[:, None, None] * scale
@@ -327,6 +333,12 @@ class RDMTask(Task):
         if config.heading:
             seen["heading"] = turn_B.mean().detach()
         return loss, seen
+
+
+def hide_place(place_B2: Tensor, share: float, generator: torch.Generator) -> Tensor:
+    """Places (B, 2) of segments, of which about this share is unknown; drawn on the CPU."""
+    hidden_B = torch.rand(len(place_B2), generator=generator) < share
+    return place_B2.masked_fill(hidden_B[:, None].to(place_B2.device), UNKNOWN)
 
 
 def feature_weights(codec: FeatureCodec, root: float) -> Tensor:
@@ -353,6 +365,10 @@ def _sized(config: RDMConfig, data: SegmentData) -> RDMConfig:
     """With the sizes that follow from the codec, the segment and the text encoder filled in."""
     features, text = data.codec.dim, data.text
     model = replace(config.model, features=features, frames=config.grid.frames, text_dim=text.tokens.shape[1])
+    if config.placed:
+        if not isinstance(model, SegmentTransformerConfig):
+            raise InputError(f"placed is for the segment transformer, and {describe(model)[0]!r} cannot read it")
+        model = replace(model, placed=True)
     if config.md_condition == "none":
         # Whoever samples it tells it of the segment before: the network itself must not listen.
         if isinstance(model, SegmentTransformerConfig):

@@ -15,9 +15,10 @@ from torch import Tensor, nn
 from moveset.diffusion.guidance import cfg
 from moveset.diffusion.phases import PhaseGrid
 from moveset.diffusion.steps import add_noise, denoise_step, over, predict_eps, renoise
+from moveset.errors import InputError
 from moveset.models.discriminator import DiscriminatorConfig
 from moveset.models.registry import describe, require_range
-from moveset.models.segment_transformer import SegmentTransformerConfig
+from moveset.models.segment_transformer import UNKNOWN, SegmentTransformerConfig, place_of
 from moveset.motion.features import Normalizer
 from moveset.pcm.consistency import Draws, draw
 from moveset.pcm.losses import hinge_discriminator, hinge_generator, huber
@@ -33,7 +34,7 @@ from moveset.training.engine import Loop, Task
 from moveset.training.heading import bend, heading_error
 from moveset.training.optim import cosine_lr
 from moveset.training.own_past import OwnPast
-from moveset.training.rdm import SCHEDULE, RDMConfig, SegmentData, feature_weights
+from moveset.training.rdm import SCHEDULE, RDMConfig, SegmentData, feature_weights, hide_place
 from moveset.training.reading import Disturbance
 from moveset.training.segments import CuttingConfig, SegmentBatch
 from moveset.training.tasks import Sources
@@ -65,6 +66,8 @@ class RDMStudentConfig:
         own_past: share of a batch's rows that are told what the student made itself (``training.own_past``). They are
             asked at the top of each phase in turn, and judged without their past: not whether a segment goes on as
             takes do, but whether it shows what is said as takes do.
+        placed: share of takes' segments that are told where they lie in the time of their sentence, and of the
+            sentences of ``own_past`` that have an end, for a teacher that was told so (``RDMConfig.placed``).
         codec, frames: filled in from the teacher's.
         model: the student's architecture; filled in from the teacher's.
     """
@@ -89,6 +92,7 @@ class RDMStudentConfig:
     bent: float = 0.0
     noisy_past: bool = False
     own_past: float = 0.0
+    placed: float = 0.0
     text_encoder: str = "minilm"
     cutting: CuttingConfig = field(default_factory=CuttingConfig)
     disturbance: Disturbance = field(default_factory=Disturbance)
@@ -117,6 +121,8 @@ class RDMStudentTask(Task):
         if teacher.task["flow"] is not None:
             flow = frozen.load(sources.teacher, "flow_ema", loop.device, part="coupling_flow").module
         self.transport = Transport(flow, teacher.task["depth_cap"])
+        if config.placed and not self.teacher.config.placed:
+            raise InputError("placed is for a teacher that was trained with placed; leave it out")
         shared = RDMConfig(
             grid=GridConfig(frames=teacher.task["grid"]["frames"]),
             codec=teacher.task["codec"],
@@ -165,6 +171,10 @@ class RDMStudentTask(Task):
     def training_step(self, step: int, loop: Loop) -> dict[str, Tensor]:
         config = self.config
         batch = self.data.train.batch(config.batch, self.data.seed, step).to(loop.device)
+        # Nothing is drawn where no place is told: such trainings stay what they were.
+        hidden = torch.full_like(batch.place, UNKNOWN)
+        place_B2 = hide_place(batch.place, 1 - config.placed, self.draws) if config.placed else hidden
+        batch = replace(batch, place=place_B2)
         if config.bent:
             bent = bend(batch.previous, batch.index, config.bent, self.data.codec, self.normalizer, self.draws)
             batch = replace(batch, previous=bent)
@@ -325,7 +335,9 @@ class _Bound:
 
     def alone(self, rows_B: Tensor) -> "_Bound":
         """The same with some segments as first ones: without a past, and in the coordinates of such."""
-        batch = replace(self.batch, index=self.batch.index.masked_fill(rows_B, 0))
+        # Their example is of the sentence and of no time in it.
+        place_B2 = self.batch.place.masked_fill(rows_B[:, None], UNKNOWN)
+        batch = replace(self.batch, index=self.batch.index.masked_fill(rows_B, 0), place=place_B2)
         return _Bound(batch, self.text, self.empty, self.transport, self.teacher)
 
     def push(self, y: Tensor) -> Tensor:
@@ -342,8 +354,9 @@ class _Bound:
         previous, level_B = self._told(t_B)
         told = (previous.repeat(2, 1, 1), level_B.repeat(2), b.index.repeat(2))
         made = self.teacher(
-            x.repeat(2, 1, 1), t_B.repeat(2), *told, self.both.tokens, self.both.mask, None, b.valid.repeat(2, 1)
-        )
+            x.repeat(2, 1, 1), t_B.repeat(2), *told, self.both.tokens, self.both.mask, None, b.valid.repeat(2, 1),
+            **place_of(self.teacher, b.place.repeat(2, 1)),
+        )  # fmt: skip
         told, untold = made.float().chunk(2)
         return cfg(told, untold, w_B)
 
@@ -361,7 +374,10 @@ class _Bound:
 
         def call(x: Tensor, t_B: Tensor, w_B: Tensor) -> Tensor:
             b = self.batch
-            made: Tensor = network(x, t_B, b.previous, self.clean_level, b.index, text.tokens, text.mask, w_B, b.valid)
+            made: Tensor = network(
+                x, t_B, b.previous, self.clean_level, b.index, text.tokens, text.mask, w_B, b.valid,
+                **place_of(network, b.place),
+            )  # fmt: skip
             return made.float()
 
         return call
@@ -370,7 +386,10 @@ class _Bound:
         """What the frozen teacher's blocks make of x."""
         taps: list[Tensor] = []
         b, text = self.batch, self.text
-        self.teacher(x, t_B, b.previous, self.clean_level, b.index, text.tokens, text.mask, None, b.valid, taps)
+        self.teacher(
+            x, t_B, b.previous, self.clean_level, b.index, text.tokens, text.mask, None, b.valid, taps,
+            **place_of(self.teacher, b.place),
+        )  # fmt: skip
         return taps
 
     def sample(self, network: _Call, noise: Tensor, times: tuple[int, ...], w_B: Tensor) -> Tensor:

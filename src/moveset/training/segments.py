@@ -73,6 +73,7 @@ class SegmentBatch:
         previous: (B, n, D) the segment before, zero for first ones; never partial.
         first: (B, n, D) the first segment of the clip.
         index: (B,) segment number.
+        place: (B, 2) frames from where the sentence begins to where the segment does, and from there to its end.
         captions: what is said to the segment, and ``previous_captions`` to the one before.
     """
 
@@ -81,6 +82,7 @@ class SegmentBatch:
     previous: Tensor
     first: Tensor
     index: Tensor
+    place: Tensor
     captions: list[str]
     previous_captions: list[str]
 
@@ -96,6 +98,7 @@ class SegmentBatch:
             self.previous.to(device),
             self.first.to(device),
             self.index.to(device),
+            self.place.to(device),
             self.captions,
             self.previous_captions,
         )
@@ -166,11 +169,19 @@ class ClipSet:
 
     def say(self, clip: Row, start: int, frames: int, chance: Sequence[float]) -> str:
         """A sentence for these frames, chosen by three numbers in [0, 1)."""
-        middle = start + frames // 2
-        part = next((k for k, end in enumerate(clip.ends) if middle < end), len(clip.ends) - 1)
-        options = clip.whole if clip.whole and chance[0] < self.cutting.whole_caption else clip.said[part]
+        options = clip.whole if self._of_all(clip, chance) else clip.said[_part(clip, start, frames)]
         caption = options[int(chance[1] * len(options))]
         return paraphrase(caption) if chance[2] < self.paraphrased else caption
+
+    def span(self, clip: Row, start: int, frames: int, chance: Sequence[float]) -> tuple[int, int]:
+        """First and last frame, exclusive, of what the sentence is said to that the same numbers choose."""
+        if self._of_all(clip, chance) or clip.goes_on:
+            return 0, clip.ends[-1]
+        part = _part(clip, start, frames)
+        return (0, *clip.ends)[part], clip.ends[part]
+
+    def _of_all(self, clip: Row, chance: Sequence[float]) -> bool:
+        return bool(clip.whole) and chance[0] < self.cutting.whole_caption
 
 
 class SegmentSet(ClipSet):
@@ -214,6 +225,7 @@ class SegmentSet(ClipSet):
         n, width = self.frames, self.rows[0].features.shape[1]
         clean, previous, first = torch.zeros(3, size, n, width)
         valid, index = torch.zeros(size, n, dtype=torch.bool), torch.zeros(size, dtype=torch.long)
+        place = torch.zeros(size, 2)
         captions, before = [], []
         for k, (clip, chance) in enumerate(self.draw(size, seed, step)):
             begin, start, stop, number = self._place(len(clip.features), chance)
@@ -225,9 +237,12 @@ class SegmentSet(ClipSet):
             first[k, : len(head)] = torch.from_numpy(np.array(head))
             if number:
                 previous[k] = torch.from_numpy(np.array(clip.features[start - n : start]))
+            told, untold = self.span(clip, start, len(piece), chance[3:])
+            # A sentence may begin within its first segment.
+            place[k] = torch.tensor([max(start - told, 0), untold - start])
             captions.append(self.say(clip, start, len(piece), chance[3:]))
             before.append(self.say(clip, max(start - n, 0), n, chance[3:]) if number else captions[-1])
-        return SegmentBatch(clean, valid, previous, first, index, captions, before)
+        return SegmentBatch(clean, valid, previous, first, index, place, captions, before)
 
     def _place(self, total: int, chance: Sequence[float]) -> tuple[int, int, int, int]:
         """Where the sequence begins that a segment of a clip belongs to, first frame, end and index of the segment."""
@@ -248,6 +263,12 @@ class SegmentSet(ClipSet):
             # meaning.
             number = 1 if start == n else 2
         return 0, start, start + n, number
+
+
+def _part(clip: Row, start: int, frames: int) -> int:
+    """The part of a clip that fills more of these frames."""
+    middle = start + frames // 2
+    return next((k for k, end in enumerate(clip.ends) if middle < end), len(clip.ends) - 1)
 
 
 def _row(source: ClipSource, clip: int, store: FeatureStore) -> Row:

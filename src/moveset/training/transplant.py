@@ -1,7 +1,8 @@
 """A student that is given what its teacher has learned since: no training, but a share of the difference of weights.
 
 A student begins as its teacher and stays near it, so a difference between two stages of the teacher means in it much
-the same. It reads its guidance scale, which no teacher has, as before.
+the same. It reads its guidance scale, which no teacher has, as before. What the teacher has learned to read in between
+(``SegmentTransformer.learned_later``) began at zero, and the student reads a share of it.
 Source: task arithmetic (arXiv 2212.04089), with the teacher's further training as the task.
 """
 
@@ -9,8 +10,11 @@ import argparse
 import sys
 from pathlib import Path
 
+import torch
+
 from moveset.errors import InputError, exit_code_of
 from moveset.models.registry import require_range
+from moveset.models.segment_transformer import SegmentTransformer
 from moveset.training import checkpoint
 
 STUDENT, TEACHER = "student_ema", "denoiser_ema"
@@ -37,6 +41,9 @@ def transplant(student: Path, before: Path, after: Path, share: float, out: Path
     step = checkpoint.resolve(student)
     weights = checkpoint.read_tensors(step, STUDENT)
     old, new = (checkpoint.read_tensors(checkpoint.resolve(path), TEACHER) for path in (before, after))
+    added = [key for key in SegmentTransformer.learned_later if key in new and key not in old and key not in weights]
+    for stage in (old, weights):
+        stage |= {key: torch.zeros_like(new[key]) for key in added}
     for path, stage in ((before, old), (after, new)):
         shapes = {key: value.shape for key, value in weights.items() if key in old or key in new}
         if unfit := {(key, value.shape) for key, value in stage.items()} ^ set(shapes.items()):
@@ -45,7 +52,10 @@ def transplant(student: Path, before: Path, after: Path, share: float, out: Path
         if weights[key].is_floating_point():
             moved = weights[key].double() + share * (new[key].double() - old[key].double())
             weights[key] = moved.to(weights[key].dtype)
-    documents = {"config": checkpoint.read_document(step, "config"), "origin": {"student": step.name, "share": share}}
+    config = checkpoint.read_document(step, "config")
+    if added:
+        config["config"]["model"]["placed"] = True
+    documents = {"config": config, "origin": {"student": step.name, "share": share}}
     modules = {STUDENT: weights, STUDENT.removesuffix("_ema"): weights}
     return checkpoint.write(out, int(step.name.removeprefix("step_")), modules, documents)
 
