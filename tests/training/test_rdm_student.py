@@ -7,7 +7,8 @@ import pytest
 import torch
 
 from moveset.errors import InputError
-from moveset.training import frozen, rdm_student
+from moveset.training import bound_segments, frozen, rdm_student
+from moveset.training.bound_segments import BoundSegments
 from moveset.training.rdm_student import RDMStudentConfig
 from tests.training.recurrent import tensors, trained
 
@@ -41,9 +42,9 @@ def test_a_student_that_is_told_its_own_past_resumes_exactly(phases, folder, rdm
 
 
 def test_streams_are_judged_without_their_past(folder, rdm7, tmp_path, monkeypatch):
-    judged, features = [], rdm_student._Bound.features
+    judged, features = [], BoundSegments.features
     monkeypatch.setattr(
-        rdm_student._Bound, "features", lambda self, *given: judged.append(self.batch.index) or features(self, *given)
+        BoundSegments, "features", lambda self, *given: judged.append(self.batch.index) or features(self, *given)
     )
     task, _ = trained(folder, "rdm-student", tmp_path / "run", "own_past=0.5", "cutting.first_share=0", steps=4)
     assert len(judged) == 2 * 4  # what was made, and takes
@@ -54,8 +55,8 @@ def test_streams_are_judged_without_their_past(folder, rdm7, tmp_path, monkeypat
 
 
 def test_a_teacher_may_be_told_a_noisy_past(folder, rdm7, tmp_path, monkeypatch):
-    told, tell = [], rdm_student._Bound._told
-    monkeypatch.setattr(rdm_student._Bound, "_told", lambda *given: told.append((given, tell(*given))) or told[-1][1])
+    told, tell = [], BoundSegments._told
+    monkeypatch.setattr(BoundSegments, "_told", lambda *given: told.append((given, tell(*given))) or told[-1][1])
     trained(
         folder,
         "rdm-student",
@@ -83,8 +84,8 @@ def test_lower_phases_meet_what_the_student_landed_at(folder, rdm7, tmp_path, mo
     monkeypatch.setattr(
         rdm_student, "clean_target", lambda *given: met.append((given[-2], given[-3])) or target(*given)
     )
-    landed, land = [], rdm_student._Bound.land
-    monkeypatch.setattr(rdm_student._Bound, "land", lambda *given: landed.append(land(*given)) or landed[-1])
+    landed, land = [], BoundSegments.land
+    monkeypatch.setattr(BoundSegments, "land", lambda *given: landed.append(land(*given)) or landed[-1])
     task, _ = trained(folder, "rdm-student", tmp_path / "run", "own_past=0.5", "phases=2", "rehearsed=99", steps=4)
     first, second = task.own.rows.tolist()
     assert [point_B[[first, second]].tolist() for point_B, _ in met] == [[9, 4], [4, 9]] * 2
@@ -110,9 +111,9 @@ def test_places_are_learned_later_by_teacher_and_student(folder, rdm7, tmp_path,
 
     (copied := tmp_path / "folder").mkdir()
     shutil.copytree(tmp_path / "teacher", copied / "rdm-7")
-    told, read = [], rdm_student.place_of
+    told, read = [], bound_segments.place_of
     monkeypatch.setattr(
-        rdm_student, "place_of", lambda network, place: told.append((network, place)) or read(network, place)
+        bound_segments, "place_of", lambda network, place: told.append((network, place)) or read(network, place)
     )
     corpus = folder / "corpus.safetensors"
     task, result = trained(

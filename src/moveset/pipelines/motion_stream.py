@@ -262,12 +262,9 @@ class MotionStream(Iterator[Segment]):
             found = {k: x.to(self.device) for k, x in found.items()}
             self._go_on(StreamState.restore(numbers["sampler"], found), int(numbers["given"]))
             self._prompts |= {int(segment): prompt for segment, prompt in numbers["prompts"].items()}
-            # States from before streams were told it have none.
-            places = {
-                segment: numbers.get("places", {}).get(str(segment), (UNKNOWN, UNKNOWN)) for segment in self._prompts
-            }
-            self._places |= {segment: tuple(place) for segment, place in places.items()}
+            places = numbers.get("places", {})  # states from before streams were told have none
             for segment, prompt in self._prompts.items():
+                self._places[segment] = tuple(places.get(str(segment), (UNKNOWN, UNKNOWN)))
                 self._denoise.enter(segment, prompt, self._places[segment])
             self._decoder = IncrementalDecoder.from_state(self.codec, numbers["decoder"])
             self._feet = FootLock.from_state(self.codec.skeleton, self.codec.fps, numbers["feet"])
@@ -305,8 +302,6 @@ class MotionStream(Iterator[Segment]):
         self._pool = ThreadPoolExecutor(1) if settings.buffer else None
         self._ahead: deque[Future[Segment]] = deque()
         self._waiting: deque[Segment] = deque()
-        self._prompts: dict[int, str] = {}
-        self._places: dict[int, tuple[int, int]] = {}
         self._network = self.bundle.module(settings.network, self.device)
         # Networks that were trained on other than white noise say so.
         self._colour: Callable[[Tensor], Tensor] | None = getattr(self._network, "colour", None)
@@ -331,7 +326,8 @@ class MotionStream(Iterator[Segment]):
         """A sampler from this state on, of which the first ``given`` segments are none of the stream's own."""
         config, settings = self.bundle.config, self._settings
         self._given, self._told = given, 0
-        self._prompts, self._places = {}, {}
+        self._prompts: dict[int, str] = {}
+        self._places: dict[int, tuple[int, int]] = {}
         self._denoise = SegmentDenoise(
             self._network,
             guided=bool(config.models[settings.network].config.get("guided")),

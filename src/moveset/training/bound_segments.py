@@ -1,0 +1,122 @@
+"""A batch of segments with all that networks are told of them bound: text, past, number, place, and the flow.
+
+Shapes: B rows, n frames of a segment, D features, C text width.
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+from itertools import pairwise
+
+import torch
+from torch import Tensor, nn
+
+from moveset.diffusion.guidance import cfg
+from moveset.diffusion.steps import add_noise, denoise_step
+from moveset.models.segment_transformer import UNKNOWN, place_of
+from moveset.rdm.transport import Transport
+from moveset.text.encoder import TextEmbedding, stack
+from moveset.training.rdm import SCHEDULE
+from moveset.training.segments import SegmentBatch
+
+NEARER = 0.75
+"""Share of the level at which the teacher is asked that a noisy past is told at."""
+_Call = Callable[[Tensor, Tensor, Tensor], Tensor]
+
+
+class BoundSegments:
+    """Networks and flow with a batch's text, previous segments and indices bound.
+
+    Args:
+        past: noise (B, n, D) of the previous segments as the guided teacher is told them, and their sentence
+            embeddings (B, C); None tells it finished ones, as the student.
+    """
+
+    def __init__(
+        self, batch: SegmentBatch, text: TextEmbedding, empty: TextEmbedding, transport: Transport, teacher: nn.Module,
+        past: tuple[Tensor, Tensor] | None = None,
+    ) -> None:  # fmt: skip
+        self.batch, self.text, self.empty, self.transport, self.teacher = batch, text, empty, transport, teacher
+        self.past: tuple[Tensor, ...] | None = None
+        if past is not None:
+            noise, pooled = past
+            before_B = (batch.index - 1).clamp_min(0)
+            # Carried back once: the teacher is asked at many levels.
+            self.past = (transport.pull(batch.previous, before_B, pooled), noise, before_B, pooled)
+        self.both = stack([text, empty])
+        self.clean_level = torch.zeros_like(batch.index)
+
+    def misread(self) -> "BoundSegments":
+        """The same with every segment's text moved on to the next one."""
+        others = self.text[torch.arange(len(self.text), device=self.batch.index.device).roll(1)]
+        return BoundSegments(self.batch, others, self.empty, self.transport, self.teacher)
+
+    def alone(self, rows_B: Tensor) -> "BoundSegments":
+        """The same with some segments as first ones: without a past, and in the coordinates of such."""
+        # Their example is of the sentence and of no time in it.
+        place_B2 = self.batch.place.masked_fill(rows_B[:, None], UNKNOWN)
+        batch = replace(self.batch, index=self.batch.index.masked_fill(rows_B, 0), place=place_B2)
+        return BoundSegments(batch, self.text, self.empty, self.transport, self.teacher)
+
+    def push(self, y: Tensor) -> Tensor:
+        """x of y."""
+        return self.transport.push(y, self.batch.index, self.text.pooled)
+
+    def pull(self, x: Tensor) -> Tensor:
+        """y of x."""
+        return self.transport.pull(x, self.batch.index, self.text.pooled)
+
+    def guided(self, x: Tensor, t_B: Tensor, w_B: Tensor) -> Tensor:
+        """The teacher's clean segment under classifier-free guidance, by one batch of both."""
+        b = self.batch
+        previous, level_B = self._told(t_B)
+        told = (previous.repeat(2, 1, 1), level_B.repeat(2), b.index.repeat(2))
+        made = self.teacher(
+            x.repeat(2, 1, 1), t_B.repeat(2), *told, self.both.tokens, self.both.mask, None, b.valid.repeat(2, 1),
+            **place_of(self.teacher, b.place.repeat(2, 1)),
+        )  # fmt: skip
+        told, untold = made.float().chunk(2)
+        return cfg(told, untold, w_B)
+
+    def _told(self, t_B: Tensor) -> tuple[Tensor, Tensor]:
+        """The previous segments as the teacher is told them when it is asked at these levels, and their levels."""
+        if self.past is None:
+            return self.batch.previous, self.clean_level
+        y, noise, before_B, pooled = self.past
+        level_B = (NEARER * t_B).long()
+        return self.transport.push(add_noise(SCHEDULE, y, noise, level_B), before_B, pooled), level_B
+
+    def by(self, network: nn.Module, text: TextEmbedding | None = None) -> _Call:
+        """A student, told another reading of the captions if given one."""
+        text = self.text if text is None else text
+
+        def call(x: Tensor, t_B: Tensor, w_B: Tensor) -> Tensor:
+            b = self.batch
+            made: Tensor = network(
+                x, t_B, b.previous, self.clean_level, b.index, text.tokens, text.mask, w_B, b.valid,
+                **place_of(network, b.place),
+            )  # fmt: skip
+            return made.float()
+
+        return call
+
+    def features(self, x: Tensor, t_B: Tensor) -> list[Tensor]:
+        """What the frozen teacher's blocks make of x."""
+        taps: list[Tensor] = []
+        b, text = self.batch, self.text
+        self.teacher(
+            x, t_B, b.previous, self.clean_level, b.index, text.tokens, text.mask, None, b.valid, taps,
+            **place_of(self.teacher, b.place),
+        )  # fmt: skip
+        return taps
+
+    def sample(self, network: _Call, noise: Tensor, times: tuple[int, ...], w_B: Tensor) -> Tensor:
+        """Clean segments from noise, deterministically over these levels."""
+        y = noise
+        for t, s in pairwise(times):
+            t_B, s_B = (torch.full((len(y),), at, device=y.device) for at in (t, s))
+            y = self.land(y, network(self.push(y), t_B, w_B), t_B, s_B)
+        return self.push(y)
+
+    def land(self, z: Tensor, made: Tensor, t_B: Tensor, s_B: Tensor) -> Tensor:
+        """Where noisy segments z at t land at s, in y, if ``made`` (in x) is what they show."""
+        return denoise_step(SCHEDULE, z, self.pull(made), t_B, s_B)
