@@ -3,10 +3,10 @@
     python benchmarks/course.py --networks rdm md pcm-1 --corpus data/corpus.safetensors \\
         --out docs/streaming/course.json
 
-Of every sentence ``--copies`` streams of ``--seconds``, as users get them. Turning is what the direction in which the
-root travels within a second changes by, from the first second to the last, per second: the median of its size, and of
-itself (left is positive), which tells a stream that sways from one that circles, and between which values eight of ten
-are. Real takes of the corpus are measured likewise.
+Of every sentence ``--copies`` streams of ``--seconds``, as users get them: held without an end, or ``--timed``.
+Turning is what the direction in which the root travels within a second changes by, from the first second to the last,
+per second: the median of its size, and of itself (left is positive), which tells a stream that sways from one that
+circles, and between which values eight of ten are. Real takes of the corpus are measured likewise.
 """
 
 import argparse
@@ -69,11 +69,18 @@ def streams(
     copies: int,
     seconds: float = SECONDS,
     past_lag: int | None = None,
+    timed: bool = False,
 ) -> list[Tensor]:
-    """Joints (F, J, 3) of so many streams of one sentence; ``past_lag`` is the model's own by default."""
-    settings = check_stream(bundle.config, sentence, network=network, past_lag=past_lag).settings
-    group = StreamGroup(bundle, settings, device="cpu")
+    """Joints (F, J, 3) of so many streams of one sentence; ``past_lag`` is the model's own by default.
+
+    Networks that read it are told where in these seconds a segment lies if they are ``timed``.
+    """
+    request = check_stream(bundle.config, sentence, seconds, network=network, past_lag=past_lag)
+    group = StreamGroup(bundle, request.settings, device="cpu")
     lanes = [group.open(sentence, seed) for seed in range(copies)]
+    if timed:
+        for lane in lanes:
+            lane.line = request.timeline
     pieces = [group.advance(lanes) for _ in range(round(seconds * FPS / bundle.config.segment))]
     return [torch.cat([piece[k].segment.motion.joints for piece in pieces]) for k in range(copies)]
 
@@ -97,6 +104,7 @@ def main() -> None:
     parser.add_argument("--copies", type=at_least(1), default=24)
     parser.add_argument("--seconds", type=between(3, 600), default=SECONDS)
     parser.add_argument("--past-lag", type=at_least(1), help="of rdm; all of its steps tell a finished past clean")
+    parser.add_argument("--timed", action="store_true", help="the sentence ends with the seconds")
     parser.add_argument("--corpus", type=Path, help="measure its walks and runs too")
     parser.add_argument("--out", type=report_path)
     given = parser.parse_args()
@@ -110,11 +118,14 @@ def main() -> None:
         print(name, row, flush=True)
     for network in given.networks:
         for sentence in given.sentences:
-            row = measured(streams(bundle, network, sentence, given.copies, given.seconds, given.past_lag))
+            made = streams(bundle, network, sentence, given.copies, given.seconds, given.past_lag, given.timed)
+            row = measured(made)
             rows[f"{network}: {sentence}"] = row
             print(f"{network}: {sentence}", row, flush=True)
     if given.out:
-        told = {} if given.past_lag is None else {"past_lag": given.past_lag}
+        told = ({} if given.past_lag is None else {"past_lag": given.past_lag}) | (
+            {"timed": True} if given.timed else {}
+        )
         write_report(given.out, {"copies": given.copies, "seconds": given.seconds, **told, "rows": rows})
 
 

@@ -2,12 +2,14 @@
 
 Repeats depend on the source of the modules that measure and that make the motion (``results``), so that a comment there
 would have every row of a paper's tables measured anew. What is random depends on (seed, repeat) alone; code that gives
-one repeat of hundreds of motions the same in every measure and every digit has not changed what is measured. A result
+one repeat of hundreds of motions the same in every measure and every digit has not changed what is measured. (On data
+that are the same but for rounding, ``same_data``, it comes out so too.) A result
 says when its repeats were kept so, and which code made them; ``same_code`` keeps what was found for rows that cannot be
 made again.
 """
 
 import json
+import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -18,6 +20,9 @@ from moveset.io.limits import read_limited
 from moveset.pipelines.verified_folder import json_object
 
 Make = Callable[[int], Mapping[str, Any]]
+RELATIVE = 1e-5
+"""Two processors' corpora differ by some 1e-6 in jerk, which is most sensitive; other takes by 1e-3 and more."""
+ABSOLUTE = 1e-9
 
 
 def confirm(results: Results, make: Make) -> str:
@@ -39,7 +44,8 @@ def confirm(results: Results, make: Make) -> str:
         return f"{results.name}: no result to confirm, so every repeat is made"
     there = json_object(read_limited(results.path), results.path, REMEDY)
     try:
-        if other := _other(there, results.head):
+        rounded = there["data"] != results.head["data"]  # data that are the same but for rounding
+        if other := _other(there, results.head, same_code.load(results.path.parent)):
             return f"{results.name}: the result that is there is of other {other}, so every repeat is made"
         count = len(there["repeats"])
         made = {code: there.get("kept", there)[code] for code in CODE}
@@ -58,20 +64,24 @@ def confirm(results: Results, make: Make) -> str:
         raise FormatError(f"{results.path} is no result of an evaluation ({error!r}); give another --out") from error
     anew = make(0)
     results.add(anew)
-    if differ := _differ(kept[0]["metrics"], anew["metrics"]) or _differ(kept[0], anew, tuple(counts)):
+    compare = far if rounded else _differ
+    if differ := compare(kept[0]["metrics"], anew["metrics"]) or _differ(kept[0], anew, tuple(counts)):
         return f"{results.name}: the first repeat came out otherwise ({differ}), so every repeat is made"
     other_code = any(made[code] != results.head[code] for code in CODE)
     results.keep(kept, {"repeats": count, **made} if other_code else None)
     for older in (made, there):
         same_code.note(results.path.parent, older, results.head, results.name)
-    return f"{results.name}: the first repeat came out the same to the bit, so all {count} are kept"
+    how = "but for rounding, as the data are" if rounded else "to the bit"
+    return f"{results.name}: the first repeat came out the same {how}, so all {count} are kept"
 
 
-def _other(there: Mapping[str, Any], now: Mapping[str, Any]) -> str:
-    """What else than code differs, for people; "" if nothing does."""
+def _other(there: Mapping[str, Any], now: Mapping[str, Any], same: same_code.SameCode) -> str:
+    """What else than code and the rounding of data differs, for people; "" if nothing does."""
     # What is asked now comes from Python, what is there from JSON.
     now = json.loads(json.dumps(depends(now)))
     before = depends({name: there.get(name) for name in now})
+    if before["data"] and same.data(before["data"]["sha256"]) == same.data(now["data"]["sha256"]):
+        before["data"] = now["data"]
     return ", ".join(name for name in now if name not in CODE and now[name] != before[name])
 
 
@@ -79,5 +89,15 @@ def _differ(there: Mapping[str, Any], now: Mapping[str, Any], names: tuple[str, 
     """The first of the named values, all if None, that is not the same in both, for people; "" if there is none."""
     for name in sorted({*there, *now}) if names is None else names:
         if there.get(name) != now.get(name):
+            return f"{name} {now.get(name)} instead of {there.get(name)}"
+    return ""
+
+
+def far(there: Mapping[str, Any], now: Mapping[str, Any]) -> str:
+    """The first measure that differs by more than rounding, for people; "" if none does."""
+    for name in sorted({*there, *now}):
+        if not (
+            name in there and name in now and math.isclose(there[name], now[name], rel_tol=RELATIVE, abs_tol=ABSOLUTE)
+        ):
             return f"{name} {now.get(name)} instead of {there.get(name)}"
     return ""

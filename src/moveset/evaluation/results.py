@@ -20,6 +20,7 @@ import torch
 
 import moveset
 from moveset.errors import FormatError, InputError
+from moveset.evaluation import same_code
 from moveset.evaluation.intervals import Interval
 from moveset.evaluation.protocol import Session
 from moveset.io.limits import atomic_write, read_limited
@@ -129,13 +130,19 @@ class Results:
         if not self.path.is_file():
             return
         try:
-            there, now = asked(json_object(read_limited(self.path), self.path, REMEDY)), asked(self.head)
+            there, now = asked(one := json_object(read_limited(self.path), self.path, REMEDY)), asked(self.head)
+            if self._same_data(one["data"]["sha256"]):
+                there["data"] = now["data"]
         except (KeyError, TypeError, AttributeError) as error:
             raise FormatError(f"{self.path} is no result of an evaluation ({error!r}); give another --out") from error
         # An older version may not have known all of it.
         if other := [name for name in there if name in now and there[name] != now[name]]:
             said = ", ".join(f"{name} {there[name]} instead of {now[name]}" for name in other)
             raise InputError(f"{self.path} is the result of another evaluation ({said}); give another --out")
+
+    def _same_data(self, sha256: str) -> bool:
+        same = same_code.load(self.path.parent)
+        return same.data(sha256) == same.data(self.head["data"]["sha256"])
 
     def _file(self, number: int) -> Path:
         return self._folder / f"{number:03d}.json"

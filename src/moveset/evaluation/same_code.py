@@ -5,11 +5,11 @@ by earlier code, came out the same to the bit by later code, the two are taken f
 the same kind of generator made, and those who measured for all rows of the folder.
 
 ``OUT/same-code.json`` lists what was found: "what" is "measures" or a kind of generator, "then" and "now" are sha256 of
-sources, "by" is the result that was confirmed.
+sources, "by" is the result that was confirmed. Where "what" is "data" they are of data (``same_data``).
 """
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -21,6 +21,7 @@ from moveset.pipelines.verified_folder import json_object
 
 FILE = "same-code.json"
 MEASURES = "measures"
+DATA = "data"
 _REMEDY = "delete it, and confirm a row again"
 
 Code = tuple[str, str]  # what it does, and the sha256 of its source
@@ -28,7 +29,7 @@ Code = tuple[str, str]  # what it does, and the sha256 of its source
 
 @dataclass(frozen=True)
 class SameCode:
-    """Classes of code that gives the same.
+    """Classes of code that gives the same, and of data that are the same but for rounding.
 
     Args:
         parents: of each code but one of a class, another of it; nothing goes round in circles.
@@ -47,6 +48,10 @@ class SameCode:
             code = self.parents[code]
         return code
 
+    def data(self, sha256: str) -> str:
+        """The sha256 that stands for all data like these."""
+        return self.of((DATA, sha256))[1]
+
 
 def note(folder: Path, then: Mapping[str, Any], now: Mapping[str, Any], by: str) -> None:
     """Write down that two results of the same repeat, of other code, are the same.
@@ -60,12 +65,31 @@ def note(folder: Path, then: Mapping[str, Any], now: Mapping[str, Any], by: str)
         FormatError: the file that is there is damaged.
         OSError: the folder cannot be written to.
     """
+    keys = ((MEASURES, "measures_sha256"), (str(now["generator"]), "generator_sha256"))
+    _note(folder, [{"what": what, "then": then[key], "now": now[key], "by": by} for what, key in keys])
+
+
+def note_data(folder: Path, then: str, now: str, by: str) -> None:
+    """Write down that data of two sha256 are the same but for rounding.
+
+    Args:
+        folder: of results.
+        then, now: sha256 of the data.
+        by: name of the result that shows it.
+
+    Raises:
+        FormatError: the file that is there is damaged.
+        OSError: the folder cannot be written to.
+    """
+    _note(folder, [{"what": DATA, "then": then, "now": now, "by": by}])
+
+
+def _note(folder: Path, new: Sequence[dict[str, str]]) -> None:
     # Several processes may confirm rows of one folder.
     with locked(folder / "repeats"):
         entries = _read(folder)
-        for what, key in ((MEASURES, "measures_sha256"), (str(now["generator"]), "generator_sha256")):
-            found = {"what": what, "then": then[key], "now": now[key], "by": by}
-            if then[key] != now[key] and found not in entries:
+        for found in new:
+            if found["then"] != found["now"] and found not in entries:
                 entries.append(found)
         if entries:
             with atomic_write(folder / FILE) as file:
