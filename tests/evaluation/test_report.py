@@ -299,6 +299,17 @@ def test_whoever_adds_rows_waits_for_the_other(tmp_path: Path):
     assert order == ["first", "second"]
 
 
+def test_rows_of_another_processors_data_are_named(tmp_path: Path):
+    other = {**RESULTS["lcm-1"]["data"], "sha256": "f" * 64}
+    out = suite_folder(tmp_path, "motionpcm", {**RESULTS, "lcm-1": {**RESULTS["lcm-1"], "data": other}})
+    with pytest.raises(InputError, match="other data"):
+        markdown(load_table(out))
+    same_code.note_data(out, RESULTS["pcm-1"]["data"]["sha256"], other["sha256"], "real-test")
+    text = markdown(load_table(out))
+    assert "(`ffffffff`), where real motion measures the same to five digits: LCM, 1 step." in text
+    assert "another processor" not in markdown(load_table(suite_folder(tmp_path / "one", "motionpcm", RESULTS)))
+
+
 def test_rows_that_other_code_made_and_todays_makes_alike_are_named(tmp_path: Path):
     kept = {**RESULTS["teacher"], "kept": {"repeats": 3}}
     folder = suite_folder(tmp_path, "motionpcm", {**RESULTS, "teacher": kept})

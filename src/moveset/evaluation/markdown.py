@@ -71,19 +71,24 @@ def about(table: Table) -> str:
         "Milliseconds an item are those of the quickest repeat: in batches, on whatever the machine was doing "
         "besides.",
     ]
+    exact = "the same to the bit"
+    if others := sorted({result.data[1] for result in table.measured.values()} - {first.data[1]}):
+        rows = "; ".join(table.labels[key] for key, result in table.measured.items() if result.data != first.data)
+        lines.append(
+            f"On what another processor built of the same takes ({', '.join(map(_short, others))}), where real motion "
+            f"measures the same to five digits: {rows}."
+        )
+        exact += " (there to five digits)"
     if table.odd:
         lines.append(
             f"**Made or measured by other code than the rest, so evaluate these again:** {'; '.join(table.odd)}."
         )
     if kept := table.kept:
         rows = "All rows" if len(kept) == len(table.measured) else "; ".join(kept)
-        lines.append(
-            f"Made by earlier code, of which the first repeat was made again and came out the same to the bit: {rows}."
-        )
+        lines.append(f"Made by earlier code, of which the first repeat was made again and came out {exact}: {rows}.")
     if trusted := table.trusted:
         lines.append(
-            "Of other code than the most, which gave the first repeat of another row the same to the bit: "
-            f"{'; '.join(trusted)}."
+            f"Of other code than the most, which gave the first repeat of another row {exact}: {'; '.join(trusted)}."
         )
     if rough:
         lines.append(f"Rows that cost much have fewer repeats; fewer than {ROUGH} make a rough interval.")
