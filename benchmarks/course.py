@@ -123,9 +123,8 @@ def main() -> None:
             rows[f"{network}: {sentence}"] = row
             print(f"{network}: {sentence}", row, flush=True)
     if given.out:
-        told = ({} if given.past_lag is None else {"past_lag": given.past_lag}) | (
-            {"timed": True} if given.timed else {}
-        )
+        asked = {"past_lag": given.past_lag, "timed": given.timed}
+        told = {name: value for name, value in asked.items() if value}
         write_report(given.out, {"copies": given.copies, "seconds": given.seconds, **told, "rows": rows})
 
 

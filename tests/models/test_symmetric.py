@@ -13,15 +13,20 @@ CODEC = NativeCodec()
 ORDER, SIGNS = CODEC.mirror()
 
 
-@pytest.fixture
-def network():
+def awake(**options):
+    """A network whose zero-initialised layers speak."""
     torch.manual_seed(0)
     made = SegmentTransformerConfig(
-        features=CODEC.dim, frames=8, text_dim=5, width=16, heads=2, hidden=32, blocks=1, guided=True
+        features=CODEC.dim, frames=8, text_dim=5, width=16, heads=2, hidden=32, blocks=1, **options
     ).build()
     for parameter in made.parameters():
         nn.init.normal_(parameter, std=0.1)
     return made.eval()
+
+
+@pytest.fixture
+def network():
+    return awake(guided=True)
 
 
 def inputs(rows=3):
@@ -72,12 +77,7 @@ def test_nothing_but_the_mean_over_frames_is_changed(network):
 
 
 def test_both_images_are_at_the_same_place():
-    torch.manual_seed(0)
-    network = SegmentTransformerConfig(
-        features=CODEC.dim, frames=8, text_dim=5, width=16, heads=2, hidden=32, blocks=1, placed=True
-    ).build()
-    for parameter in network.parameters():
-        nn.init.normal_(parameter, std=0.1)
+    network = awake(placed=True)
     even, (x, t, prev, prev_t, index, said, mirrored) = Symmetric(network, ORDER, SIGNS), inputs()
     place = torch.tensor([[0.0, 40.0], [8.0, 32.0], [-1.0, -1.0]])
     mask = torch.ones(said.shape[:2], dtype=torch.bool)

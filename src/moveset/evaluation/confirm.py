@@ -80,7 +80,7 @@ def _other(there: Mapping[str, Any], now: Mapping[str, Any], same: same_code.Sam
     # What is asked now comes from Python, what is there from JSON.
     now = json.loads(json.dumps(depends(now)))
     before = depends({name: there.get(name) for name in now})
-    if before["data"] and same.data(before["data"]["sha256"]) == same.data(now["data"]["sha256"]):
+    if before["data"] and same.same_data(before["data"]["sha256"], now["data"]["sha256"]):
         before["data"] = now["data"]
     return ", ".join(name for name in now if name not in CODE and now[name] != before[name])
 

@@ -131,7 +131,7 @@ class Results:
             return
         try:
             there, now = asked(one := json_object(read_limited(self.path), self.path, REMEDY)), asked(self.head)
-            if self._same_data(one["data"]["sha256"]):
+            if same_code.load(self.path.parent).same_data(one["data"]["sha256"], self.head["data"]["sha256"]):
                 there["data"] = now["data"]
         except (KeyError, TypeError, AttributeError) as error:
             raise FormatError(f"{self.path} is no result of an evaluation ({error!r}); give another --out") from error
@@ -139,10 +139,6 @@ class Results:
         if other := [name for name in there if name in now and there[name] != now[name]]:
             said = ", ".join(f"{name} {there[name]} instead of {now[name]}" for name in other)
             raise InputError(f"{self.path} is the result of another evaluation ({said}); give another --out")
-
-    def _same_data(self, sha256: str) -> bool:
-        same = same_code.load(self.path.parent)
-        return same.data(sha256) == same.data(self.head["data"]["sha256"])
 
     def _file(self, number: int) -> Path:
         return self._folder / f"{number:03d}.json"

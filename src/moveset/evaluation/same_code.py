@@ -48,6 +48,10 @@ class SameCode:
             code = self.parents[code]
         return code
 
+    def same_data(self, one: str, other: str) -> bool:
+        """Whether data of these sha256 are the same, or the same but for rounding."""
+        return self.data(one) == self.data(other)
+
     def data(self, sha256: str) -> str:
         """The sha256 that stands for all data like these."""
         return self.of((DATA, sha256))[1]

@@ -285,7 +285,7 @@ def check_alike(out: Path, name: str, rows: Sequence[Row], asked: Mapping[str, A
     for key, entry in _staying(out / ROWS, get_suite(name)).items():
         if key in anew or (there := _read(out, entry["result"])) is None:
             continue
-        if same.data(there.data[1]) == same.data(asked["data"][1]):
+        if same.same_data(there.data[1], asked["data"][1]):
             there = replace(there, data=asked["data"])
         found = {field: getattr(there, field) for field in COMMON} | {"feet held": there.feet}
         now = {**asked, "feet held": feet if holds and there.feet is not None else there.feet}

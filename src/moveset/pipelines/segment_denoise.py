@@ -90,25 +90,24 @@ class SegmentDenoise:
             x_BnD, prev_BnD = (z.repeat(2, 1, 1) for z in (x_BnD, prev_BnD))
             t_B, prev_t_B, index_B = (z.repeat(2) for z in (t_B, prev_t_B, index_B))
         w_B = torch.full((rows,), self._guidance, device=self._device) if self._guided else None
-        placed = place_of(self._network, self._place(segments, x_BnD.shape[1]))
         if self._once:
             network = cast(Reader, self._network)
             if self._context is None or self._context[0] != segments[0]:
-                text = self._text(segments)
+                text, placed = self._text(segments), self._placed(segments, x_BnD.shape[1])
                 read = network.read(text.tokens, text.mask, prev_BnD, prev_t_B, index_B, **placed)
                 self._context = (segments[0], read)
             made = network.denoise(x_BnD, t_B, self._context[1], w_B)
         else:
-            text = self._text(segments)
+            text, placed = self._text(segments), self._placed(segments, x_BnD.shape[1])
             made = self._network(x_BnD, t_B, prev_BnD, prev_t_B, index_B, text.tokens, text.mask, w_B, **placed)
         if not self._twice:
             return made
         told, untold = made.chunk(2)
         return cfg(told, untold, self._guidance)
 
-    def _place(self, segments: Sequence[int], frames: int) -> Tensor:
-        place = torch.tensor([self._places[segment] for segment in segments], device=self._device) * float(frames)
-        return place.repeat(2 if self._twice else 1, 1)
+    def _placed(self, segments: Sequence[int], frames: int) -> dict[str, Tensor]:
+        places = [self._places[segment] for segment in segments] * (2 if self._twice else 1)
+        return place_of(self._network, torch.tensor(places, device=self._device) * float(frames))
 
     def _text(self, segments: Sequence[int]) -> TextEmbedding:
         texts = [self._texts[segment] for segment in segments]

@@ -305,8 +305,7 @@ class RDMTask(Task):
         if config.bent:
             previous = bend(previous, batch.index, config.bent, self.data.codec, self.normalizer, generator)
         cell = corrupt(config.grid, SCHEDULE, transport, clean, previous, first, batch.index, said, before, draws)
-        # Nothing is drawn for networks that are not told: their trainings stay what they were.
-        placed = {"place_B2": hide_place(batch.place, 1 - config.placed, generator)} if config.placed else {}
+        placed = {"place_B2": told_place(batch.place, config.placed, generator)} if config.placed else {}
         made = denoiser(
             cell.x_BnD, cell.t_B, cell.prev_BnD, cell.prev_t_B, batch.index, text.tokens, text.mask, None, batch.valid,
             **placed,
@@ -335,9 +334,14 @@ class RDMTask(Task):
         return loss, seen
 
 
-def hide_place(place_B2: Tensor, share: float, generator: torch.Generator) -> Tensor:
-    """Places (B, 2) of segments, of which about this share is unknown; drawn on the CPU."""
-    hidden_B = torch.rand(len(place_B2), generator=generator) < share
+def told_place(place_B2: Tensor, share: float, generator: torch.Generator) -> Tensor:
+    """Places (B, 2) of segments, in frames, of which about this share is told and the others are ``UNKNOWN``.
+
+    Drawn on the CPU; for a share of 0 nothing is drawn, so that such trainings stay what they were.
+    """
+    if not share:
+        return torch.full_like(place_B2, UNKNOWN)
+    hidden_B = torch.rand(len(place_B2), generator=generator) < 1 - share
     return place_B2.masked_fill(hidden_B[:, None].to(place_B2.device), UNKNOWN)
 
 

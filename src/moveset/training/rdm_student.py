@@ -16,7 +16,7 @@ from moveset.diffusion.steps import add_noise, over, predict_eps, renoise
 from moveset.errors import InputError
 from moveset.models.discriminator import DiscriminatorConfig
 from moveset.models.registry import describe, require_range
-from moveset.models.segment_transformer import UNKNOWN, SegmentTransformerConfig
+from moveset.models.segment_transformer import SegmentTransformerConfig
 from moveset.motion.features import Normalizer
 from moveset.pcm.consistency import Draws, draw
 from moveset.pcm.losses import hinge_discriminator, hinge_generator, huber
@@ -33,7 +33,7 @@ from moveset.training.engine import Loop, Task
 from moveset.training.heading import bend, heading_error
 from moveset.training.optim import cosine_lr
 from moveset.training.own_past import OwnPast
-from moveset.training.rdm import SCHEDULE, RDMConfig, SegmentData, feature_weights, hide_place
+from moveset.training.rdm import SCHEDULE, RDMConfig, SegmentData, feature_weights, told_place
 from moveset.training.reading import Disturbance
 from moveset.training.segments import CuttingConfig, SegmentBatch
 from moveset.training.tasks import Sources
@@ -166,10 +166,7 @@ class RDMStudentTask(Task):
     def training_step(self, step: int, loop: Loop) -> dict[str, Tensor]:
         config = self.config
         batch = self.data.train.batch(config.batch, self.data.seed, step).to(loop.device)
-        # Nothing is drawn where no place is told: such trainings stay what they were.
-        hidden = torch.full_like(batch.place, UNKNOWN)
-        place_B2 = hide_place(batch.place, 1 - config.placed, self.draws) if config.placed else hidden
-        batch = replace(batch, place=place_B2)
+        batch = replace(batch, place=told_place(batch.place, config.placed, self.draws))
         if config.bent:
             bent = bend(batch.previous, batch.index, config.bent, self.data.codec, self.normalizer, self.draws)
             batch = replace(batch, previous=bent)
