@@ -20,10 +20,15 @@ def tiny_stream(path: Path, *, seed: int = 0) -> Path:
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
         sizes = {"features": len(features), "frames": FRAMES, "width": 32, "heads": 2, "hidden": 32, "blocks": 1}
-        placed = {"rdm", "pcm-1"}  # which networks are told where in the time of a sentence a segment lies
-        modules = {name: SegmentTransformerConfig(**sizes, placed=name in placed).build() for name in ("rdm", "md")}
-        for name in ("pcm-1", "pcm-2"):
-            modules[name] = SegmentTransformerConfig(**sizes, guided=True, placed=name in placed).build()
+        # Two networks are told where in the time of a sentence a segment lies, and how far the way has turned.
+        told = {
+            name: dict.fromkeys(("placed", "coursed"), name in ("rdm", "pcm-1"))
+            for name in ("rdm", "md", "pcm-1", "pcm-2")
+        }
+        modules = {
+            name: SegmentTransformerConfig(**sizes, guided=name.startswith("pcm"), **reads).build()
+            for name, reads in told.items()
+        }
         modules["flow"] = FlowConfig(
             features=len(features), blocks=2, hidden=8, text_context=4, index_context=4
         ).build()

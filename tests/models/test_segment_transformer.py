@@ -71,7 +71,8 @@ def test_who_is_alone_takes_every_segment_for_a_first_one(model, inputs):
 def test_a_place_in_the_time_of_the_sentence_is_read_where_it_is_known(model, inputs):
     placed = replace(CONFIG, placed=True).build().eval()
     lacking = placed.load_state_dict(model.state_dict(), strict=False)
-    assert tuple(lacking.missing_keys) == placed.learned_later
+    assert lacking.missing_keys == ["place.weight"]
+    assert placed.learned_later["place.weight"] == "placed"
     place = torch.tensor([[0.0, 98.0], [28.0, 70.0], [-1.0, -1.0], [28.0, 28.0]])
     # Fresh, it changes nothing; nor does it ever where nothing is told.
     assert torch.equal(placed(**inputs, place_B2=place), model(**inputs))
@@ -87,6 +88,26 @@ def test_a_place_in_the_time_of_the_sentence_is_read_where_it_is_known(model, in
     read = [inputs[name] for name in ("tokens_BLC", "mask_BL", "prev_BnD", "prev_t_B", "index_B")]
     assert torch.equal(placed.denoise(inputs["x_BnD"], inputs["t_B"], placed.read(*read, place)), told)
     assert torch.equal(model(**inputs, place_B2=place), model(**inputs))
+
+
+def test_how_far_a_way_has_turned_is_read_where_it_is_known(model, inputs):
+    coursed = replace(CONFIG, coursed=True).build().eval()
+    assert coursed.load_state_dict(model.state_dict(), strict=False).missing_keys == ["course.weight"]
+    assert coursed.learned_later["course.weight"] == "coursed"
+    turned = torch.tensor([0.0, 1.5, float("nan"), -1.5])
+    assert torch.equal(coursed(**inputs, turned_B=turned), model(**inputs))
+    coursed = awake(coursed.config)
+    untold, told = coursed(**inputs), coursed(**inputs, turned_B=turned)
+    moved = gap(told, untold)
+    assert float(moved[2]) == 0
+    # Not to have turned is something to know, too.
+    assert float(moved[[0, 1, 3]].min()) > 1e-3
+    assert float(gap(coursed(**inputs, turned_B=-turned), told)[[1, 3]].min()) > 1e-3
+    assert torch.equal(coursed(**inputs, turned_B=torch.full((ROWS,), 6.3)), untold)  # more than a turn
+    read = [inputs[name] for name in ("tokens_BLC", "mask_BL", "prev_BnD", "prev_t_B", "index_B")]
+    context = coursed.read(*read, None, turned)
+    assert torch.equal(coursed.denoise(inputs["x_BnD"], inputs["t_B"], context), told)
+    assert torch.equal(model(**inputs, turned_B=turned), model(**inputs))
 
 
 def test_the_level_of_the_previous_segment_is_read(model, inputs):

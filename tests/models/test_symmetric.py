@@ -89,6 +89,19 @@ def test_both_images_are_at_the_same_place():
     torch.testing.assert_close(made.mean(dim=1), (one + other).mean(dim=1) / 2, atol=1e-5, rtol=0)
 
 
+def test_the_mirror_image_has_turned_to_the_other_side():
+    network = awake(coursed=True)
+    even, (x, t, prev, prev_t, index, said, mirrored) = Symmetric(network, ORDER, SIGNS), inputs()
+    turned = torch.tensor([0.0, 1.0, -2.0])
+    mask = torch.ones(said.shape[:2], dtype=torch.bool)
+    with torch.no_grad():
+        made = even(x, t, prev, prev_t, index, torch.cat((said, mirrored)), mask.repeat(2, 1), turned_B=turned)
+        one = network(x, t, prev, prev_t, index, said, mask, turned_B=turned)
+        flipped = even.flipped(x), t, even.flipped(prev)
+        other = even.flipped(network(*flipped, prev_t, index, mirrored, mask, turned_B=-turned))
+    torch.testing.assert_close(made.mean(dim=1), (one + other).mean(dim=1) / 2, atol=1e-5, rtol=0)
+
+
 def test_rows_do_not_mix(network):
     even = Symmetric(network, ORDER, SIGNS)
     x, t, prev, prev_t, index, said, mirrored = inputs()

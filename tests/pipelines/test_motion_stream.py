@@ -76,20 +76,20 @@ def test_the_first_segments_worked_out_by_hand(opened, encoder):
     w, level, clean = torch.tensor([2.0]), torch.tensor([999]), torch.tensor([0])
     n, (order, signs) = made.bundle.normalizer, get_codec("native").mirror()
 
-    def even(x, prev, index):
-        one = network(x, level, prev, clean, index, text.tokens, text.mask, w)
+    def even(x, prev, index, turned):
+        one = network(x, level, prev, clean, index, text.tokens, text.mask, w, turned_B=turned)
         x, prev = x[..., order] * signs, prev[..., order] * signs
-        other = network(x, level, prev, clean, index, mirrored.tokens, mirrored.mask, w)[..., order] * signs
-        return one + 0.5 * (other.mean(dim=1) - one.mean(dim=1))
+        other = network(x, level, prev, clean, index, mirrored.tokens, mirrored.mask, w, turned_B=-turned)
+        return one + 0.5 * ((other[..., order] * signs).mean(dim=1) - one.mean(dim=1))
 
     with torch.no_grad():
         noise = [network.colour(segment_noise(5, j, START, (FRAMES, 269))[None]) for j in (0, 1)]
-        first = even(noise[0], torch.zeros(1, FRAMES, 269), clean)
+        first = even(noise[0], torch.zeros(1, FRAMES, 269), clean, torch.zeros(1))
         pushed = flow(noise[1], flow.context(text.pooled, torch.tensor([1])))
-        second = even(pushed, first, torch.tensor([1]))
+        turned = (first * n["feature_std"] + n["feature_mean"])[..., 0].sum(dim=1)
+        second = even(pushed, first, torch.tensor([1]), turned)
         both = torch.cat((first, second), dim=1)[0] * n["feature_std"] + n["feature_mean"]
-    got = take(made, 2)
-    want = get_codec("native").decode(both.double())
+    got, want = take(made, 2), get_codec("native").decode(both.double())
     assert torch.allclose(torch.cat([s.motion.root for s in got]), want.root, atol=1e-4)
     assert torch.allclose(torch.cat([s.motion.joints for s in got]), want.joints, atol=1e-3)
 

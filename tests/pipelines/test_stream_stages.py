@@ -85,11 +85,11 @@ def test_a_place_survives_a_restart(opened, network):
 
 
 def test_a_state_from_before_there_were_places_goes_on(opened):
-    stream = opened(WALK, network="rdm")
+    stream = opened(WALK, network="md")
     next(stream)
     state = stream.state()
     del state.numbers["places"], state.numbers["timeline"]["timed"], state.numbers["timeline"]["origin"]
-    assert torch.equal(next(opened(BOW, network="rdm").restore(state)).motion.rotations, next(stream).motion.rotations)
+    assert torch.equal(next(opened(BOW, network="md").restore(state)).motion.rotations, next(stream).motion.rotations)
 
 
 @pytest.mark.parametrize("count", range(1, 9))

@@ -1,5 +1,7 @@
 """Streams that run beside a training: what their rows are told, and when they give way."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 
@@ -11,6 +13,7 @@ from moveset.training.segments import SegmentBatch
 
 BATCH, FRAMES, FEATURES = 6, 4, 3
 W = torch.arange(BATCH) / 10
+TURN = torch.linspace(0.1, 0.6, BATCH)
 ONE, TWO = PhaseGrid(10, 1), PhaseGrid(10, 2)
 
 
@@ -21,8 +24,8 @@ def takes(step, partial=()):
     valid[list(partial), -1] = False
     captions = [f"take {step} {row}" for row in range(BATCH)]
     index = torch.ones(BATCH, dtype=torch.long)
-    place = torch.full((BATCH, 2), -1.0)
-    return SegmentBatch(rows, valid, rows + 0.5, rows, index, place, captions, list(captions))
+    place, turned = torch.full((BATCH, 2), -1.0), 10.0 * step + torch.arange(BATCH)
+    return SegmentBatch(rows, valid, rows + 0.5, rows, index, place, turned, captions, list(captions))
 
 
 def lasting(monkeypatch, segments, staying=0.5):
@@ -38,7 +41,7 @@ def test_a_stream_is_told_what_was_made_of_it_and_takes_are_left_alone(monkeypat
     assert first.captions[3] == "take 1 1"  # the second stream begins as the second take
     kept = w[own.rows]
     made = torch.randn(BATCH, FRAMES, FEATURES, generator=draws)
-    own.go_on(made, made)
+    own.go_on(made, made, TURN)
     batch, w = own.tell(takes(2), W + 1, draws)
     plain = takes(2)
     for row in range(BATCH):
@@ -59,7 +62,7 @@ def test_a_new_sentence_is_said_to_a_stream_or_begins_another(monkeypatch):
         lasting(monkeypatch, 1, staying)
         own, draws = OwnPast(0.5, BATCH, ONE), torch.Generator().manual_seed(0)
         own.tell(takes(1), W, draws)
-        own.go_on(*torch.full((2, BATCH, FRAMES, FEATURES), -1.0))
+        own.go_on(*torch.full((2, BATCH, FRAMES, FEATURES), -1.0), TURN)
         batch, _ = own.tell(takes(2), W, draws)
         assert [batch.captions[row] for row in own.rows] == ["take 2 0", "take 2 1", "take 2 2"]
         assert torch.equal(batch.clean[own.rows], takes(2).clean[:3])
@@ -80,7 +83,7 @@ def test_a_sentence_with_an_end_goes_by_and_gives_way_then(monkeypatch):
             assert torch.equal(batch.place[[2, 4, 5]], torch.full((3, 2), -1.0))  # takes are left alone
             places.append(batch.place[own.rows].tolist())
             captions.append([batch.captions[row] for row in own.rows])
-            own.go_on(*torch.zeros(2, BATCH, FRAMES, FEATURES))
+            own.go_on(*torch.zeros(2, BATCH, FRAMES, FEATURES), TURN)
         anew = [[0, 10], [4, 6], [8, 2]] if staying else [[2, 8], [6, 4], [2, 8]]
         assert [first for first, _ in places] == [[2, 8], [6, 4], *anew]
         assert [first for first, _ in captions] == ["take 0 0"] * 2 + ["take 2 0"] * 2 + [
@@ -89,6 +92,26 @@ def test_a_sentence_with_an_end_goes_by_and_gives_way_then(monkeypatch):
         # The other stream is told something without an end, which stays.
         assert {tuple(second) for _, second in places} == {(-1, -1)}
         assert {second for _, second in captions} == {"take 0 1"}
+
+
+def test_a_stream_knows_how_far_it_has_turned_since_it_was_told(monkeypatch):
+    """What began as a take has turned as far as that; what is said to a running stream begins at nought."""
+    for staying in (0.0, 1.0):
+        lasting(monkeypatch, 1e9, staying)
+        own, draws = OwnPast(1 / 3, BATCH, ONE), torch.Generator().manual_seed(0)
+        for step in range(3):
+            batch, _ = own.tell(takes(step), W, draws)
+            torch.testing.assert_close(batch.turned[own.rows], torch.tensor([0.0, 1.0]) + step * TURN[own.rows])
+            assert torch.equal(batch.turned[[1, 2, 4, 5]], takes(step).turned[[1, 2, 4, 5]])
+            own.go_on(*torch.zeros(2, BATCH, FRAMES, FEATURES), TURN)
+        lasting(monkeypatch, 1, staying)
+        batch, _ = own.tell(takes(3), W, draws)
+        assert batch.turned[own.rows].tolist() == ([0, 0] if staying else [30, 31])
+        # Who is told nothing of it is told nothing of it later.
+        own.tell(replace(takes(4), turned=torch.full((BATCH,), torch.nan)), W, draws)
+        own.go_on(*torch.zeros(2, BATCH, FRAMES, FEATURES), TURN)
+        lasting(monkeypatch, 1e9)
+        assert own.tell(takes(5), W, draws)[0].turned[own.rows].isnan().all()
 
 
 def test_a_segment_of_two_phases_takes_two_steps_and_goes_on_from_where_it_landed(monkeypatch):
@@ -109,7 +132,7 @@ def test_a_segment_of_two_phases_takes_two_steps_and_goes_on_from_where_it_lande
         z = own.enter(noisy)
         assert torch.equal(z[low], landed[step - 1][low] if step else noisy[low])
         assert not z[[row for row in range(BATCH) if row != low]].any()
-        own.go_on(made[step], landed[step])
+        own.go_on(made[step], landed[step], TURN)
     assert torch.equal(told[0][a], told[1][a])
     assert torch.equal(told[2][a], told[3][a])
     assert torch.equal(told[2][a], made[1][a])
@@ -124,7 +147,7 @@ def test_a_segment_is_finished_before_its_stream_gives_way(monkeypatch):
     for step in range(4):
         captions = own.tell(takes(step), W, draws)[0].captions
         said.append((captions[0], captions[2]))
-        own.go_on(*torch.zeros(2, BATCH, FRAMES, FEATURES))
+        own.go_on(*torch.zeros(2, BATCH, FRAMES, FEATURES), TURN)
     # What one said in its middle it goes on saying; the other, a step ahead, is told something else.
     assert [first for first, _ in said] == ["take 0 0", "take 0 0", "take 2 0", "take 2 0"]
     assert [second for _, second in said] == ["take 0 1", "take 1 1", "take 1 1", "take 3 1"]
@@ -135,7 +158,7 @@ def test_a_stream_lasts_as_long_as_it_says(monkeypatch):
     own, draws, ended = OwnPast(0.5, BATCH, ONE), torch.Generator().manual_seed(0), 0
     own.tell(takes(0), W, draws)
     for step in range(1, 2001):
-        own.go_on(*torch.zeros(2, BATCH, FRAMES, FEATURES))
+        own.go_on(*torch.zeros(2, BATCH, FRAMES, FEATURES), TURN)
         batch, _ = own.tell(takes(step), W, draws)
         ended += sum(batch.captions[row].startswith(f"take {step} ") for row in own.rows)
     assert abs(ended / 6000 - 1 / 8) < 0.015
@@ -177,7 +200,7 @@ def test_other_streams_than_those_saved_begin_anew():
 def test_state_comes_back_to_the_last_stream():
     one, draws = OwnPast(0.5, BATCH, ONE), torch.Generator().manual_seed(0)
     one.tell(takes(1), W, draws)
-    one.go_on(*torch.randn(2, BATCH, FRAMES, FEATURES))
+    one.go_on(*torch.randn(2, BATCH, FRAMES, FEATURES), TURN)
     other = OwnPast(0.5, BATCH, ONE)
     other.load_state(one.state(), torch.device("cpu"))
     for step in (2, 3):

@@ -103,33 +103,54 @@ def test_a_share_of_own_pasts_is_a_share(wrong):
 def test_places_are_learned_later_by_teacher_and_student(folder, rdm7, tmp_path, monkeypatch):
     """From a teacher that was trained without, whose every other weight is taken."""
     before = rdm7[1].checkpoint
-    teacher, _ = trained(folder, "rdm-7", tmp_path / "teacher", "placed=0.5", init=before, steps=1)
+    teacher, _ = trained(
+        folder, "rdm-7", tmp_path / "teacher", "placed=0.5", "coursed=0.5", "astray=0.3", init=before, steps=1
+    )
     assert teacher.denoiser.config.placed
+    assert teacher.denoiser.config.coursed
     assert bool(teacher.denoiser.place.weight.any())
-    with pytest.raises(InputError, match="a teacher that was trained with placed"):
-        trained(folder, "rdm-student", tmp_path / "refused", "placed=0.5")
+    assert bool(teacher.denoiser.course.weight.any())
+    for name in ("placed", "coursed"):
+        with pytest.raises(InputError, match=f"a teacher that was trained with {name}"):
+            trained(folder, "rdm-student", tmp_path / "refused", f"{name}=0.5")
 
     (copied := tmp_path / "folder").mkdir()
     shutil.copytree(tmp_path / "teacher", copied / "rdm-7")
-    told, read = [], bound_segments.place_of
+    told, read = [], bound_segments.told_of
     monkeypatch.setattr(
-        bound_segments, "place_of", lambda network, place: told.append((network, place)) or read(network, place)
+        bound_segments,
+        "told_of",
+        lambda network, place, turned: told.append((network, place, turned)) or read(network, place, turned),
     )
     corpus = folder / "corpus.safetensors"
     task, result = trained(
-        copied, "rdm-student", tmp_path / "student", "placed=0.6", "own_past=0.5", corpus=corpus, steps=4
+        copied,
+        "rdm-student",
+        tmp_path / "student",
+        "placed=0.6",
+        "coursed=0.6",
+        "astray=0.3",
+        "own_past=0.5",
+        corpus=corpus,
+        steps=4,
     )
     assert bool(task.student.place.weight.any())
-    assert frozen.load(result.checkpoint, "student_ema").module.config.placed
-    known = torch.cat([(place >= 0).all(dim=1) for network, place in told if network is task.student])
-    assert 0.1 < float(known.float().mean()) < 0.9
+    assert bool(task.student.course.weight.any())
+    config = frozen.load(result.checkpoint, "student_ema").module.config
+    assert config.placed
+    assert config.coursed
+    places, turns = zip(*[(place, turned) for network, place, turned in told if network is task.student], strict=True)
+    for known in ((torch.cat(places) >= 0).all(dim=1), ~torch.cat(turns).isnan()):
+        assert 0.1 < float(known.float().mean()) < 0.9
     told.clear()
     unplaced, _ = trained(copied, "rdm-student", tmp_path / "unplaced", "own_past=0.5", corpus=corpus, steps=2)
     assert told
-    assert all((place < 0).all() for _, place in told)
+    assert all((place < 0).all() and turned.isnan().all() for _, place, turned in told)
     assert (unplaced.own.state()["place"] < 0).all()
+    assert unplaced.own.state()["turned"].isnan().all()
 
 
 def test_a_network_that_cannot_read_places_is_refused(folder, rdm7, tmp_path):
-    with pytest.raises(InputError, match="placed is for the segment transformer"):
-        trained(folder, "light-rdm-1", tmp_path / "run", "placed=0.5")
+    for name in ("placed", "coursed"):
+        with pytest.raises(InputError, match=f"{name} is for the segment transformer"):
+            trained(folder, "light-rdm-1", tmp_path / "run", f"{name}=0.5")

@@ -161,6 +161,30 @@ def test_a_segment_lies_in_the_time_of_its_sentence(corpus):
     assert seen == {("one", False), ("two", False), ("two", True), ("both", False), ("on", False)}
 
 
+def test_a_segment_knows_how_far_its_way_has_turned_since_its_sentence_began(corpus):
+    """The heading of the motion that a clip is, from where a sentence begins to where the segment does."""
+    found, codec = corpus.cut(PLAIN), corpus.codec
+    normalizer = corpus.store.normalizer
+    batch = found.batch(200, seed=0, step=0)
+    seen = 0
+    for clean, (behind, _), turned in zip(batch.clean, batch.place.tolist(), batch.turned.tolist(), strict=True):
+        rows = [
+            row
+            for row in found.rows
+            for start in range(len(row.features))
+            if np.array_equal(row.features[start], clean[0])
+        ]
+        if len(rows) != 1 or not behind:
+            assert behind or turned == 0
+            continue
+        x = torch.from_numpy(np.array(rows[0].features)) * normalizer.std + normalizer.mean
+        heading = codec.root_path(x)[0]
+        start = next(k for k in range(len(x)) if np.array_equal(rows[0].features[k], clean[0]))
+        assert turned == pytest.approx(float(heading[start] - heading[start - int(behind)]), abs=1e-4)
+        seen += 1
+    assert seen > 20
+
+
 def test_the_sentence_before_is_that_of_the_segment_before(corpus):
     found = corpus.cut(PLAIN)
     found.rows = [Row(np.zeros((100, 1), np.float32), (50, 100), (("one",), ("two",)), ("both",))]

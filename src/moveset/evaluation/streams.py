@@ -18,13 +18,14 @@ from moveset.data.captions import mirror_text
 from moveset.diffusion.guidance import cfg
 from moveset.evaluation.generators import Remembered, Tick, Wanted, frames_at, joints_at, weights_of
 from moveset.models.flow import CouplingFlow
-from moveset.models.segment_transformer import place_of
+from moveset.models.segment_transformer import told_of
 from moveset.models.symmetric import Symmetric
 from moveset.motion.clip import Motion
 from moveset.motion.contacts import PLANTED
 from moveset.motion.foot_lock import FootLock
 from moveset.motion.hold_root import hold_root
 from moveset.motion.incremental import IncrementalDecoder
+from moveset.pipelines.course import Course
 from moveset.pipelines.device import pick_device
 from moveset.pipelines.stream_bundle import FLOW, StreamBundle
 from moveset.pipelines.stream_settings import StreamSettings, get_schedule, share_evenly
@@ -53,7 +54,7 @@ class Streams:
         "moveset.text.stages", "moveset.rdm.sampler", "moveset.rdm.staircase", "moveset.rdm.transport",
         "moveset.rdm.noise", "moveset.diffusion.steps", "moveset.diffusion.coloured", "moveset.motion.incremental",
         "moveset.motion.foot_lock", "moveset.motion.cleanup", "moveset.motion.hover", "moveset.motion.hold_root",
-        "moveset.models.symmetric", "moveset.motion.contacts",
+        "moveset.models.symmetric", "moveset.motion.contacts", "moveset.pipelines.course",
     )  # fmt: skip
 
     def __init__(
@@ -113,7 +114,7 @@ class Streams:
     @torch.inference_mode()
     def _sample(self, wanted: Sequence[Wanted], plan: Staircase, fps: float) -> Tensor:
         """Features (B, N n, D), not normalised."""
-        config, settings = self._bundle.config, self._settings
+        config, settings, statistics = self._bundle.config, self._settings, self._bundle.normalizer
         network = self._bundle.module(settings.network, self._device)
         flow = self._bundle.module(FLOW, self._device) if self._uses_flow else None
         said = [timeline(one, fps, config.segment / config.fps, settings.stages) for one in wanted]
@@ -124,6 +125,9 @@ class Streams:
             guided=bool(config.models[settings.network].config.get("guided")),
             guidance=settings.guidance,
             once=settings.clean_left,
+            course=Course(
+                self._codec.groups["root_yaw"], statistics["feature_mean"], statistics["feature_std"], plan.steps
+            ),
             device=self._device,
         )
 
@@ -140,7 +144,6 @@ class Streams:
         )  # fmt: skip
         assert plan.segments is not None
         made = torch.cat(list(islice(segments, plan.segments)), dim=1).cpu()
-        statistics = self._bundle.normalizer
         return made * statistics["feature_std"] + statistics["feature_mean"]
 
     def _motion(self, features: Tensor) -> Motion:
@@ -205,17 +208,18 @@ class Bound:
         guided: whether it takes the guidance scale as an input; the others are evaluated with and without text.
         guidance: scale w.
         once: every segment is told its finished predecessor, so text and predecessor are read once for all steps.
+        course: how far the sequences have turned, which is kept here.
         device: where to compute.
     """
 
     def __init__(
         self, network: nn.Module, text: Remembered, said: Sequence[_Line], *, guided: bool, guidance: float, once: bool,
-        device: torch.device,
+        course: Course, device: torch.device,
     ) -> None:  # fmt: skip
         self._network, self._text, self._said, self._guided, self._w = network, text, said, guided, guidance
         self._twice = bool(guidance) and not guided
         self._even = isinstance(network, Symmetric)
-        self._once, self._device = once and hasattr(network, "read"), device
+        self._once, self._device, self._course = once and hasattr(network, "read"), device, course
         self._words: tuple[tuple[int, ...], TextEmbedding] | None = None
         self._context: tuple[int, object] | None = None
 
@@ -228,25 +232,36 @@ class Bound:
             x_BnD, prev_BnD = (z.repeat(2, 1, 1) for z in (x_BnD, prev_BnD))
             t_B, prev_t_B, index_B = (z.repeat(2) for z in (t_B, prev_t_B, index_B))
         w_B = torch.full((len(x_BnD),), self._w, device=self._device) if self._guided else None
-        placed = place_of(self._network, self._place(segments, x_BnD.shape[1]))
         if self._once:
             network: Any = self._network
             if self._context is None or self._context[0] != segments[0]:
-                read = network.read(text.tokens, text.mask, prev_BnD, prev_t_B, index_B, **placed)
+                told = self._told(segments, x_BnD.shape[1])
+                read = network.read(text.tokens, text.mask, prev_BnD, prev_t_B, index_B, **told)
                 self._context = (segments[0], read)
             made = network.denoise(x_BnD, t_B, self._context[1], w_B)
         else:
-            made = self._network(x_BnD, t_B, prev_BnD, prev_t_B, index_B, text.tokens, text.mask, w_B, **placed)
-        return cfg(*made.chunk(2), self._w) if self._twice else made
+            told = self._told(segments, x_BnD.shape[1])
+            made = self._network(x_BnD, t_B, prev_BnD, prev_t_B, index_B, text.tokens, text.mask, w_B, **told)
+        made = cfg(*made.chunk(2), self._w) if self._twice else made
+        for segment, rows in zip(dict.fromkeys(segments), made.split(len(self._said)), strict=True):
+            self._course.made(segment, rows, self._behind(segment))
+        return made
 
     def pooled(self, segment: int) -> Tensor:
         """(B, C) sentence embeddings of a segment's prompts."""
         return self._text.encode([line(segment) for line in self._said]).pooled.to(self._device)
 
-    def _place(self, segments: Sequence[int], frames: int) -> Tensor:
-        """(B, 2) where in the time of their prompts these rows lie, in frames."""
-        place = torch.tensor([line.place(segment) for segment in dict.fromkeys(segments) for line in self._said])
-        return (place * frames).repeat(2 if self._twice else 1, 1).to(self._device)
+    def _told(self, segments: Sequence[int], frames: int) -> dict[str, Tensor]:
+        """Where in the time of their prompts these rows lie, and how far they have turned since, as the network reads
+        it."""
+        each, times = dict.fromkeys(segments), 2 if self._twice else 1
+        place_B2 = torch.tensor([line.place(segment) for segment in each for line in self._said]) * frames
+        turned_B = torch.cat([self._course.turned(segment, self._behind(segment)) for segment in each])
+        return told_of(self._network, place_B2.repeat(times, 1).to(self._device), turned_B.repeat(times))
+
+    def _behind(self, segment: int) -> Tensor:
+        """Segments (B,) of the same prompts that lie before this one."""
+        return torch.tensor([int(line.place(segment)[0]) for line in self._said], device=self._device)
 
     def _read(self, segments: tuple[int, ...]) -> TextEmbedding:
         """Of the rows of these segments; below them the empty text for guidance, or what mirror images are told."""

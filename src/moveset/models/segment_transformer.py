@@ -16,7 +16,7 @@ Shapes: B rows, n frames, D features, L text tokens, C text width, W model width
 """
 
 from dataclasses import dataclass, replace
-from typing import cast
+from typing import ClassVar, cast
 
 import torch
 from torch import Tensor, nn
@@ -45,7 +45,8 @@ class SegmentTransformerConfig:
     all to the eye. ``tremor`` is c where it is larger, for the frequencies above a third of the highest, in which
     nobody moves on purpose: with one c for all that is strong enough against trembling, feet swing too low. 0 leaves
     all as it is. ``alone`` takes every segment for a first one, whatever is told of the one before it. ``placed`` reads
-    where a segment lies in the time of its sentence, wherever that is told.
+    where a segment lies in the time of its sentence, and ``coursed`` how far the way has turned since the sentence
+    began, wherever that is told.
     """
 
     features: int = 269
@@ -61,6 +62,7 @@ class SegmentTransformerConfig:
     guided: bool = False
     alone: bool = False
     placed: bool = False
+    coursed: bool = False
 
     def __post_init__(self) -> None:
         for name in ("features", "text_dim", "width", "heads", "hidden"):
@@ -93,10 +95,10 @@ class Context:
 
 
 class SegmentTransformer(nn.Module):
-    """``denoiser(x, t, prev, prev_t, index, tokens, mask, w, valid, taps, place) -> x0``."""
+    """``denoiser(x, t, prev, prev_t, index, tokens, mask, w, valid, taps, place, turned) -> x0``."""
 
-    learned_later = ("place.weight",)
-    """What a training may add to a network that was trained without it."""
+    learned_later: ClassVar = {"place.weight": "placed", "course.weight": "coursed"}
+    """What a training may add to a network that was trained without it, and which setting says that it is there."""
 
     def __init__(self, config: SegmentTransformerConfig) -> None:
         super().__init__()
@@ -125,6 +127,9 @@ class SegmentTransformer(nn.Module):
             # Zero at the start, so that a network may learn it after the rest.
             self.place = nn.Linear(2 * _WAVES, c.width, bias=False)
             nn.init.zeros_(self.place.weight)
+        if c.coursed:
+            self.course = nn.Linear(_WAVES, c.width, bias=False)
+            nn.init.zeros_(self.course.weight)
         if c.guided:
             # Zero at the start: a fresh student is its teacher, whatever the guidance scale.
             self.guidance = nn.Linear(_WAVES, c.width, bias=False)
@@ -152,6 +157,7 @@ class SegmentTransformer(nn.Module):
         prev_t_B: Tensor,
         index_B: Tensor,
         place_B2: Tensor | None = None,
+        turned_B: Tensor | None = None,
     ) -> Context:
         """Text and previous segment, for any number of calls in which neither they nor their level change."""
         if self.config.alone:
@@ -174,6 +180,8 @@ class SegmentTransformer(nn.Module):
         condition = pooled + self.index(index_B.clamp(max=self.config.max_index)) + level
         if self.config.placed and place_B2 is not None:
             condition = condition + self.place(place_waves(place_B2))
+        if self.config.coursed and turned_B is not None:
+            condition = condition + self.course(course_waves(turned_B))
         pairs = tuple(cast(Block, block).read(context) for block in self.blocks)
         return Context(pairs, bias, condition, last, self._expected(prev_BnD, prev_t_B, index_B))
 
@@ -197,6 +205,7 @@ class SegmentTransformer(nn.Module):
         mask_Bn: Tensor | None = None,
         taps: list[Tensor] | None = None,
         place_B2: Tensor | None = None,
+        turned_B: Tensor | None = None,
     ) -> Tensor:
         """The clean segment (B, n, D).
 
@@ -211,8 +220,10 @@ class SegmentTransformer(nn.Module):
             place_B2: frames from where the sentence begins to where the segment does, and from there to where the
                 sentence ends; negative where that is not known. Only networks with ``placed`` read it, and none of
                 a sentence that is longer than ``LONGEST``.
+            turned_B: radians by which the heading has changed since the sentence began, as the features' yaw steps have
+                them; NaN where that is not known. Only networks with ``coursed`` read it, and none of more than a turn.
         """
-        context = self.read(tokens_BLC, mask_BL, prev_BnD, prev_t_B, index_B, place_B2)
+        context = self.read(tokens_BLC, mask_BL, prev_BnD, prev_t_B, index_B, place_B2, turned_B)
         return self.denoise(x_BnD, t_B, context, w_B, mask_Bn, taps)
 
     def denoise(
@@ -273,9 +284,11 @@ class SegmentTransformer(nn.Module):
         return torch.cat((own, told), dim=1)[:, None, None, :]
 
 
-def place_of(network: nn.Module, place_B2: Tensor) -> dict[str, Tensor]:
-    """The keyword by which a denoiser is told places (``SegmentTransformer.forward``), if it is one that reads them."""
-    return {"place_B2": place_B2} if getattr(network.config, "placed", False) else {}
+def told_of(network: nn.Module, place_B2: Tensor, turned_B: Tensor) -> dict[str, Tensor]:
+    """The keywords by which a denoiser is told places and turns (``SegmentTransformer.forward``), as far as it reads
+    them."""
+    told = {"place_B2": (place_B2, "placed"), "turned_B": (turned_B, "coursed")}
+    return {name: value for name, (value, reads) in told.items() if getattr(network.config, reads, False)}
 
 
 def place_waves(place_B2: Tensor) -> Tensor:
@@ -283,6 +296,13 @@ def place_waves(place_B2: Tensor) -> Tensor:
     told_B = torch.cat((waves(place_B2[:, 0]), waves(place_B2[:, 1])), dim=-1)
     known_B = (place_B2.amin(dim=1) >= 0) & (place_B2.sum(dim=1) <= LONGEST)
     return told_B * known_B[:, None]
+
+
+def course_waves(turned_B: Tensor) -> Tensor:
+    """Sinusoids (B, 256) of how far a way has turned, in tens of degrees: nobody needs to know it more finely. Zero
+    where it is not known, or more than a turn."""
+    known_B = turned_B.abs() <= 2 * torch.pi  # NaN is not
+    return waves(turned_B.masked_fill(~known_B, 0.0).rad2deg() / 10.0) * known_B[:, None]
 
 
 register("segment_transformer", SegmentTransformerConfig)

@@ -33,12 +33,14 @@ class Symmetric(nn.Module):
 
     def read(
         self, tokens_BLC: Tensor, mask_BL: Tensor, prev_BnD: Tensor, prev_t_B: Tensor, index_B: Tensor,
-        place_B2: Tensor | None = None,
+        place_B2: Tensor | None = None, turned_B: Tensor | None = None,
     ) -> object:  # fmt: skip
         """As the network's own, with 2 B rows of text: the sentences, and below them their mirror images."""
         prev_BnD = torch.cat((prev_BnD, self.flipped(prev_BnD)))
-        placed = {} if place_B2 is None else {"place_B2": place_B2.repeat(2, 1)}
-        return self.network.read(tokens_BLC, mask_BL, prev_BnD, prev_t_B.repeat(2), index_B.repeat(2), **placed)
+        told = {} if place_B2 is None else {"place_B2": place_B2.repeat(2, 1)}
+        if turned_B is not None:
+            told["turned_B"] = torch.cat((turned_B, -turned_B))
+        return self.network.read(tokens_BLC, mask_BL, prev_BnD, prev_t_B.repeat(2), index_B.repeat(2), **told)
 
     def denoise(self, x_BnD: Tensor, t_B: Tensor, context: object, w_B: Tensor | None) -> Tensor:
         """Clean segments (B, n, D)."""
@@ -50,10 +52,11 @@ class Symmetric(nn.Module):
 
     def forward(
         self, x_BnD: Tensor, t_B: Tensor, prev_BnD: Tensor, prev_t_B: Tensor, index_B: Tensor, tokens_BLC: Tensor,
-        mask_BL: Tensor, w_B: Tensor | None = None, *, place_B2: Tensor | None = None,
+        mask_BL: Tensor, w_B: Tensor | None = None, *, place_B2: Tensor | None = None, turned_B: Tensor | None = None,
     ) -> Tensor:  # fmt: skip
         """Clean segments (B, n, D), with 2 B rows of text as in ``read``."""
-        return self.denoise(x_BnD, t_B, self.read(tokens_BLC, mask_BL, prev_BnD, prev_t_B, index_B, place_B2), w_B)
+        context = self.read(tokens_BLC, mask_BL, prev_BnD, prev_t_B, index_B, place_B2, turned_B)
+        return self.denoise(x_BnD, t_B, context, w_B)
 
     def flipped(self, x_BnD: Tensor) -> Tensor:
         """The mirror images of segments."""

@@ -11,7 +11,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Self, cast
 
@@ -26,9 +26,11 @@ from moveset.motion.contacts import PLANTED
 from moveset.motion.foot_lock import FootLock
 from moveset.motion.hold_root import hold_root
 from moveset.motion.incremental import IncrementalDecoder
+from moveset.pipelines.course import Course
 from moveset.pipelines.device import pick_device
 from moveset.pipelines.prompt_memory import PromptMemory
 from moveset.pipelines.seed_motion import SeedMotion
+from moveset.pipelines.segment import Segment
 from moveset.pipelines.segment_denoise import SegmentDenoise
 from moveset.pipelines.stream_bundle import DEFAULT_STREAM, FLOW, StreamBundle
 from moveset.pipelines.stream_settings import (
@@ -48,30 +50,6 @@ from moveset.rdm.transport import Transport
 from moveset.text.encoder import TextEncoder, get_text_encoder
 
 _WARM_UP = 3  # segments made and thrown away before the first
-
-
-@dataclass(frozen=True, eq=False)
-class Segment:
-    """A piece of the motion.
-
-    Args:
-        number: from 0.
-        first_frame: number of its first frame in the stream.
-        frames: n.
-        prompt: what it was told.
-        motion: world rotations and path, going on from the segment before; float64, so that long walks stay smooth.
-        latency_ms: what making it took, with the encoding of new prompts since the segment before.
-        network_evaluations: since the segment before; guidance by two evaluations counts both, as
-            does a network that is evaluated with its mirror image.
-    """
-
-    number: int
-    first_frame: int
-    frames: int
-    prompt: str
-    motion: Motion
-    latency_ms: float
-    network_evaluations: int
 
 
 class MotionStream(Iterator[Segment]):
@@ -228,6 +206,7 @@ class MotionStream(Iterator[Segment]):
                 "given": self._given,
                 "prompts": {str(j): self._prompts[j] for j in progress.active},
                 "places": {str(j): self._places[j] for j in progress.active},
+                "course": self._denoise.course.state(),
                 "sampler": progress.numbers(),
                 "decoder": self._decoder.state(),
                 "feet": self._feet.state(),
@@ -262,10 +241,13 @@ class MotionStream(Iterator[Segment]):
             found = {k: x.to(self.device) for k, x in found.items()}
             self._go_on(StreamState.restore(numbers["sampler"], found), int(numbers["given"]))
             self._prompts |= {int(segment): prompt for segment, prompt in numbers["prompts"].items()}
-            places = numbers.get("places", {})  # states from before streams were told have none
+            places = numbers.get("places", {})  # states from before streams were told have none, or no third number
             for segment, prompt in self._prompts.items():
-                self._places[segment] = tuple(places.get(str(segment), (UNKNOWN, UNKNOWN)))
-                self._denoise.enter(segment, prompt, self._places[segment])
+                place = (*places.get(str(segment), (UNKNOWN, UNKNOWN)), 0)[:3]
+                self._places[segment] = place
+                self._denoise.enter(segment, prompt, place)
+            if "course" in numbers:
+                self._denoise.course.restored(numbers["course"], self.device)
             self._decoder = IncrementalDecoder.from_state(self.codec, numbers["decoder"])
             self._feet = FootLock.from_state(self.codec.skeleton, self.codec.fps, numbers["feet"])
             for k, made in enumerate(numbers["waiting"]):
@@ -327,7 +309,7 @@ class MotionStream(Iterator[Segment]):
         config, settings = self.bundle.config, self._settings
         self._given, self._told = given, 0
         self._prompts: dict[int, str] = {}
-        self._places: dict[int, tuple[int, int]] = {}
+        self._places: dict[int, tuple[int, int, int]] = {}
         self._denoise = SegmentDenoise(
             self._network,
             guided=bool(config.models[settings.network].config.get("guided")),
@@ -335,6 +317,7 @@ class MotionStream(Iterator[Segment]):
             encode=self._texts,
             clean_left=settings.clean_left,
             seeded=given > 0,
+            course=Course(self.codec.groups["root_yaw"], self._mean, self._std, settings.steps),
             device=self.device,
         )
         self._sampler: Stream = stream(
@@ -378,8 +361,9 @@ class MotionStream(Iterator[Segment]):
 
     def _enter(self, segment: int) -> Tensor | None:
         """Called by the sampler when a segment enters: its prompt, which stays."""
-        prompt = self._prompts[segment] = self._timeline.at(segment - self._given)
-        place = self._places[segment] = self._timeline.place(segment - self._given)
+        line, number = self._timeline, segment - self._given
+        prompt = self._prompts[segment] = line.at(number)
+        place = self._places[segment] = (*line.place(number), line.behind(number))
         pooled = self._denoise.enter(segment, prompt, place)
         return None if self._transport.flow is None else pooled
 

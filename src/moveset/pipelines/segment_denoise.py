@@ -11,8 +11,9 @@ from torch import Tensor, nn
 
 from moveset.data.captions import mirror_text
 from moveset.diffusion.guidance import cfg
-from moveset.models.segment_transformer import place_of
+from moveset.models.segment_transformer import told_of
 from moveset.models.symmetric import Symmetric
+from moveset.pipelines.course import Course
 from moveset.text.encoder import TextEmbedding, stack
 
 
@@ -37,6 +38,7 @@ class SegmentDenoise:
         encode: a prompt's embedding; the empty one is for guidance by two evaluations.
         clean_left: every segment is told its finished predecessor, so text and predecessor are read once for all steps.
         seeded: segment 0 is a given motion, so the one after it is told a clean predecessor at every step.
+        course: how far the stream has turned, which is kept here.
         device: where to compute.
     """
 
@@ -49,6 +51,7 @@ class SegmentDenoise:
         encode: Callable[[str], TextEmbedding],
         clean_left: bool,
         seeded: bool,
+        course: Course,
         device: torch.device,
     ) -> None:
         self._network, self._guided, self._guidance = network, guided, guidance
@@ -60,12 +63,15 @@ class SegmentDenoise:
         self._texts: dict[int, TextEmbedding] = {}
         self._mirrored: dict[int, TextEmbedding] = {}
         self._places: dict[int, tuple[int, int]] = {}
+        self._behind: dict[int, Tensor] = {}
+        self.course = course
         self._context: tuple[int, object] | None = None
         self.evaluations = 0
 
-    def enter(self, segment: int, prompt: str, place: tuple[int, int]) -> Tensor:
-        """Bind the prompt of a segment, and where in its time the segment lies; the sentence embedding (1, C)."""
-        self._places[segment] = place
+    def enter(self, segment: int, prompt: str, place: tuple[int, int, int]) -> Tensor:
+        """Bind the prompt of a segment, where in its time the segment lies (``Timeline.place``), and how many before it
+        are told the same; the sentence embedding (1, C)."""
+        self._places[segment], self._behind[segment] = place[:2], torch.tensor([place[2]], device=self._device)
         self._texts[segment] = self._encode(prompt).to(self._device)
         if self._even:
             self._mirrored[segment] = self._encode(mirror_text(prompt)).to(self._device)
@@ -75,6 +81,7 @@ class SegmentDenoise:
         """Forget a finished segment."""
         self._texts.pop(segment, None)
         self._places.pop(segment, None)
+        self._behind.pop(segment, None)
         self._mirrored.pop(segment, None)
 
     def __call__(
@@ -93,21 +100,24 @@ class SegmentDenoise:
         if self._once:
             network = cast(Reader, self._network)
             if self._context is None or self._context[0] != segments[0]:
-                text, placed = self._text(segments), self._placed(segments, x_BnD.shape[1])
-                read = network.read(text.tokens, text.mask, prev_BnD, prev_t_B, index_B, **placed)
+                text, told = self._text(segments), self._told(segments, x_BnD.shape[1])
+                read = network.read(text.tokens, text.mask, prev_BnD, prev_t_B, index_B, **told)
                 self._context = (segments[0], read)
             made = network.denoise(x_BnD, t_B, self._context[1], w_B)
         else:
-            text, placed = self._text(segments), self._placed(segments, x_BnD.shape[1])
-            made = self._network(x_BnD, t_B, prev_BnD, prev_t_B, index_B, text.tokens, text.mask, w_B, **placed)
-        if not self._twice:
-            return made
-        told, untold = made.chunk(2)
-        return cfg(told, untold, self._guidance)
+            text, told = self._text(segments), self._told(segments, x_BnD.shape[1])
+            made = self._network(x_BnD, t_B, prev_BnD, prev_t_B, index_B, text.tokens, text.mask, w_B, **told)
+        if self._twice:
+            made = cfg(*made.chunk(2), self._guidance)
+        for segment, row in zip(segments, made.split(1), strict=True):
+            self.course.made(segment, row, self._behind[segment])
+        return made
 
-    def _placed(self, segments: Sequence[int], frames: int) -> dict[str, Tensor]:
-        places = [self._places[segment] for segment in segments] * (2 if self._twice else 1)
-        return place_of(self._network, torch.tensor(places, device=self._device) * float(frames))
+    def _told(self, segments: Sequence[int], frames: int) -> dict[str, Tensor]:
+        times = 2 if self._twice else 1
+        place_B2 = torch.tensor([self._places[segment] for segment in segments], device=self._device) * float(frames)
+        turned_B = torch.cat([self.course.turned(segment, self._behind[segment]) for segment in segments])
+        return told_of(self._network, place_B2.repeat(times, 1), turned_B.repeat(times))
 
     def _text(self, segments: Sequence[int]) -> TextEmbedding:
         texts = [self._texts[segment] for segment in segments]

@@ -21,16 +21,17 @@ from moveset.diffusion.guidance import cfg
 from moveset.diffusion.steps import add_noise, denoise_step
 from moveset.errors import InputError
 from moveset.models.flow import CouplingFlow
-from moveset.models.segment_transformer import place_of
+from moveset.models.segment_transformer import told_of
 from moveset.models.symmetric import Symmetric
 from moveset.motion.clip import Motion
 from moveset.motion.contacts import PLANTED
 from moveset.motion.foot_lock import FootLock
 from moveset.motion.hold_root import hold_root
 from moveset.motion.incremental import IncrementalDecoder
+from moveset.pipelines.course import Course
 from moveset.pipelines.device import pick_device
-from moveset.pipelines.motion_stream import Segment
 from moveset.pipelines.prompt_memory import PromptMemory
+from moveset.pipelines.segment import Segment
 from moveset.pipelines.segment_denoise import Reader
 from moveset.pipelines.stream_bundle import FLOW, StreamBundle
 from moveset.pipelines.stream_settings import StreamSettings, Timeline, get_schedule, held
@@ -67,6 +68,7 @@ class Lane:
         number: of the next segment.
         left: (1, n, D) the last finished segment, normalised.
         left_pooled: (1, C) the sentence embedding of what it was told.
+        turned: radians by which its way has turned since its sentence began.
         reading_ms: what encoding took since the last segment.
     """
 
@@ -81,8 +83,14 @@ class Lane:
     number: int = 0
     left: Tensor | None = None
     left_pooled: Tensor | None = None
+    turned: float = 0.0
     mirrored: TextEmbedding | None = None
     reading_ms: float = 0.0
+
+    @property
+    def behind(self) -> int:
+        """Segments before the next one that are told the same sentence."""
+        return self.line.behind(self.number - self.since)
 
     def copy(self) -> "Lane":
         """An independent copy, to go back to."""
@@ -141,6 +149,7 @@ class StreamGroup:
         self._transport = Transport(flow, max(config.depth_cap, 1))
         self._schedule, self._levels = get_schedule(config), settings.levels(config)
         self._shape = (config.segment, self.codec.dim)
+        self._course = Course(self.codec.groups["root_yaw"], self._mean, self._std, window=1)
 
     def open(self, prompt: str, seed: int, guidance: float | None = None) -> Lane:
         """A stream at its beginning.
@@ -217,6 +226,7 @@ class StreamGroup:
         evaluations = self.settings.steps * (2 if twice else 1)
         latency = round(spent + lane.reading_ms, 3)
         lane.left, lane.left_pooled = clean[None].clone(), lane.text.pooled
+        lane.turned = float(self._course.turn(clean[None])) + (lane.turned if lane.behind else 0.0)
         lane.number, lane.reading_ms = number + 1, 0.0
         return Piece(Segment(number, number * frames, frames, lane.prompt, motion, latency, evaluations), planted)
 
@@ -271,9 +281,10 @@ class StreamGroup:
         if twice:
             text = stack([text, *[self._texts("").to(self.device)] * len(lanes)])
             index_B = index_B.repeat(2)
-        network = self._network
-        places = [lane.line.place(lane.number - lane.since) for lane in lanes] * (2 if twice else 1)
-        placed = place_of(network, torch.tensor(places, device=self.device) * float(self._shape[0]))
+        network, times = self._network, 2 if twice else 1
+        places = [lane.line.place(lane.number - lane.since) for lane in lanes] * times
+        turned_B = torch.tensor([lane.turned if lane.behind else 0.0 for lane in lanes] * times, device=self.device)
+        told = told_of(network, torch.tensor(places, device=self.device) * float(self._shape[0]), turned_B)
         context: object = None  # text and past, read once if they stay the same
 
         def denoise(x_BnD: Tensor, t_B: Tensor, left_BnD: Tensor, left_t_B: Tensor) -> Tensor:
@@ -283,14 +294,11 @@ class StreamGroup:
                 t_B, left_t_B = t_B.repeat(2), left_t_B.repeat(2)
             if isinstance(network, Reader):
                 if context is None or not self.settings.clean_left:
-                    context = network.read(text.tokens, text.mask, left_BnD, left_t_B, index_B, **placed)
+                    context = network.read(text.tokens, text.mask, left_BnD, left_t_B, index_B, **told)
                 made = network.denoise(x_BnD, t_B, context, scale_B)
             else:
-                made = network(x_BnD, t_B, left_BnD, left_t_B, index_B, text.tokens, text.mask, scale_B, **placed)
-            if not twice:
-                return made
-            told, untold = made.chunk(2)
-            return cfg(told, untold, w_B)
+                made = network(x_BnD, t_B, left_BnD, left_t_B, index_B, text.tokens, text.mask, scale_B, **told)
+            return cfg(*made.chunk(2), w_B) if twice else made
 
         return denoise
 

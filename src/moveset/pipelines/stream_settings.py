@@ -118,6 +118,16 @@ class Timeline:
         known = begin <= segment < end and (end < self.end or self.timed or self.loop)
         return (segment - begin, end - segment) if known else (UNKNOWN, UNKNOWN)
 
+    def behind(self, segment: int) -> int:
+        """How many segments before this one belong to the same saying of its prompt.
+
+        >>> line = Timeline(("walk", "bow"), (0, 3), 4)
+        >>> [line.behind(k) for k in (0, 2, 3, 9)]
+        [0, 2, 0, 6]
+        """
+        part, segment = self._part(segment), segment % self.end if self.loop else segment
+        return max(segment - (self.origin, *self.starts[1:])[part], 0)
+
     def _part(self, segment: int) -> int:
         return bisect_right(self.starts, segment % self.end if self.loop else segment) - 1
 

@@ -12,7 +12,7 @@ from torch import Tensor, nn
 
 from moveset.diffusion.guidance import cfg
 from moveset.diffusion.steps import add_noise, denoise_step
-from moveset.models.segment_transformer import UNKNOWN, place_of
+from moveset.models.segment_transformer import UNKNOWN, told_of
 from moveset.rdm.transport import Transport
 from moveset.text.encoder import TextEmbedding, stack
 from moveset.training.rdm import SCHEDULE
@@ -54,7 +54,8 @@ class BoundSegments:
         """The same with some segments as first ones: without a past, and in the coordinates of such."""
         # Their example is of the sentence and of no time in it.
         place_B2 = self.batch.place.masked_fill(rows_B[:, None], UNKNOWN)
-        batch = replace(self.batch, index=self.batch.index.masked_fill(rows_B, 0), place=place_B2)
+        turned_B = self.batch.turned.masked_fill(rows_B, torch.nan)
+        batch = replace(self.batch, index=self.batch.index.masked_fill(rows_B, 0), place=place_B2, turned=turned_B)
         return BoundSegments(batch, self.text, self.empty, self.transport, self.teacher)
 
     def push(self, y: Tensor) -> Tensor:
@@ -72,7 +73,7 @@ class BoundSegments:
         told = (previous.repeat(2, 1, 1), level_B.repeat(2), b.index.repeat(2))
         made = self.teacher(
             x.repeat(2, 1, 1), t_B.repeat(2), *told, self.both.tokens, self.both.mask, None, b.valid.repeat(2, 1),
-            **place_of(self.teacher, b.place.repeat(2, 1)),
+            **told_of(self.teacher, b.place.repeat(2, 1), b.turned.repeat(2)),
         )  # fmt: skip
         told, untold = made.float().chunk(2)
         return cfg(told, untold, w_B)
@@ -93,7 +94,7 @@ class BoundSegments:
             b = self.batch
             made: Tensor = network(
                 x, t_B, b.previous, self.clean_level, b.index, text.tokens, text.mask, w_B, b.valid,
-                **place_of(network, b.place),
+                **told_of(network, b.place, b.turned),
             )  # fmt: skip
             return made.float()
 
@@ -105,7 +106,7 @@ class BoundSegments:
         b, text = self.batch, self.text
         self.teacher(
             x, t_B, b.previous, self.clean_level, b.index, text.tokens, text.mask, None, b.valid, taps,
-            **place_of(self.teacher, b.place),
+            **told_of(self.teacher, b.place, b.turned),
         )  # fmt: skip
         return taps
 

@@ -32,8 +32,8 @@ STAYING = 0.5
 
 @dataclass(frozen=True, eq=False)
 class _Streams:
-    """What streams are told (S, …): past, segment number, place in the time of the sentence, guidance scale, sentence;
-    and an example of the sentence.
+    """What streams are told (S, …): past, segment number, place in the time of the sentence, turn since it began,
+    guidance scale, sentence; and an example of the sentence.
 
     ``phase`` is the one that is next, and ``landed`` the noisy segment there, of no meaning where one begins.
     """
@@ -41,6 +41,7 @@ class _Streams:
     previous: Tensor
     index: Tensor
     place: Tensor
+    turned: Tensor
     w: Tensor
     clean: Tensor
     phase: Tensor
@@ -91,10 +92,13 @@ class OwnPast:
         whole_S2 = torch.stack((torch.zeros_like(ends), offered.place.sum(dim=1)), dim=1)
         said_S2 = torch.where(offered.place >= 0, whole_S2, offered.place)
         place_S2 = _mixed(ends_S, _mixed(begins_S, offered.place, said_S2), old.place)
+        anew_S = offered.turned * 0.0  # unknown stays so
+        turned_S = _mixed(ends_S, _mixed(begins_S, offered.turned, anew_S), old.turned)
         now = self._streams = _Streams(
             _mixed(begins_S, offered.previous, old.previous),
             _mixed(begins_S, offered.index, old.index),
             place_S2,
+            turned_S,
             _mixed(begins_S, offered.w, old.w),
             _mixed(ends_S, offered.clean, old.clean),
             old.phase,
@@ -111,6 +115,7 @@ class OwnPast:
             previous=batch.previous.index_copy(0, rows, now.previous),
             index=batch.index.index_copy(0, rows, now.index),
             place=batch.place.index_copy(0, rows, now.place),
+            turned=batch.turned.index_copy(0, rows, now.turned),
             captions=captions,
             previous_captions=before,
         )
@@ -132,12 +137,13 @@ class OwnPast:
         rows, begun_S = self.rows.to(z_BnD.device), self._streams.phase < self.grid.phases - 1
         return z_BnD.index_copy(0, rows, _mixed(begun_S, self._streams.landed, z_BnD[rows]))
 
-    def go_on(self, made_BnD: Tensor, landed_BnD: Tensor) -> None:
+    def go_on(self, made_BnD: Tensor, landed_BnD: Tensor, turn_B: Tensor) -> None:
         """What the student made of the batch that ``tell`` gave becomes the streams' past, at the end of a segment.
 
         Args:
             made_BnD: clean segments.
             landed_BnD: noisy ones at the lower edges of their phases, where unfinished segments go on.
+            turn_B: radians by which the clean ones turn.
         """
         assert self._streams is not None
         old, rows = self._streams, self.rows.to(made_BnD.device)
@@ -150,6 +156,7 @@ class OwnPast:
             previous=_mixed(done_S, made, old.previous),
             index=old.index + done_S.long(),
             place=_mixed(done_S, on_S2, old.place),
+            turned=old.turned + turn_B[rows] * done_S,
             phase=torch.where(done_S, self.grid.phases - 1, old.phase - 1),
             landed=landed,
         )
@@ -173,7 +180,7 @@ class OwnPast:
         rows = whole[torch.arange(self.count, device=whole.device) % len(whole)]
         captions = [batch.captions[row] for row in rows.tolist()]
         clean, phase = batch.clean[rows], self._turns().to(batch.index.device)
-        told = (batch.previous[rows], batch.index[rows], batch.place[rows], w_B[rows])
+        told = (batch.previous[rows], batch.index[rows], batch.place[rows], batch.turned[rows], w_B[rows])
         return _Streams(*told, clean, phase, clean, captions)
 
     def _turns(self) -> Tensor:

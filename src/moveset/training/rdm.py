@@ -19,7 +19,7 @@ from moveset.models.flow import CouplingFlow, FlowConfig
 from moveset.models.light_t2m import LightT2MConfig
 from moveset.models.registry import describe
 from moveset.models.segment_denoiser import SegmentDenoiserConfig
-from moveset.models.segment_transformer import UNKNOWN, SegmentTransformer, SegmentTransformerConfig
+from moveset.models.segment_transformer import SegmentTransformer, SegmentTransformerConfig
 from moveset.motion.features import FeatureCodec, Normalizer, get_codec
 from moveset.rdm.grid import GridConfig, corrupt, draw
 from moveset.rdm.losses import flow_loss, masked_mse, velocity_loss
@@ -37,6 +37,7 @@ from moveset.training.optim import cosine_lr
 from moveset.training.reading import MAX_TOKENS, Disturbance, read_captions, wordings
 from moveset.training.segments import CuttingConfig, SegmentBatch, SegmentSet
 from moveset.training.tasks import Sources
+from moveset.training.telling import stray, told_place, told_turn
 
 SCHEDULE = linear()
 
@@ -79,6 +80,9 @@ class RDMConfig:
             segment before, or nothing; then every segment counts as a first one.
         placed: share of segments that are told where they lie in the time of their sentence (the segment transformer);
             the others are for streams, whose sentences have no end.
+        coursed: share of segments that are told how far the heading has turned since their sentence began, likewise.
+        astray: deviation, in radians, of how far their way has turned more or less than it should have, of which they
+            take half back (``training.telling.stray``).
         max_tokens: tokens of a caption that are read; other numbers than 32 are for undisturbed captions.
 
     Raises:
@@ -117,6 +121,8 @@ class RDMConfig:
     predict: Prediction = "x0"
     md_condition: Told = "clean_prev"
     placed: float = 0.0
+    coursed: float = 0.0
+    astray: float = 0.0
     max_tokens: int = MAX_TOKENS
     kind: str = field(init=False)
 
@@ -301,14 +307,21 @@ class RDMTask(Task):
         # The flow always hears the sentence itself: dropping it for guidance is the denoiser's affair.
         said, before = self.data.pooled(batch.captions), self.data.pooled(batch.previous_captions)
         first = batch.first if config.grid.anchor == "first" else None
-        clean, previous = batch.clean, batch.previous
+        clean, previous, turned_B = batch.clean, batch.previous, batch.turned
+        if config.astray:
+            begun_B = batch.place[:, 0] > 0
+            clean, turned_B = stray(
+                clean, turned_B, begun_B, config.astray, self.data.codec, self.normalizer, generator
+            )
         if config.bent:
             previous = bend(previous, batch.index, config.bent, self.data.codec, self.normalizer, generator)
         cell = corrupt(config.grid, SCHEDULE, transport, clean, previous, first, batch.index, said, before, draws)
-        placed = {"place_B2": told_place(batch.place, config.placed, generator)} if config.placed else {}
+        told = {"place_B2": told_place(batch.place, config.placed, generator)} if config.placed else {}
+        if config.coursed:
+            told["turned_B"] = told_turn(turned_B, config.coursed, generator)
         made = denoiser(
             cell.x_BnD, cell.t_B, cell.prev_BnD, cell.prev_t_B, batch.index, text.tokens, text.mask, None, batch.valid,
-            **placed,
+            **told,
         ).float()  # fmt: skip
         scale = self.feature_weight.sqrt()
         weight_B = _level_weight(config.weight, cell.t_B)
@@ -320,29 +333,20 @@ class RDMTask(Task):
             loss = loss + config.velocity * velocity_loss(
                 made * root_B, clean * root_B, last * root_B[:, 0], later, batch.valid
             )
+        seen_B = SCHEDULE.alpha(cell.t_B).square()  # what noise still hides has no feet to judge, and no course
         if config.feet:
             with torch.autocast(made.device.type, enabled=False):
                 feet_B = foot_error(made, clean, batch.valid, self.data.codec, self.normalizer)
-            # What is not yet to be seen in the noise has no feet to judge.
-            loss = loss + config.feet * (feet_B * SCHEDULE.alpha(cell.t_B).square()).mean()
+            loss = loss + config.feet * (feet_B * seen_B).mean()
         if config.heading:
             turn_B = heading_error(made, clean, batch.valid, self.data.codec, self.normalizer)
-            loss = loss + config.heading * (turn_B * SCHEDULE.alpha(cell.t_B).square()).mean()
+            if config.coursed:  # in any noise: who knows how far the way has turned knows what is left of the turn
+                seen_B = torch.where(told["turned_B"].isnan(), seen_B, 1.0)
+            loss = loss + config.heading * (turn_B * seen_B).mean()
         seen = {"error": masked_mse(made.detach(), target, batch.valid), "noisy_std": cell.x_BnD.std()}
         if config.heading:
             seen["heading"] = turn_B.mean().detach()
         return loss, seen
-
-
-def told_place(place_B2: Tensor, share: float, generator: torch.Generator) -> Tensor:
-    """Places (B, 2) of segments, in frames, of which about this share is told and the others are ``UNKNOWN``.
-
-    Drawn on the CPU; for a share of 0 nothing is drawn, so that such trainings stay what they were.
-    """
-    if not share:
-        return torch.full_like(place_B2, UNKNOWN)
-    hidden_B = torch.rand(len(place_B2), generator=generator) < 1 - share
-    return place_B2.masked_fill(hidden_B[:, None].to(place_B2.device), UNKNOWN)
 
 
 def feature_weights(codec: FeatureCodec, root: float) -> Tensor:
@@ -369,10 +373,11 @@ def _sized(config: RDMConfig, data: SegmentData) -> RDMConfig:
     """With the sizes that follow from the codec, the segment and the text encoder filled in."""
     features, text = data.codec.dim, data.text
     model = replace(config.model, features=features, frames=config.grid.frames, text_dim=text.tokens.shape[1])
-    if config.placed:
-        if not isinstance(model, SegmentTransformerConfig):
-            raise InputError(f"placed is for the segment transformer, and {describe(model)[0]!r} cannot read it")
-        model = replace(model, placed=True)
+    for name in ("placed", "coursed"):
+        if getattr(config, name):
+            if not isinstance(model, SegmentTransformerConfig):
+                raise InputError(f"{name} is for the segment transformer, and {describe(model)[0]!r} cannot read it")
+            model = replace(model, **{name: True})
     if config.md_condition == "none":
         # Whoever samples it tells it of the segment before: the network itself must not listen.
         if isinstance(model, SegmentTransformerConfig):

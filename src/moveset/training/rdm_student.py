@@ -20,6 +20,7 @@ from moveset.models.segment_transformer import SegmentTransformerConfig
 from moveset.motion.features import Normalizer
 from moveset.pcm.consistency import Draws, draw
 from moveset.pcm.losses import hinge_discriminator, hinge_generator, huber
+from moveset.pipelines.course import Course
 from moveset.rdm.distillation import clean_target, whole_target
 from moveset.rdm.grid import GridConfig
 from moveset.rdm.staircase import levels
@@ -33,10 +34,11 @@ from moveset.training.engine import Loop, Task
 from moveset.training.heading import bend, heading_error
 from moveset.training.optim import cosine_lr
 from moveset.training.own_past import OwnPast
-from moveset.training.rdm import SCHEDULE, RDMConfig, SegmentData, feature_weights, told_place
+from moveset.training.rdm import SCHEDULE, RDMConfig, SegmentData, feature_weights
 from moveset.training.reading import Disturbance
 from moveset.training.segments import CuttingConfig, SegmentBatch
 from moveset.training.tasks import Sources
+from moveset.training.telling import stray, told_place, told_turn
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,6 +65,8 @@ class RDMStudentConfig:
             takes do, but whether it shows what is said as takes do.
         placed: share of takes' segments that are told where they lie in the time of their sentence, and of the
             sentences of ``own_past`` that have an end, for a teacher that was told so (``RDMConfig.placed``).
+        coursed, astray: as in the teacher's training, for a teacher that was told how far its way has turned; streams
+            of ``own_past`` always are then.
         codec, frames: filled in from the teacher's.
         model: the student's architecture; filled in from the teacher's.
     """
@@ -88,6 +92,8 @@ class RDMStudentConfig:
     noisy_past: bool = False
     own_past: float = 0.0
     placed: float = 0.0
+    coursed: float = 0.0
+    astray: float = 0.0
     text_encoder: str = "minilm"
     cutting: CuttingConfig = field(default_factory=CuttingConfig)
     disturbance: Disturbance = field(default_factory=Disturbance)
@@ -116,8 +122,9 @@ class RDMStudentTask(Task):
         if teacher.task["flow"] is not None:
             flow = frozen.load(sources.teacher, "flow_ema", loop.device, part="coupling_flow").module
         self.transport = Transport(flow, teacher.task["depth_cap"])
-        if config.placed and not self.teacher.config.placed:
-            raise InputError("placed is for a teacher that was trained with placed; leave it out")
+        for name in ("placed", "coursed"):
+            if getattr(config, name) and not getattr(self.teacher.config, name):
+                raise InputError(f"{name} is for a teacher that was trained with {name}; leave it out")
         shared = RDMConfig(
             grid=GridConfig(frames=teacher.task["grid"]["frames"]),
             codec=teacher.task["codec"],
@@ -141,6 +148,8 @@ class RDMStudentTask(Task):
             self.heads.parameters(), config.discriminator_lr, betas=(0.0, 0.999), weight_decay=0.0
         )
         self.normalizer = Normalizer(*(x.to(loop.device) for x in vars(self.data.normalizer).values()))
+        yaw = self.data.codec.groups["root_yaw"]
+        self.course = Course(yaw, self.normalizer.mean, self.normalizer.std, window=1)
         self.scale = feature_weights(self.data.codec, config.root).sqrt().to(loop.device)
         self._reference: Tensor | None = None
 
@@ -166,7 +175,12 @@ class RDMStudentTask(Task):
     def training_step(self, step: int, loop: Loop) -> dict[str, Tensor]:
         config = self.config
         batch = self.data.train.batch(config.batch, self.data.seed, step).to(loop.device)
-        batch = replace(batch, place=told_place(batch.place, config.placed, self.draws))
+        if config.astray:
+            about = (config.astray, self.data.codec, self.normalizer, self.draws)
+            clean, turned_B = stray(batch.clean, batch.turned, batch.place[:, 0] > 0, *about)
+            batch = replace(batch, clean=clean, turned=turned_B)
+        place_B2 = told_place(batch.place, config.placed, self.draws)
+        batch = replace(batch, place=place_B2, turned=told_turn(batch.turned, config.coursed, self.draws))
         if config.bent:
             bent = bend(batch.previous, batch.index, config.bent, self.data.codec, self.normalizer, self.draws)
             batch = replace(batch, previous=bent)
@@ -202,7 +216,8 @@ class RDMStudentTask(Task):
             loss = loss + config.adversarial * fooled
             report |= seen
         if config.own_past:
-            self.own.go_on(made, bound.land(z, made.detach(), t_B, edge_B))
+            done = made.detach()
+            self.own.go_on(done, bound.land(z, done, t_B, edge_B), self.course.turn(done).float())
         report["gradient_norm"] = loop.minimise(loss, "student")
         self.ema.update(self.student)
         return report | {"loss": loss.detach()}

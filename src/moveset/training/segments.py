@@ -74,6 +74,7 @@ class SegmentBatch:
         first: (B, n, D) the first segment of the clip.
         index: (B,) segment number.
         place: (B, 2) frames from where the sentence begins to where the segment does, and from there to its end.
+        turned: (B,) radians by which the heading has changed since the sentence began.
         captions: what is said to the segment, and ``previous_captions`` to the one before.
     """
 
@@ -83,6 +84,7 @@ class SegmentBatch:
     first: Tensor
     index: Tensor
     place: Tensor
+    turned: Tensor
     captions: list[str]
     previous_captions: list[str]
 
@@ -99,6 +101,7 @@ class SegmentBatch:
             self.first.to(device),
             self.index.to(device),
             self.place.to(device),
+            self.turned.to(device),
             self.captions,
             self.previous_captions,
         )
@@ -126,6 +129,8 @@ class ClipSet:
         paraphrased: float = 0.0,
     ) -> None:
         self.cutting, self.paraphrased = cutting, paraphrased
+        yaw = codec.groups["root_yaw"]
+        self._yaw = (yaw.start, float(store.normalizer.mean[yaw]), float(store.normalizer.std[yaw]))
         clips = source.clips(split)
         weights = source.weights(clips, power=0.5, composed_share=cutting.composed_share)
         self.rows = [_row(source, clip, store) for clip in clips]
@@ -180,6 +185,12 @@ class ClipSet:
         part = _part(clip, start, frames)
         return (0, *clip.ends)[part], clip.ends[part]
 
+    def turned(self, clip: Row, start: int, stop: int) -> float:
+        """Radians by which the heading changes from one frame to a later one; 0 where that one is none."""
+        column, mean, std = self._yaw
+        steps = clip.features[start:stop, column]
+        return float(steps.sum(dtype=np.float64)) * std + len(steps) * mean
+
     def _of_all(self, clip: Row, chance: Sequence[float]) -> bool:
         return bool(clip.whole) and chance[0] < self.cutting.whole_caption
 
@@ -225,7 +236,7 @@ class SegmentSet(ClipSet):
         n, width = self.frames, self.rows[0].features.shape[1]
         clean, previous, first = torch.zeros(3, size, n, width)
         valid, index = torch.zeros(size, n, dtype=torch.bool), torch.zeros(size, dtype=torch.long)
-        place = torch.zeros(size, 2)
+        place, turned = torch.zeros(size, 2), torch.zeros(size)
         captions, before = [], []
         for k, (clip, chance) in enumerate(self.draw(size, seed, step)):
             begin, start, stop, number = self._place(len(clip.features), chance)
@@ -240,9 +251,10 @@ class SegmentSet(ClipSet):
             told, untold = self.span(clip, start, len(piece), chance[3:])
             # A sentence may begin within its first segment.
             place[k] = torch.tensor([max(start - told, 0), untold - start])
+            turned[k] = self.turned(clip, told, start)
             captions.append(self.say(clip, start, len(piece), chance[3:]))
             before.append(self.say(clip, max(start - n, 0), n, chance[3:]) if number else captions[-1])
-        return SegmentBatch(clean, valid, previous, first, index, place, captions, before)
+        return SegmentBatch(clean, valid, previous, first, index, place, turned, captions, before)
 
     def _place(self, total: int, chance: Sequence[float]) -> tuple[int, int, int, int]:
         """Where the sequence begins that a segment of a clip belongs to, first frame, end and index of the segment."""

@@ -53,8 +53,8 @@ def transplant(student: Path, before: Path, after: Path, share: float, out: Path
             moved = weights[key].double() + share * (new[key].double() - old[key].double())
             weights[key] = moved.to(weights[key].dtype)
     config = checkpoint.read_document(step, "config")
-    if added:
-        config["config"]["model"]["placed"] = True
+    for key in added:
+        config["config"]["model"][SegmentTransformer.learned_later[key]] = True
     documents = {"config": config, "origin": {"student": step.name, "share": share}}
     modules = {STUDENT: weights, STUDENT.removesuffix("_ema"): weights}
     return checkpoint.write(out, int(step.name.removeprefix("step_")), modules, documents)

@@ -1,0 +1,71 @@
+"""What of a segment's circumstances its network is told in training: a share of the rows, since not all uses know it.
+
+Shapes: B rows, n frames of a segment, D features.
+"""
+
+import torch
+from torch import Tensor
+
+from moveset.models.segment_transformer import UNKNOWN
+from moveset.motion.features import FeatureCodec, Normalizer
+
+CORRECTED = 0.5
+"""Share of what a way has gone astray that a segment of a walk takes back."""
+_STANDS, _WALKS = 0.2, 0.6  # metres a second: whoever is slower takes nothing back, whoever is faster all of the share
+
+
+def told_place(place_B2: Tensor, share: float, generator: torch.Generator) -> Tensor:
+    """Places (B, 2) of segments, in frames, of which about this share is told and the others are ``UNKNOWN``.
+
+    Drawn on the CPU; for a share of 0 nothing is drawn, so that such trainings stay what they were.
+    """
+    if not share:
+        return torch.full_like(place_B2, UNKNOWN)
+    return place_B2.masked_fill(_hidden(place_B2, share, generator)[:, None], UNKNOWN)
+
+
+def told_turn(turned_B: Tensor, share: float, generator: torch.Generator) -> Tensor:
+    """Turns (B,), of which about this share is told and the others are NaN; drawn as ``told_place`` draws."""
+    if not share:
+        return torch.full_like(turned_B, torch.nan)
+    return turned_B.masked_fill(_hidden(turned_B, share, generator), torch.nan)
+
+
+def stray(
+    clean_BnD: Tensor,
+    turned_B: Tensor,
+    begun_B: Tensor,
+    deviation: float,
+    codec: FeatureCodec,
+    normalizer: Normalizer,
+    generator: torch.Generator,
+) -> tuple[Tensor, Tensor]:
+    """Segments whose way has turned by some radians more or less than it should have, and that take half of it back.
+
+    Takes do not show what to do then: whoever walks straight on never went astray. On the spot nothing is taken back,
+    since planted feet would slide. What is taken back begins and ends gently (a Hann window over the frames).
+
+    Args:
+        clean_BnD: normalised.
+        turned_B: how far the way has turned since the sentence began, in radians.
+        begun_B: whether the sentence began before the segment; others cannot have gone astray.
+        deviation: of how far astray they are, in radians.
+
+    Returns:
+        The segments, and how far their ways have turned.
+    """
+    yaw, planar = codec.groups["root_yaw"], codec.groups["root_velocity"]
+    mean, std = normalizer.mean.to(clean_BnD.device), normalizer.std.to(clean_BnD.device)
+    astray_B = torch.randn(len(clean_BnD), generator=generator, device=generator.device).to(clean_BnD.device)
+    astray_B = astray_B * deviation * begun_B
+    step_Bn2 = clean_BnD[..., planar] * std[planar] + mean[planar]
+    speed_B = step_Bn2.mean(dim=1).norm(dim=-1) * codec.fps
+    back_B = CORRECTED * astray_B * ((speed_B - _STANDS) / (_WALKS - _STANDS)).clamp(0.0, 1.0)
+    window_n = torch.hann_window(clean_BnD.shape[1] + 2, periodic=False, device=clean_BnD.device)[1:-1]
+    steered = clean_BnD.clone()
+    steered[..., yaw] -= (back_B[:, None] * window_n / window_n.sum())[..., None] / std[yaw]
+    return steered, turned_B + astray_B
+
+
+def _hidden(rows: Tensor, share: float, generator: torch.Generator) -> Tensor:
+    return (torch.rand(len(rows), generator=generator) < 1 - share).to(rows.device)
