@@ -38,7 +38,7 @@ def test_it_goes_on_from_its_state():
     for segment in range(9):
         behind = segment if segment < 4 else segment - 4
         if segment == 6:
-            again = course(2).restored(json.loads(json.dumps(whole.state())), torch.device("cpu"))
+            again = course(2).restored(json.loads(json.dumps(whole.state())))
         for one in (whole, *((again,) if segment >= 6 else ())):
             one.made(segment, torch.full((1, 4, 2), 0.1 * segment), torch.tensor([behind]))
     at = torch.tensor([behind + 1])

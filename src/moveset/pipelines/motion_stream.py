@@ -247,7 +247,7 @@ class MotionStream(Iterator[Segment]):
                 self._places[segment] = place
                 self._denoise.enter(segment, prompt, place)
             if "course" in numbers:
-                self._denoise.course.restored(numbers["course"], self.device)
+                self._denoise.course.restored(numbers["course"])
             self._decoder = IncrementalDecoder.from_state(self.codec, numbers["decoder"])
             self._feet = FootLock.from_state(self.codec.skeleton, self.codec.fps, numbers["feet"])
             for k, made in enumerate(numbers["waiting"]):

@@ -217,7 +217,7 @@ class RDMStudentTask(Task):
             report |= seen
         if config.own_past:
             done = made.detach()
-            self.own.go_on(done, bound.land(z, done, t_B, edge_B), self.course.turn(done).float())
+            self.own.go_on(done, bound.land(z, done, t_B, edge_B), self.course.turn(done).to(z))
         report["gradient_norm"] = loop.minimise(loss, "student")
         self.ema.update(self.student)
         return report | {"loss": loss.detach()}
