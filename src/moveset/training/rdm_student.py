@@ -66,7 +66,7 @@ class RDMStudentConfig:
         placed: share of takes' segments that are told where they lie in the time of their sentence, and of the
             sentences of ``own_past`` that have an end, for a teacher that was told so (``RDMConfig.placed``).
         coursed, astray: as in the teacher's training, for a teacher that was told how far its way has turned; streams
-            of ``own_past`` always are then.
+            of ``own_past`` are told it where the takes are that they begin with, or whose sentences they are given.
         codec, frames: filled in from the teacher's.
         model: the student's architecture; filled in from the teacher's.
     """
