@@ -94,6 +94,36 @@ def test_lower_phases_meet_what_the_student_landed_at(folder, rdm7, tmp_path, mo
         assert not torch.equal(met[step][1][begins], landed[step - 1][begins])
 
 
+def test_a_student_and_its_streams_wait_while_the_discriminator_learns_alone(folder, rdm7, tmp_path, monkeypatch):
+    """The student waits; its streams go on, so that what they settle into is what the discriminator meets."""
+    first, _ = trained(folder, "rdm-student", tmp_path / "first", "own_past=0.5", steps=1)
+    settings = ("own_past=0.5", "judge_alone=2", "adversarial=0.1", "cutting.first_share=0")
+    start = tmp_path / "first" / "step_1"
+    kept, averaged, judges, past = [], [], [], []
+    go_on = rdm_student.RDMStudentTask._go_on
+
+    def watched(task, *given):
+        kept.append({name: x.clone() for name, x in task.student.state_dict().items()})
+        averaged.append({name: x.clone() for name, x in task.ema.module.state_dict().items()})
+        judges.append({name: x.clone() for name, x in task.heads.state_dict().items()})
+        past.append(task.own.state()["previous"].clone())
+        go_on(task, *given)
+
+    monkeypatch.setattr(rdm_student.RDMStudentTask, "_go_on", watched)
+    trained(folder, "rdm-student", tmp_path / "run", *settings, steps=5, init=start)
+    for held in (kept, averaged):
+        same = [all(torch.equal(held[0][name], later[name]) for name in held[0]) for later in held]
+        assert same == [True, True, True, False, False]  # the third step is the first that moves them
+    assert not all(torch.equal(judges[0][name], judges[1][name]) for name in judges[0])
+    assert not torch.equal(past[0], past[1])
+
+
+@pytest.mark.parametrize("wrong", [{"judge_alone": -1}, {"judge_alone": 5, "adversarial": 0.0}])
+def test_a_streams_discriminator_alone_must_exist(wrong):
+    with pytest.raises(InputError, match="judge_alone"):
+        RDMStudentConfig(**wrong)
+
+
 @pytest.mark.parametrize("wrong", [1.5, -0.1])
 def test_a_share_of_own_pasts_is_a_share(wrong):
     with pytest.raises(InputError, match="own_past"):

@@ -88,10 +88,7 @@ class DistillationConfig:
     def __post_init__(self) -> None:
         require_shares(self.sampled_share, self.mismatched, self.judged_span)
         require_range("rows that are rehearsed", self.rehearsed, 0, self.batch)
-        if self.judge_alone < 0 or (self.judge_alone and not self.adversarial):
-            raise InputError(
-                f"judge_alone = {self.judge_alone} asks for a discriminator and 0 steps at least; set adversarial too"
-            )
+        require_judge(self.judge_alone, self.adversarial)
         if self.model is not None:
             object.__setattr__(self, "kind", describe(self.model)[0])
 
@@ -101,6 +98,14 @@ def require_shares(sampled_share: float, mismatched: float, judged_span: float) 
     require_range("share of sampled points", sampled_share, 0.0, 1.0)
     require_range("share of mismatched text", mismatched, 0.0, 1.0)
     require_range("judged span", judged_span, 0.0, 1.0)
+
+
+def require_judge(judge_alone: int, adversarial: float) -> None:
+    """Raises InputError for a discriminator that learns alone without being there, or for less than no step."""
+    if judge_alone < 0 or (judge_alone and not adversarial):
+        raise InputError(
+            f"judge_alone = {judge_alone} asks for a discriminator and 0 steps at least; set adversarial too"
+        )
 
 
 class _DistillationTask(Task):

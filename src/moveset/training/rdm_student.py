@@ -28,7 +28,7 @@ from moveset.rdm.transport import Transport
 from moveset.text.encoder import TextEmbedding
 from moveset.training import frozen
 from moveset.training.bound_segments import BoundSegments
-from moveset.training.distill import require_shares
+from moveset.training.distill import require_judge, require_shares
 from moveset.training.ema import Ema
 from moveset.training.engine import Loop, Task
 from moveset.training.heading import bend, heading_error
@@ -51,7 +51,7 @@ class RDMStudentConfig:
         guidance: range of the guidance scale w that the student is trained for.
         huber: c of the pseudo-Huber distance.
         adversarial: weight of the discriminator's verdict; 0 leaves the discriminator out.
-        sampled_share, mismatched, judged_span: as for clips (``training.distill.DistillationConfig``).
+        sampled_share, mismatched, judged_span, judge_alone: as for clips (``training.distill.DistillationConfig``).
         ema: decay of the target network.
         root: weight of the four root features, as in the teacher's training.
         tremor: of the student's network, see ``SegmentTransformerConfig``; one evaluation trembles more than ten.
@@ -79,6 +79,7 @@ class RDMStudentConfig:
     sampled_share: float = 0.0
     mismatched: float = 0.0
     judged_span: float = 1.0
+    judge_alone: int = 0
     ema: float = 0.95
     batch: int = 64
     lr: float = 3e-4
@@ -104,6 +105,7 @@ class RDMStudentConfig:
 
     def __post_init__(self) -> None:
         require_shares(self.sampled_share, self.mismatched, self.judged_span)
+        require_judge(self.judge_alone, self.adversarial)
         require_range("own_past, the share of rows told what the student made,", self.own_past, 0.0, 1.0)
         if self.model is not None:
             object.__setattr__(self, "kind", describe(self.model)[0])
@@ -170,7 +172,8 @@ class RDMStudentTask(Task):
         self.own.load_state(state, self.scale.device)
 
     def learning_rates(self, step: int) -> dict[str, float]:
-        return {"student": cosine_lr(step, self.config.lr, self.config.warmup, self.steps)}
+        alone = self.config.judge_alone
+        return {"student": cosine_lr(max(step - alone, 0), self.config.lr, self.config.warmup, self.steps - alone)}
 
     def training_step(self, step: int, loop: Loop) -> dict[str, Tensor]:
         config = self.config
@@ -196,6 +199,11 @@ class RDMStudentTask(Task):
         bound = self._bound(batch, text, past_noise)
         t_B, edge_B = self.grid.time(draws.point_B), self.grid.lower(draws.point_B)
         z = self.own.enter(add_noise(SCHEDULE, bound.pull(batch.clean), draws.noise_BND, t_B))
+        if step <= config.judge_alone:
+            with torch.no_grad():
+                made = bound.by(self.student, rough)(bound.push(z), t_B, draws.w_B)
+            self._go_on(bound, z, made, t_B, edge_B)
+            return self._judge(bound, batch, draws, z, made, t_B, edge_B, loop)[1]
         target, share_B = clean_target(
             SCHEDULE, self.grid, bound.guided, bound.by(self.ema.module), bound.push, bound.pull, z, draws.point_B,
             draws.w_B,
@@ -215,12 +223,15 @@ class RDMStudentTask(Task):
             fooled, seen = self._judge(bound, batch, draws, z, made, t_B, edge_B, loop)
             loss = loss + config.adversarial * fooled
             report |= seen
-        if config.own_past:
-            done = made.detach()
-            self.own.go_on(done, bound.land(z, done, t_B, edge_B), self.course.turn(done).to(z))
+        self._go_on(bound, z, made.detach(), t_B, edge_B)
         report["gradient_norm"] = loop.minimise(loss, "student")
         self.ema.update(self.student)
         return report | {"loss": loss.detach()}
+
+    def _go_on(self, bound: BoundSegments, z: Tensor, made: Tensor, t_B: Tensor, edge_B: Tensor) -> None:
+        """What was made becomes the past of the streams, if there are any."""
+        if self.config.own_past:
+            self.own.go_on(made, bound.land(z, made, t_B, edge_B), self.course.turn(made).to(z))
 
     def _rehearse(self, batch: SegmentBatch, draws: Draws, z: Tensor, past_noise: Tensor | None) -> Tensor:
         """Distance to the teacher's whole way down a phase, for the first rows of a batch; streams from theirs."""
