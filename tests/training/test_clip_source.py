@@ -1,6 +1,7 @@
 """A corpus and a HumanML3D or KIT-ML folder look alike to what is trained."""
 
 from pathlib import Path
+from threading import Thread
 
 import numpy as np
 import pytest
@@ -11,8 +12,9 @@ from moveset.data.corpus import Corpus
 from moveset.data.humanml3d import HUMANML3D, KIT
 from moveset.data.synthetic import synthetic_corpus
 from moveset.errors import InputError
+from moveset.io.lock import locked
 from moveset.motion.features import get_codec
-from moveset.training import checkpoint
+from moveset.training import checkpoint, clips
 from moveset.training.clip_source import CorpusClips, FolderClips, clip_weights, open_clips
 from moveset.training.clips import CropSampler, FeatureStore
 from moveset.training.latents import LatentSet
@@ -72,6 +74,22 @@ def test_a_folder_is_stored_by_its_own_features_and_statistics(humanml3d, tmp_pa
     assert not list(tmp_path.glob("store/raw*"))
 
 
+def test_trainings_side_by_side_make_one_store(humanml3d, tmp_path, monkeypatch):
+    source, codec, folder, made = open_clips(humanml3d), get_codec("hml"), tmp_path / "cache" / "store", []
+    make = clips._make
+    monkeypatch.setattr(clips, "_make", lambda *given: made.append(given) or make(*given))
+    both = [Thread(target=FeatureStore.of, args=(source, codec, folder)) for _ in range(2)]
+    with locked(folder.parent):
+        for one in both:
+            one.start()
+        both[0].join(0.3)
+        assert all(one.is_alive() for one in both)
+    for one in both:
+        one.join(60)
+    assert len(made) == 1
+    assert len(FeatureStore.of(source, codec, folder).clips) == len(source)
+
+
 def test_no_crop_is_longer_than_196_frames(humanml3d, tmp_path):
     source = open_clips(humanml3d)
     store = FeatureStore.of(source, get_codec("hml"), tmp_path / "store")
@@ -118,7 +136,7 @@ def test_what_does_not_fit_is_said(humanml3d, corpus, tmp_path):
     source = open_clips(humanml3d)
     with pytest.raises(InputError, match=r"'hml' features .* not 'native' ones.*--set codec=hml"):
         FeatureStore.of(source, get_codec("native"), tmp_path / "native")
-    assert list(tmp_path.iterdir()) == []
+    assert {path.name for path in tmp_path.iterdir()} <= {".lock"}  # nothing half made
     FeatureStore.of(source, get_codec("hml"), tmp_path / "store")
     with pytest.raises(InputError, match="made from another"):
         FeatureStore.of(Corpus.open(corpus), get_codec("hml"), tmp_path / "store")

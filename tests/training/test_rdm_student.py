@@ -96,7 +96,7 @@ def test_lower_phases_meet_what_the_student_landed_at(folder, rdm7, tmp_path, mo
 
 def test_a_student_and_its_streams_wait_while_the_discriminator_learns_alone(folder, rdm7, tmp_path, monkeypatch):
     """The student waits; its streams go on, so that what they settle into is what the discriminator meets."""
-    first, _ = trained(folder, "rdm-student", tmp_path / "first", "own_past=0.5", steps=1)
+    trained(folder, "rdm-student", tmp_path / "first", "own_past=0.5", steps=1)
     settings = ("own_past=0.5", "judge_alone=2", "adversarial=0.1", "cutting.first_share=0")
     start = tmp_path / "first" / "step_1"
     kept, averaged, judges, past = [], [], [], []

@@ -20,6 +20,7 @@ from tqdm import tqdm
 from moveset.data.augment import MAX_FRAMES
 from moveset.data.corpus import Corpus
 from moveset.errors import FormatError, InputError
+from moveset.io.lock import locked
 from moveset.motion.features import FeatureCodec, Normalizer
 from moveset.training.clip_source import ClipSource, as_clips
 from moveset.training.clip_source import clip_weights as clip_weights
@@ -59,7 +60,10 @@ class FeatureStore:
         """
         source = as_clips(source)
         if not (folder / "index.json").is_file():
-            _make(source, codec, folder, progress)
+            # Trainings that are started side by side share them: the second waits, and finds everything there.
+            with locked(folder.parent):
+                if not (folder / "index.json").is_file():
+                    _make(source, codec, folder, progress)
         store = cls(folder)
         if len(store.clips) != len(source):
             raise InputError(
