@@ -79,6 +79,22 @@ def test_a_teacher_may_be_told_a_noisy_past(folder, rdm7, tmp_path, monkeypatch)
     assert all(previous is given[0].batch.previous and not level_B.any() for given, (previous, level_B) in told)
 
 
+def test_a_teacher_may_be_told_a_noisy_past_of_streams_alone(folder, rdm7, tmp_path, monkeypatch):
+    told, tell = [], BoundSegments._told
+    monkeypatch.setattr(BoundSegments, "_told", lambda *given: told.append((given, tell(*given))) or told[-1][1])
+    settings = ("noisy_own=true", "rehearsed=3", "own_past=0.5", "cutting.first_share=0")
+    task, _ = trained(folder, "rdm-student", tmp_path / "run", *settings)
+    streams = set(task.own.rows.tolist())
+    assert {len(given[0].batch.index) for given, _ in told} == {task.config.batch, 3}
+    for (bound, t_B), (previous, level_B) in told:
+        for row, level in enumerate(level_B.tolist()):
+            assert level == (int(0.75 * t_B[row]) if row in streams else 0)
+            if row not in streams:
+                torch.testing.assert_close(previous[row], bound.batch.previous[row], atol=1e-4, rtol=0)
+            elif level:
+                assert not torch.allclose(previous[row], bound.batch.previous[row], atol=1e-2)
+
+
 def test_lower_phases_meet_what_the_student_landed_at(folder, rdm7, tmp_path, monkeypatch):
     met, target = [], rdm_student.clean_target
     monkeypatch.setattr(

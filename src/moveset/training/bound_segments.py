@@ -27,21 +27,22 @@ class BoundSegments:
     """Networks and flow with a batch's text, previous segments and indices bound.
 
     Args:
-        past: noise (B, n, D) of the previous segments as the guided teacher is told them, and their sentence
-            embeddings (B, C); None tells it finished ones, as the student.
+        past: noise (B, n, D) of the previous segments as the guided teacher is told them, their sentence embeddings
+            (B, C), and which of them are told so (B,), bool; the others, and all where it is None, are told finished,
+            as to the student.
     """
 
     def __init__(
         self, batch: SegmentBatch, text: TextEmbedding, empty: TextEmbedding, transport: Transport, teacher: nn.Module,
-        past: tuple[Tensor, Tensor] | None = None,
+        past: tuple[Tensor, Tensor, Tensor] | None = None,
     ) -> None:  # fmt: skip
         self.batch, self.text, self.empty, self.transport, self.teacher = batch, text, empty, transport, teacher
         self.past: tuple[Tensor, ...] | None = None
         if past is not None:
-            noise, pooled = past
+            noise, pooled, noisy_B = past
             before_B = (batch.index - 1).clamp_min(0)
             # Carried back once: the teacher is asked at many levels.
-            self.past = (transport.pull(batch.previous, before_B, pooled), noise, before_B, pooled)
+            self.past = (transport.pull(batch.previous, before_B, pooled), noise, before_B, pooled, noisy_B)
         self.both = stack([text, empty])
         self.clean_level = torch.zeros_like(batch.index)
 
@@ -82,8 +83,8 @@ class BoundSegments:
         """The previous segments as the teacher is told them when it is asked at these levels, and their levels."""
         if self.past is None:
             return self.batch.previous, self.clean_level
-        y, noise, before_B, pooled = self.past
-        level_B = (NEARER * t_B).long()
+        y, noise, before_B, pooled, noisy_B = self.past
+        level_B = (NEARER * t_B).long() * noisy_B
         return self.transport.push(add_noise(SCHEDULE, y, noise, level_B), before_B, pooled), level_B
 
     def by(self, network: nn.Module, text: TextEmbedding | None = None) -> _Call:

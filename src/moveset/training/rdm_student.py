@@ -60,6 +60,8 @@ class RDMStudentConfig:
         heading, bent: as in the teacher's training (``RDMConfig``); the teacher is told the bent past too.
         noisy_past: tell the teacher the segment before at a level somewhat below the one it is asked at, as most of its
             training did, instead of finished; the student is told a finished one, as in use.
+        noisy_own: tell it so of ``own_past`` only: from a noisy past the teacher goes on more lively than from the
+            tired one that a stream may have come to, from takes as it is told them it can be followed exactly.
         own_past: share of a batch's rows that are told what the student made itself (``training.own_past``). They are
             asked at the top of each phase in turn, and judged without their past: not whether a segment goes on as
             takes do, but whether it shows what is said as takes do.
@@ -91,6 +93,7 @@ class RDMStudentConfig:
     heading: float = 0.0
     bent: float = 0.0
     noisy_past: bool = False
+    noisy_own: bool = False
     own_past: float = 0.0
     placed: float = 0.0
     coursed: float = 0.0
@@ -189,7 +192,7 @@ class RDMStudentTask(Task):
             batch = replace(batch, previous=bent)
         shares = (config.sampled_share, config.judged_span)
         draws = draw(self.grid, batch.clean, config.guidance, self.draws, *shares, self.own.place)
-        past_noise = self._past_noise(draws.noise_BND)
+        past_noise = self._past_noise(draws.noise_BND, config.noisy_past or config.noisy_own)
         draws = self._coloured(draws)
         if config.own_past:
             batch, w_B = self.own.tell(batch, draws.w_B, self.draws)
@@ -259,7 +262,7 @@ class RDMStudentTask(Task):
         batch = self.data.val.batch(64, 0, 0).to(loop.device)
         text, w = self.data.read(batch.captions), torch.full((64,), sum(self.config.guidance) / 2).to(loop.device)
         noise = torch.randn(batch.clean.shape, generator=torch.Generator().manual_seed(0)).to(loop.device)
-        bound = self._bound(batch, text, self._past_noise(noise))
+        bound = self._bound(batch, text, self._past_noise(noise, self.config.noisy_past))
         noise = self.teacher.colour(noise)
         if self._reference is None:
             self._reference = bound.sample(bound.guided, noise, levels(25), w)
@@ -273,19 +276,23 @@ class RDMStudentTask(Task):
             )
         return report | {"teacher_std": float(self._reference.std()), "student_std": float(made.std())}
 
-    def _past_noise(self, white_BnD: Tensor) -> Tensor | None:
+    def _past_noise(self, white_BnD: Tensor, noisy: bool) -> Tensor | None:
         """Noise of the past that a segment's own noise decides: the teacher's way down has to be a function of it.
 
         The features' noises change places, so that to the teacher the two look independent, as in its training.
         """
-        if not self.config.noisy_past:
+        if not noisy:
             return None
         noise: Tensor = self.teacher.colour(white_BnD.roll(white_BnD.shape[-1] // 2, dims=-1))
         return noise
 
     def _bound(self, batch: SegmentBatch, text: TextEmbedding, past_noise: Tensor | None) -> BoundSegments:
         empty = self.data.read([""] * len(batch.index))
-        past = None if past_noise is None else (past_noise, self.data.pooled(batch.previous_captions))
+        past = None
+        if past_noise is not None:
+            # A rehearsal's rows are the first of a batch.
+            noisy_B = self.alone[: len(batch.index)] | self.config.noisy_past
+            past = (past_noise, self.data.pooled(batch.previous_captions), noisy_B)
         return BoundSegments(batch, text, empty, self.transport, self.teacher, past)
 
     def _coloured(self, draws: Draws) -> Draws:
