@@ -12,7 +12,8 @@ seams smoothed and feet locked.
 import math
 import sys
 import time
-from itertools import islice, pairwise
+from collections.abc import Sequence
+from itertools import islice
 from pathlib import Path
 
 import matplotlib
@@ -26,7 +27,9 @@ from moveset.data.corpus import Corpus
 from moveset.errors import InputError, exit_code_of
 from moveset.evaluation.content_classifier import ContentClassifier
 from moveset.evaluation.content_training import content_class, pad
+from moveset.evaluation.generators import Wanted
 from moveset.evaluation.physical import skating
+from moveset.evaluation.streams import timeline
 from stream_measures import seam_jerk
 from stream_models import Method, Networks, finished_motion, raw_motion, segments_of
 from stream_quality import scales
@@ -37,18 +40,20 @@ from matplotlib import pyplot as plt
 STAND = "stand"  # no class of the judge's: nobody in the data just stands
 TIMELINE = ("walk", "wave-both-hands", "run", "raise-up-right-hand", "walk-turn-left", "bow")
 EVERY = 4.0
+HELD = 10**9  # frames: no network is told of so much time
 WINDOW = 4
 
 
-def rollouts(names: list[str], n: int, fps: float) -> dict[str, list[tuple[str, str]]]:
-    """By rollout, (content, sentence) of each segment; the last of them is held."""
-    lines = {name: [(name, "a person stands still" if name == STAND else train_captions(name)[0])] for name in names}
-    starts = [round(k * EVERY * fps / n) for k in range(10_000)]
-    timeline: list[tuple[str, str]] = []
-    for k, (begin, end) in enumerate(pairwise(starts)):
-        content = TIMELINE[k % len(TIMELINE)]
-        timeline += [(content, train_captions(content)[0])] * (end - begin)
-    return lines | {"timeline": timeline}
+def rollouts(names: list[str], fps: float, minutes: float) -> dict[str, list[tuple[str, int]]]:
+    """By rollout, contents and for how many frames they are said, these minutes and more."""
+    held = {name: [(name, HELD)] for name in names}
+    turns = math.ceil(minutes * 60 / EVERY) + 1
+    return held | {"timeline": [(TIMELINE[k % len(TIMELINE)], round(EVERY * fps)) for k in range(turns)]}
+
+
+def sentence(content: str) -> str:
+    """What is said for a content."""
+    return "a person stands still" if content == STAND else train_captions(content)[0]
 
 
 def measured(features_FD: Tensor, joints: Tensor, n: int, fps: float) -> dict[str, float]:
@@ -106,15 +111,12 @@ def shown(judge: ContentClassifier, joints: Tensor, said: list[str], n: int) -> 
     return sum(a == b for a, b in zip(found, labels, strict=True)) / len(labels)
 
 
-def roll(networks: Networks, method: Method, lines: dict[str, list[tuple[str, str]]], count: int, half: bool) -> Tensor:
+def roll(
+    networks: Networks, method: Method, lines: Sequence[Sequence[tuple[str, int]]], count: int, half: bool
+) -> Tensor:
     """Normalised features (B, F, D) of all rollouts."""
-    rows = list(lines.values())
-
-    def said(segment: int) -> list[str]:
-        return [row[min(segment, len(row) - 1)][1] for row in rows]
-
-    endless = segments_of(networks, method, said, range(len(rows)), None, half)
-    return torch.cat([s.clone() for s in islice(endless, count)], dim=1)
+    said = [Wanted(tuple((sentence(name), frames) for name, frames in line), seed=k) for k, line in enumerate(lines)]
+    return torch.cat([s.clone() for s in islice(segments_of(networks, method, said, None, half), count)], dim=1)
 
 
 PANELS = ("std", "change", "jerk_seam", "jerk_inside", "skating", "root_height", "travelled", "content")
@@ -168,7 +170,7 @@ def main() -> None:
         )
     classifier, w = ContentClassifier.load(given.classifier), scales(given.guidance, networks)
     n, fps = networks.frames, networks.codec.fps
-    lines, count = rollouts(given.contents, n, fps), math.floor(given.minutes * 60 * fps / n)
+    lines, count = rollouts(given.contents, fps, given.minutes), math.floor(given.minutes * 60 * fps / n)
     rows: dict[str, dict] = {"real": _real(networks, Corpus.open(given.corpus))}
     print("real", rows["real"], flush=True)
     for network in asked:
@@ -178,11 +180,12 @@ def main() -> None:
         eta, scale = 0.0 if student else given.eta, w["pcm" if student else network]
         method = Method(network=network, steps=steps, eta=eta, guidance=scale, **plan)
         begun = time.perf_counter()
-        features = roll(networks, method, lines, count, given.half)
+        features = roll(networks, method, list(lines.values()), count, given.half)
         spent = time.perf_counter() - begun
         found: dict[str, dict] = {}
         for (name, line), x in zip(lines.items(), features, strict=True):
-            said = [line[min(k, len(line) - 1)][0] for k in range(count)]
+            contents = timeline(Wanted(tuple(line), seed=0), fps, n / fps, stages=False)
+            said = [contents(k) for k in range(count)]
             if not bool(torch.isfinite(x).all()):
                 found[name] = {"finite": False}
                 continue

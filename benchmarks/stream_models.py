@@ -1,25 +1,24 @@
 """What the benchmarks of recurrent models share: networks from run folders or a model folder, sampled in batches.
 
-B items, N segments, n frames of a segment, D features, L text tokens, C text width. The rows of a batch are grouped by
-segment, as ``rdm.sampler`` has them: every item's row of the oldest segment first.
+B items, N segments, n frames of a segment, D features.
 """
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import islice
 from pathlib import Path
+from typing import Any
 
 import torch
 from torch import Tensor, nn
 
-from moveset.data.captions import mirror_text
-from moveset.diffusion.guidance import cfg
 from moveset.diffusion.phases import PhaseGrid
 from moveset.diffusion.schedule import linear
 from moveset.errors import InputError
-from moveset.models.symmetric import Symmetric
+from moveset.evaluation.generators import Remembered, Wanted
+from moveset.evaluation.streams import Bound, timeline
 from moveset.motion.clip import Motion
 from moveset.motion.contacts import PLANTED
 from moveset.motion.features import FeatureCodec, Normalizer, get_codec
@@ -27,11 +26,12 @@ from moveset.motion.foot_lock import FootLock
 from moveset.motion.hold_root import hold_root
 from moveset.motion.incremental import IncrementalDecoder
 from moveset.motion.native import NativeCodec
+from moveset.pipelines.course import Course
 from moveset.pipelines.stream_bundle import FLOW, StreamBundle
-from moveset.rdm.sampler import Denoiser, stream
+from moveset.rdm.sampler import stream
 from moveset.rdm.staircase import Shape, Staircase, levels
 from moveset.rdm.transport import Transport
-from moveset.text.encoder import TextEmbedding, get_text_encoder, stack
+from moveset.text.encoder import get_text_encoder
 from moveset.training import frozen
 from moveset.training.clips import FeatureStore
 from moveset.training.pack_stream import RUNS
@@ -73,24 +73,6 @@ class Method:
         words += [self.init_noise] if self.init_noise != "independent" else []
         words += [self.entry] if self.entry != "copy" else []
         return " ".join([*words, f"w={self.guidance:g}"])
-
-
-class TextBank:
-    """Sentences encoded once."""
-
-    def __init__(self, encoder: str) -> None:
-        self._encoder, self._known = get_text_encoder(encoder), {}
-
-    def __call__(self, sentences: Sequence[str]) -> TextEmbedding:
-        """Embeddings (B, L, C), padded to the longest of these."""
-        new = sorted({s for s in sentences if s not in self._known}, key=len)
-        for k in range(0, len(new), 64):
-            coded = self._encoder.encode(new[k : k + 64])
-            for row, sentence in enumerate(new[k : k + 64]):
-                count = int(coded.mask[row].sum())
-                one = coded[row : row + 1]
-                self._known[sentence] = TextEmbedding(one.tokens[:, :count], one.mask[:, :count], one.pooled)
-        return stack([self._known[s] for s in sentences])
 
 
 class Networks:
@@ -157,9 +139,10 @@ class Networks:
         return found.module
 
     @cached_property
-    def text(self) -> TextBank:
+    def text(self) -> Remembered:
         """The encoder of all of them."""
-        return TextBank(self._bundle.config.text_encoder if self._bundle else self._task["text_encoder"])
+        name = self._bundle.config.text_encoder if self._bundle else self._task["text_encoder"]
+        return Remembered(get_text_encoder(name))
 
     @cached_property
     def codec(self) -> FeatureCodec:
@@ -185,90 +168,41 @@ class Networks:
         return self.store.normalizer
 
 
-class Bound:
-    """A denoiser with every item's prompt of every segment bound to it, for ``rdm.sampler``; counts row evaluations.
-
-    Args:
-        prompts: by segment, the sentence of each item.
-        clean_left: every segment is told its finished predecessor: text and predecessor are read once.
-        half: evaluate the network in bfloat16.
-    """
-
-    def __init__(
-        self,
-        module: nn.Module,
-        text: TextBank,
-        prompts: Callable[[int], Sequence[str]],
-        guidance: float,
-        clean_left: bool,
-        half: bool,
-    ) -> None:
-        self._module, self._text, self._prompts, self._w = module, text, prompts, guidance
-        self._guided = bool(getattr(module.config, "guided", False))
-        self._twice = bool(guidance) and not self._guided
-        self._even = isinstance(module, Symmetric)
-        self._once = clean_left and hasattr(module, "read")
-        self._half, self.evaluations = half, 0
-        self._read: tuple[tuple[int, ...], TextEmbedding] | None = None
-        self._context: tuple[int, object] | None = None
-
-    def pooled(self, segment: int) -> Tensor:
-        """(B, C) sentence embeddings of a segment's prompts."""
-        return self._text(self._prompts(segment)).pooled
-
-    def __call__(
-        self, x: Tensor, t: Tensor, prev: Tensor, prev_t: Tensor, index: Tensor, segments: Sequence[int]
-    ) -> Tensor:
-        """Clean segments (B, n, D)."""
-        text = self._words(tuple(dict.fromkeys(segments)))
-        self.evaluations += len(text)
-        if self._twice:
-            x, prev = (z.repeat(2, 1, 1) for z in (x, prev))
-            t, prev_t, index = (z.repeat(2) for z in (t, prev_t, index))
-        w = torch.full((len(x),), self._w) if self._guided else None
-        with torch.autocast("cpu", torch.bfloat16, enabled=self._half):
-            if self._once:
-                if self._context is None or self._context[0] != segments[0]:
-                    read = self._module.read(text.tokens, text.mask, prev, prev_t, index)
-                    self._context = (segments[0], read)
-                made = self._module.denoise(x, t, self._context[1], w)
-            else:
-                made = self._module(x, t, prev, prev_t, index, text.tokens, text.mask, w)
-        return cfg(*made.float().chunk(2), self._w) if self._twice else made.float()
-
-    def _words(self, order: tuple[int, ...]) -> TextEmbedding:
-        """Of the rows of these segments; below them the empty text for guidance, or what mirror images are told."""
-        if self._read is None or self._read[0] != order:
-            said = [sentence for segment in order for sentence in self._prompts(segment)]
-            below = [""] * len(said) if self._twice else [mirror_text(line) for line in said] if self._even else []
-            self._read = (order, self._text(said + below))
-        return self._read[1]
-
-
 def segments_of(
     networks: Networks,
     method: Method,
-    prompts: Callable[[int], Sequence[str]],
-    seeds: Sequence[int],
+    said: Sequence[Wanted],
     segments: int | None,
     half: bool = False,
 ) -> Iterator[Tensor]:
     """Segments (B, n, D), normalised, one after the other.
 
     Args:
-        prompts: by segment, the sentence of each item.
-        seeds: one for every item.
+        said: each item's sentences with their frames, and its seed; what is held has more frames than a network can be
+            told of. Sentences are said whole.
         segments: N, or None for a stream without end.
         half: evaluate the network in bfloat16.
     """
     module, plan = networks.module(method.network), method.staircase(segments)
-    clean_left = plan.lag == plan.steps and method.past_lag is None
-    bound = Bound(module, networks.text, prompts, method.guidance, clean_left, half)
-    call: Denoiser = bound
+    n, fps, normalizer = networks.frames, networks.codec.fps, networks.normalizer
+    assert isinstance(networks.codec, NativeCodec)
+    bound = Bound(
+        module, networks.text, [timeline(one, fps, n / fps, stages=False) for one in said],
+        guided=bool(getattr(module.config, "guided", False)), guidance=method.guidance,
+        once=plan.lag == plan.steps and method.past_lag is None,
+        course=Course(networks.codec.groups["root_yaw"], normalizer.mean, normalizer.std, plan.steps),
+        device=torch.device("cpu"),
+    )  # fmt: skip
+
+    def denoiser(*given: Any) -> Tensor:
+        with torch.autocast("cpu", torch.bfloat16, enabled=half):
+            return bound(*given).float()
+
     return stream(
-        call, networks.transport(method.network), SCHEDULE, networks.levels(method), plan, seeds,
-        (networks.frames, networks.codec.dim), bound.pooled, eta=method.eta, init_noise=method.init_noise,
-        entry=method.entry, past_lag=method.past_lag, colour=getattr(module, "colour", None),
+        denoiser, networks.transport(method.network), SCHEDULE, networks.levels(method), plan,
+        [one.seed for one in said], (n, networks.codec.dim), bound.pooled, eta=method.eta,
+        init_noise=method.init_noise, entry=method.entry, past_lag=method.past_lag,
+        colour=getattr(module, "colour", None),
     )  # fmt: skip
 
 
@@ -289,8 +223,8 @@ def sample_all(
         size = max(1, rows // widest)
         for k in range(0, len(items), size):
             part = items[k : k + size]
-            said = [wanted[k][0] for k in part]
-            made = list(islice(segments_of(networks, method, lambda _, said=said: said, part, count, half), count))
+            said = [Wanted((wanted[k],), seed=k) for k in part]
+            made = list(islice(segments_of(networks, method, said, count, half), count))
             sequences = torch.cat(made, dim=1)
             for row, item in enumerate(part):
                 out[item] = sequences[row, : wanted[item][1]].clone()
