@@ -61,7 +61,8 @@ class RDMStudentConfig:
         noisy_past: tell the teacher the segment before at a level somewhat below the one it is asked at, as most of its
             training did, instead of finished; the student is told a finished one, as in use.
         noisy_own: tell it so of ``own_past`` only: from a noisy past the teacher goes on more lively than from the
-            tired one that a stream may have come to, from takes as it is told them it can be followed exactly.
+            tired one that a stream may have come to; told takes' pasts as they are, it can be followed. For one phase:
+            in lower phases of a stream the noise is another than the one that its segment began with.
         own_past: share of a batch's rows that are told what the student made itself (``training.own_past``). They are
             asked at the top of each phase in turn, and judged without their past: not whether a segment goes on as
             takes do, but whether it shows what is said as takes do.
