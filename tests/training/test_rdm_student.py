@@ -95,6 +95,11 @@ def test_a_teacher_may_be_told_a_noisy_past_of_streams_alone(folder, rdm7, tmp_p
                 assert not torch.allclose(previous[row], bound.batch.previous[row], atol=1e-2)
 
 
+def test_a_noisy_past_of_streams_asks_for_streams(folder, rdm7, tmp_path):
+    with pytest.raises(InputError, match="set own_past too"):
+        trained(folder, "rdm-student", tmp_path / "run", "noisy_own=true")
+
+
 def test_lower_phases_meet_what_the_student_landed_at(folder, rdm7, tmp_path, monkeypatch):
     met, target = [], rdm_student.clean_target
     monkeypatch.setattr(

@@ -121,6 +121,9 @@ class RDMStudentTask(Task):
     name = "rdm-student"
 
     def __init__(self, config: RDMStudentConfig, sources: Sources, loop: Loop) -> None:
+        # Not a check of the configuration: settings come one by one, in any order.
+        if config.noisy_own and not config.own_past:
+            raise InputError("noisy_own is of the student's own streams, and there are none; set own_past too")
         self.steps = loop.config.steps
         teacher = frozen.load(sources.teacher, "denoiser_ema", loop.device)
         self.teacher = teacher.module
