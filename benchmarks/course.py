@@ -6,7 +6,8 @@
 Of every sentence ``--copies`` streams of ``--seconds``, as users get them: held without an end, or ``--timed``.
 Turning is what the direction in which the root travels within a second changes by, from the first second to the last,
 per second: the median of its size, and of itself (left is positive), which tells a stream that sways from one that
-circles, and between which values eight of ten are. Real takes of the corpus are measured likewise.
+circles, and between which values eight of ten are. How far somebody has turned from the first frame to the last is what
+the hips have. Real takes of the corpus are measured likewise.
 """
 
 import argparse
@@ -22,6 +23,7 @@ from arguments import Parser, at_least, between, report_path, write_report
 from moveset.data.corpus import Corpus
 from moveset.errors import exit_code_of
 from moveset.evaluation.physical import jerk, skating
+from moveset.motion.skeleton import HML22
 from moveset.pipelines.stream_bundle import DEFAULT_STREAM, StreamBundle
 from moveset.pipelines.stream_group import StreamGroup
 from moveset.pipelines.stream_settings import check_stream
@@ -47,15 +49,25 @@ def turning(root_F3: Tensor) -> float:
     return float(turned) / (len(course) / FPS)
 
 
+def turned(joints_FJ3: Tensor) -> float:
+    """Degrees, to the left positive, by which a body has turned in the end: the sum of what its hips turn by."""
+    across = (joints_FJ3[:, HML22.index("left_hip")] - joints_FJ3[:, HML22.index("right_hip")])[:, [0, 2]]
+    angle = torch.atan2(-across[:, 1], across[:, 0]).diff()
+    return float(torch.atan2(angle.sin(), angle.cos()).sum().rad2deg())
+
+
 def measured(clips: list[Tensor]) -> dict[str, Any]:
     """Of joints (F, J, 3) of each clip, more than a second long."""
     turns = [turning(joints[:, 0]) for joints in clips]
+    ends = [turned(joints) for joints in clips]
     away = [float((joints[-1, 0] - joints[0, 0])[[0, 2]].norm()) / (len(joints) / FPS) for joints in clips]
     return {
         "clips": len(clips),
         "turning": round(statistics.median(map(abs, turns)), 2),
         "turning_left": round(statistics.median(turns), 2),
         "turning_left_most": [round(float(torch.tensor(turns).quantile(share)), 2) for share in (0.1, 0.9)],
+        "turned": round(statistics.median(ends), 1),
+        "turned_most": [round(float(torch.tensor(ends).quantile(share)), 1) for share in (0.1, 0.9)],
         "metres_a_second": round(statistics.median(away), 3),
         "skating": round(statistics.mean(float(skating(joints.float(), FPS)) for joints in clips), 3),
         "jerk": round(statistics.mean(float(jerk(joints.float(), FPS)) for joints in clips), 1),

@@ -20,14 +20,11 @@ from moveset.errors import InputError
 from moveset.evaluation.generators import Remembered, Wanted
 from moveset.evaluation.streams import Bound, timeline
 from moveset.motion.clip import Motion
-from moveset.motion.contacts import PLANTED
 from moveset.motion.features import FeatureCodec, Normalizer, get_codec
-from moveset.motion.foot_lock import FootLock
-from moveset.motion.hold_root import hold_root
-from moveset.motion.incremental import IncrementalDecoder
 from moveset.motion.native import NativeCodec
+from moveset.motion.stream_decoder import StreamDecoder
 from moveset.pipelines.course import Course
-from moveset.pipelines.stream_bundle import FLOW, StreamBundle
+from moveset.pipelines.stream_bundle import FLOW, StreamBundle, StreamConfig
 from moveset.rdm.sampler import stream
 from moveset.rdm.staircase import Shape, Staircase, levels
 from moveset.rdm.transport import Transport
@@ -94,6 +91,11 @@ class Networks:
     def guidance(self) -> dict[str, float]:
         """A model's own scales by network; none of runs."""
         return dict(self._bundle.config.guidance) if self._bundle else {}
+
+    @property
+    def travelling(self) -> float:
+        """How much a model holds the root of whoever goes (``StreamConfig``); all of it for runs."""
+        return self._bundle.config.travelling if self._bundle else StreamConfig.travelling
 
     def has(self, name: str) -> bool:
         """Whether there is such a network."""
@@ -240,10 +242,5 @@ def finished_motion(networks: Networks, features: Tensor, blend_seconds: float =
     """The motion as a stream gives it out, float64: seams smoothed, feet locked, piece by piece."""
     codec = networks.codec
     assert isinstance(codec, NativeCodec)
-    decoder, feet = IncrementalDecoder(codec, blend_seconds), FootLock(codec.skeleton, codec.fps)
-    pieces = []
-    for piece in networks.normalizer.denormalize(features).split(networks.frames):
-        planted = piece[:, codec.groups["contacts"]] > PLANTED
-        pieces.append(feet(decoder(hold_root(piece, planted, codec)), planted))
-    turned, root = (torch.cat([getattr(p, name) for p in pieces]) for name in ("rotations", "root"))
-    return Motion(turned, root, codec.fps, codec.skeleton)
+    decoder = StreamDecoder(codec, blend_seconds, travelling=networks.travelling)
+    return decoder.whole(networks.normalizer.denormalize(features), networks.frames)

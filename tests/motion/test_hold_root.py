@@ -65,6 +65,23 @@ def test_over_one_foot_that_slides_the_root_slows_by_half_of_it_and_half_a_metre
     torch.testing.assert_close(before - after, (0.5 * before).clamp(max=0.5), atol=1e-4, rtol=0)
 
 
+@pytest.mark.parametrize("planted", [(1, 1, 1, 1), (1, 1, 0, 0)])
+@pytest.mark.parametrize("travelling", [0.0, 0.25, 1.0])
+def test_who_travels_is_held_by_a_share_and_who_drifts_in_full(planted, travelling):
+    told = torch.tensor(planted, dtype=torch.bool).expand(28, 4)
+    lost = []
+    for speed in (0.09, 0.2, 0.35):  # of feet: who drifts, who is between, who travels
+        features = gliding((0.0, speed))
+        before, after = (
+            x[2:-1, STEPS].norm(dim=1) * CODEC.fps for x in (features, hold_root(features, told, CODEC, travelling))
+        )
+        lost.append(float(((before - after) / before).mean()))
+    whole = 1.0 if all(planted) else 0.5
+    assert lost[0] == pytest.approx(whole, abs=0.02)
+    assert lost[1] == pytest.approx(whole * (1 + travelling) / 2, abs=0.05)
+    assert lost[2] == pytest.approx(whole * travelling, abs=0.02)
+
+
 def test_who_stands_still_already_stays_as_they_are():
     features = gliding((0.0, 0.0))
     assert torch.allclose(hold_root(features, BOTH, CODEC), features, atol=1e-6)

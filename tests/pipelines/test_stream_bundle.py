@@ -96,6 +96,8 @@ def test_the_same_networks_give_the_same_bytes(folder, tmp_path):
         ({"start": 11}, "start 11"),
         ({"lag": 0}, "lag 0"),
         ({"past_lag": 11}, "past_lag 11"),
+        ({"travelling": 1.1}, "travelling 1.1"),
+        ({"travelling": float("nan")}, "travelling nan"),
         ({"eta": float("nan")}, "eta nan"),
         ({"fps": 0.0}, "frame rate"),
         ({"symmetric": ("rdm",)}, "'rdm' is no guided network"),

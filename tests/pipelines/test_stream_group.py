@@ -112,7 +112,7 @@ def test_planted_feet_are_those_that_the_lock_holds(group, monkeypatch):
     together.advance([together.open(WALK, seed) for seed in (1, 2)])
     # An untrained network's feet all stand or none does: let half of them.
     limit = float(torch.cat(seen).median())
-    monkeypatch.setattr("moveset.pipelines.stream_group.PLANTED", limit)
+    monkeypatch.setattr("moveset.motion.stream_decoder.PLANTED", limit)
     held.clear()
     pieces = together.advance([together.open(WALK, seed) for seed in (1, 2)])
     for piece, contacts, one in zip(pieces, seen[2:], held, strict=True):

@@ -7,8 +7,7 @@ import pytest
 import torch
 
 from moveset.motion.features import get_codec
-from moveset.motion.foot_lock import FootLock
-from moveset.motion.incremental import IncrementalDecoder
+from moveset.motion.stream_decoder import StreamDecoder
 from moveset.pipelines.stream_group import Lane
 from moveset.pipelines.stream_settings import held
 from moveset.server import sessions
@@ -28,7 +27,7 @@ def begin(buffer=2.0, commit=None):
     config = SimpleNamespace(fps=20.0, segment=28)
     codec = get_codec("native")
     text = TextEmbedding(torch.zeros(1, 1, 4), torch.ones(1, 1, dtype=torch.bool), torch.zeros(1, 4))
-    lane = Lane(0, 1.0, held("walk"), "walk", text, IncrementalDecoder(codec), FootLock(codec.skeleton, 20.0))
+    lane = Lane(0, 1.0, held("walk"), "walk", text, StreamDecoder(codec))
     session.started(SimpleNamespace(bundle=SimpleNamespace(config=config)), lane)
     return session
 

@@ -113,10 +113,12 @@ def test_the_folder_holds_the_averaged_networks_of_the_latest_checkpoints(traine
         "0.5",
         "--idle",
         "stand",
+        "--travelling",
+        "0.5",
     )
     bundle = command(monkeypatch, trained, tmp_path / "packed", *networks, *scales, *plan, "--name", "tried")
     config = bundle.config
-    assert (config.name, config.network, config.idle) == ("tried", "pcm-2", "stand")
+    assert (config.name, config.network, config.idle, config.travelling) == ("tried", "pcm-2", "stand", 0.5)
     assert (config.segment, config.depth_cap, config.points) == (FRAMES, 2, 20)
     assert (config.sampler_steps, config.start, config.lag, config.past_lag, config.eta) == (12, 5, 2, 1, 0.5)
     assert config.guidance == {"rdm": 1.5, "md": 1.5, "pcm-1": 2.5, "pcm-2": 1.5}

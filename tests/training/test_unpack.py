@@ -159,6 +159,7 @@ def test_what_cannot_be_exchanged_is_said_and_nothing_is_written(models, runs, t
         (models[0], ["pcm-1"], "'pcm-1' names no run"),
         (models[0], [pcm, "--guidance", "pcm-8=2"], "no network 'pcm-8' to guide; choose vae"),
         (models[0], [pcm, "--symmetric", "pcm-1"], "--symmetric is of streams"),
+        (models[0], [pcm, "--travelling", "0.5"], "--travelling is of streams"),
         (models[0], [f"lcm-2={runs / 'lcm-1'}"], "add --guidance lcm-2=W"),
         (models[1], [f"pcm-1={runs / 'rdm-pcm-1'}", "--tremor", "md=1"], "no network 'md' to damp; choose pcm-1"),
     ):
@@ -211,9 +212,9 @@ def test_several_runs_make_their_mean(models, runs, tmp_path):
 
 def test_a_stream_with_another_student_plays(models, runs, tmp_path):
     student = {"pcm-1": runs / "rdm-pcm-1"}
-    out = exchange.exchange(models[1], student, tmp_path / "out", tremor={"pcm-1": 7.0}, symmetric=())
+    out = exchange.exchange(models[1], student, tmp_path / "out", tremor={"pcm-1": 7.0}, symmetric=(), travelling=0.5)
     config = StreamBundle(out).config
-    assert (config.symmetric, config.models["pcm-1"].base) == ((), "rdm")
+    assert (config.symmetric, config.travelling, config.models["pcm-1"].base) == ((), 0.5, "rdm")
     assert config.models["pcm-1"].config["tremor"] == 7.0
     assert len(next(MotionStream.from_pretrained(out, device="cpu")).motion) == 28
     trembling = exchange.exchange(models[1], student, tmp_path / "trembling", tremor={"pcm-1": 0.0}, symmetric=())

@@ -21,10 +21,6 @@ from moveset.models.flow import CouplingFlow
 from moveset.models.segment_transformer import told_of
 from moveset.models.symmetric import Symmetric
 from moveset.motion.clip import Motion
-from moveset.motion.contacts import PLANTED
-from moveset.motion.foot_lock import FootLock
-from moveset.motion.hold_root import hold_root
-from moveset.motion.incremental import IncrementalDecoder
 from moveset.pipelines.course import Course
 from moveset.pipelines.device import pick_device
 from moveset.pipelines.stream_bundle import FLOW, StreamBundle
@@ -55,6 +51,7 @@ class Streams:
         "moveset.rdm.noise", "moveset.diffusion.steps", "moveset.diffusion.coloured", "moveset.motion.incremental",
         "moveset.motion.foot_lock", "moveset.motion.cleanup", "moveset.motion.hover", "moveset.motion.hold_root",
         "moveset.models.symmetric", "moveset.motion.contacts", "moveset.pipelines.course",
+        "moveset.motion.stream_decoder",
     )  # fmt: skip
 
     def __init__(
@@ -80,6 +77,8 @@ class Streams:
         # Said where there is something to say, so that results from before it could be chosen are of the same settings.
         if settings["past_lag"] is None:
             del settings["past_lag"]
+        if self._bundle.config.travelling != 1.0:
+            settings["travelling"] = self._bundle.config.travelling
         settings["symmetric"] = self.network in self._bundle.config.symmetric
         return {**settings, "shape": self._shape, "batch": self._batch, "device": self._device.type}
 
@@ -148,15 +147,8 @@ class Streams:
 
     def _motion(self, features: Tensor) -> Motion:
         """The motion of features (F, D) as a stream gives it out, piece by piece: seams smoothed, feet locked."""
-        settings, codec = self._settings, self._codec
-        decoder, feet = IncrementalDecoder(codec, settings.blend_seconds), FootLock(codec.skeleton, codec.fps)
-        pieces = []
-        for piece in features.split(self._bundle.config.segment):
-            planted = piece[:, codec.groups["contacts"]] > PLANTED
-            locked = settings.foot_lock
-            pieces.append(feet(decoder(hold_root(piece, planted, codec)), planted) if locked else decoder(piece))
-        turned, root = (torch.cat([getattr(piece, name) for piece in pieces]) for name in ("rotations", "root"))
-        return Motion(turned, root, codec.fps, codec.skeleton)
+        decoder = self._settings.decoder(self._bundle.config, self._codec)
+        return decoder.whole(features, self._bundle.config.segment)
 
 
 class _Line:

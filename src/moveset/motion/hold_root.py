@@ -15,20 +15,22 @@ from moveset.motion.native import NativeCodec
 
 _ALONE = 0.5  # share of a lone foot's sliding that the root gives up; the rest is for the foot lock
 _FASTEST = 0.5  # m/s that are taken out at most: what differs more was not meant to stand
+_DRIFTS, _TRAVELS = 0.1, 0.3  # m/s of planted feet: a standing body's are slower, those of one on its way are faster
 _EASE = 5  # steps over which holding sets in and ends
 _SMOOTH = (0.25, 0.5, 0.25)
 
 
-def hold_root(features_FD: Tensor, planted_F4: Tensor, codec: NativeCodec) -> Tensor:
+def hold_root(features_FD: Tensor, planted_F4: Tensor, codec: NativeCodec, travelling: float = 1.0) -> Tensor:
     """Features, not normalised, whose root does not travel while both feet stand, and less where one slides.
 
     From one frame to the next the root's planar step loses what the joints that are planted in both travel on average:
-    all of it where both feet stand, half where one does, at most ``_FASTEST``. It sets in and ends within a few frames,
-    and the last frame's step, which leads to the next segment, loses as much as the one before it. Nothing else is
-    changed.
+    all of it where both feet stand, half where one does, at most ``_FASTEST``; of a body whose planted feet are faster
+    than a standing one's the share ``travelling`` of that. It sets in and ends within a few frames, and the last
+    frame's step, which leads to the next segment, loses as much as the one before it. Nothing else is changed.
 
     Args:
         planted_F4: bool, as in the codec's contacts: left ankle, left toe, right ankle, right toe.
+        travelling: 0 to 1. 1 holds whoever goes as much as whoever stands: their feet slide less, and they are slower.
     """
     stays_S4 = planted_F4[1:] & planted_F4[:-1]
     left_S, right_S = stays_S4[:, :2].any(dim=1), stays_S4[:, 2:].any(dim=1)
@@ -40,6 +42,8 @@ def hold_root(features_FD: Tensor, planted_F4: Tensor, codec: NativeCodec) -> Te
     drift_S2 = (moved_S42 * share_S41).sum(dim=1) / share_S41.sum(dim=1).clamp_min(1)
     # A drift that stops at once would be a jolt.
     held_S = (left_S & right_S) + _ALONE * (left_S ^ right_S).to(drift_S2.dtype)
+    going_S = ((drift_S2.norm(dim=1) * codec.fps - _DRIFTS) / (_TRAVELS - _DRIFTS)).clamp(0.0, 1.0)
+    held_S = held_S * (1.0 - (1.0 - travelling) * going_S)
     eased_S = avg_pool1d(pad(held_S[None, None], (_EASE // 2, _EASE // 2), mode="replicate"), _EASE, 1)[0, 0]
     drift_2S = (drift_S2 * torch.minimum(eased_S, held_S)[:, None]).T
     drift_2S = conv1d(pad(drift_2S[:, None], (1, 1), mode="replicate"), drift_2S.new_tensor([[_SMOOTH]]))[:, 0]

@@ -22,10 +22,6 @@ from moveset.errors import FormatError, InputError
 from moveset.models.flow import CouplingFlow
 from moveset.models.segment_transformer import UNKNOWN
 from moveset.motion.clip import Motion
-from moveset.motion.contacts import PLANTED
-from moveset.motion.foot_lock import FootLock
-from moveset.motion.hold_root import hold_root
-from moveset.motion.incremental import IncrementalDecoder
 from moveset.pipelines.course import Course
 from moveset.pipelines.device import pick_device
 from moveset.pipelines.prompt_memory import PromptMemory
@@ -208,8 +204,7 @@ class MotionStream(Iterator[Segment]):
                 "places": {str(j): self._places[j] for j in progress.active},
                 "course": self._denoise.course.state(),
                 "sampler": progress.numbers(),
-                "decoder": self._decoder.state(),
-                "feet": self._feet.state(),
+                **self._decoder.state(),
                 "waiting": [{k: v for k, v in vars(made).items() if k != "motion"} for made in waiting],
             }
             tensors = {f"sampler.{name}": x for name, x in progress.tensors().items()}
@@ -248,8 +243,7 @@ class MotionStream(Iterator[Segment]):
                 self._denoise.enter(segment, prompt, place)
             if "course" in numbers:
                 self._denoise.course.restored(numbers["course"])
-            self._decoder = IncrementalDecoder.from_state(self.codec, numbers["decoder"])
-            self._feet = FootLock.from_state(self.codec.skeleton, self.codec.fps, numbers["feet"])
+            self._decoder.restore(numbers)
             for k, made in enumerate(numbers["waiting"]):
                 turned, root = (snapshot.tensors[f"waiting.{k}.{part}"] for part in ("rotations", "root"))
                 motion = Motion(turned, root, self.codec.fps, self.codec.skeleton)
@@ -292,16 +286,12 @@ class MotionStream(Iterator[Segment]):
         self._warm_up()
         self._fresh()
         if seed is not None:
-            self._decoder = IncrementalDecoder.from_state(
-                self.codec, {**self._decoder.state(), "heading": seed.heading, "x": seed.x, "z": seed.z}
-            )
-            self._feet(self._decoder(seed.features), seed.features[:, self.codec.groups["contacts"]] > PLANTED)
+            self._decoder.go_on_from(seed.features, seed.heading, seed.x, seed.z)
             left = (seed.features.to(self.device) - self._mean) / self._std
             self._go_on(seed.state(left[None], settings, self._seed, config, self._colour), 1)
 
     def _fresh(self) -> None:
-        self._decoder = IncrementalDecoder(self.codec, self._settings.blend_seconds)
-        self._feet = FootLock(self.codec.skeleton, self.codec.fps)
+        self._decoder = self._settings.decoder(self.bundle.config, self.codec)
         self._go_on(None, 0)
 
     def _go_on(self, state: StreamState | None, given: int) -> None:
@@ -344,11 +334,7 @@ class MotionStream(Iterator[Segment]):
                 features = next(self._sampler)[0] * self._std + self._mean
             # Outside, so that what users get are ordinary tensors.
             features = features.cpu().clone()
-            if self._settings.foot_lock:
-                planted = features[:, self.codec.groups["contacts"]] > PLANTED
-                motion = self._feet(self._decoder(hold_root(features, planted, self.codec)), planted)
-            else:
-                motion = self._decoder(features)
+            motion = self._decoder(features)
             finished = self._sampler.progress.finished - 1
             self._denoise.leave(finished)
             self._places.pop(finished)
@@ -368,9 +354,11 @@ class MotionStream(Iterator[Segment]):
         return None if self._transport.flow is None else pooled
 
     def _weights(self, settings: StreamSettings) -> dict[str, Any]:
-        """The sha256 of the networks that make segments, and whether theirs is evaluated with its mirror image."""
+        """The sha256 of the networks that make segments, and what else of the model they depend on."""
         names = (settings.network, FLOW) if self._uses_flow(settings) else (settings.network,)
         found: dict[str, Any] = {name: self.bundle.files[f"{name}.safetensors"][0] for name in names}
+        travelling = self.bundle.config.travelling
+        found |= {} if travelling == 1.0 else {"travelling": travelling}  # states of models from before have none
         return found | {"symmetric": settings.network in self.bundle.config.symmetric}
 
     def _uses_flow(self, settings: StreamSettings) -> bool:

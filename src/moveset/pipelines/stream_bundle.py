@@ -45,12 +45,13 @@ class StreamConfig(FolderConfig):
         past_lag: where segments of ``rdm`` are made one after the other, by how many steps the finished one before is
             told to be ahead: it is noised again to that level (``rdm.sampler``). None tells it clean.
         idle: the prompt of a stream before it is given one.
+        travelling: share by which the root of whoever goes is held over feet that slide (``motion.hold_root``).
         symmetric: guided networks that are evaluated with their mirror image (``models.symmetric``), so that streams
             keep to neither side.
     """
 
     task: ClassVar[str] = STREAM
-    newer: ClassVar[frozenset[str]] = frozenset({"past_lag"})
+    newer: ClassVar[frozenset[str]] = frozenset({"past_lag", "travelling"})
 
     network: str
     segment: int = 28
@@ -64,6 +65,7 @@ class StreamConfig(FolderConfig):
     eta: float = 0.0
     past_lag: int | None = None
     idle: str = "a person stands still"
+    travelling: float = 1.0
     symmetric: tuple[str, ...] = ()
 
     @classmethod
@@ -100,6 +102,8 @@ class StreamConfig(FolderConfig):
         if self.past_lag is not None:
             limits["past_lag"] = (1, self.sampler_steps)
         self.check_sampling(self.eta, limits)
+        if not 0 <= self.travelling <= 1:
+            raise ValueError(f"travelling {self.travelling} is not in 0 to 1")
         for name in self.symmetric:
             if name not in self.models or not self.models[name].config.get("guided"):
                 raise ValueError(f"{name!r} is no guided network, which alone can be symmetric")

@@ -9,7 +9,6 @@ Shapes: B lanes, n frames of a segment, D features.
 
 import time
 from collections.abc import Callable, Sequence
-from copy import copy
 from dataclasses import dataclass, replace
 from typing import cast
 
@@ -24,10 +23,7 @@ from moveset.models.flow import CouplingFlow
 from moveset.models.segment_transformer import told_of
 from moveset.models.symmetric import Symmetric
 from moveset.motion.clip import Motion
-from moveset.motion.contacts import PLANTED
-from moveset.motion.foot_lock import FootLock
-from moveset.motion.hold_root import hold_root
-from moveset.motion.incremental import IncrementalDecoder
+from moveset.motion.stream_decoder import StreamDecoder
 from moveset.pipelines.course import Course
 from moveset.pipelines.device import pick_device
 from moveset.pipelines.prompt_memory import PromptMemory
@@ -77,8 +73,7 @@ class Lane:
     line: Timeline
     prompt: str
     text: TextEmbedding
-    decoder: IncrementalDecoder
-    feet: FootLock
+    decoder: StreamDecoder
     since: int = 0
     number: int = 0
     left: Tensor | None = None
@@ -94,9 +89,7 @@ class Lane:
 
     def copy(self) -> "Lane":
         """An independent copy, to go back to."""
-        # The decoder replaces what it remembers; the foot lock writes into it.
-        feet = FootLock.from_state(self.feet.skeleton, self.feet.fps, self.feet.state())
-        return replace(self, decoder=copy(self.decoder), feet=feet)
+        return replace(self, decoder=self.decoder.copy())
 
     def back_at(self, earlier: "Lane") -> "Lane":
         """A copy of ``earlier`` that is told from there on what this lane is told."""
@@ -166,8 +159,7 @@ class StreamGroup:
             line,
             line.prompts[0],
             text,
-            IncrementalDecoder(self.codec, self.settings.blend_seconds),
-            FootLock(self.codec.skeleton, self.codec.fps),
+            self.settings.decoder(self.bundle.config, self.codec),
             reading_ms=(time.perf_counter() - start) * 1e3,
         )
 
@@ -214,10 +206,7 @@ class StreamGroup:
             lane.reading_ms += (time.perf_counter() - start) * 1e3
 
     def _decoded(self, lane: Lane, features: Tensor) -> tuple[Motion, Tensor]:
-        planted = features[:, self.codec.groups["contacts"]] > PLANTED
-        if not self.settings.foot_lock:
-            return lane.decoder(features), planted
-        return lane.feet(lane.decoder(hold_root(features, planted, self.codec)), planted), planted
+        return lane.decoder(features), lane.decoder.planted(features)
 
     def _piece(self, lane: Lane, clean: Tensor, decoded: tuple[Motion, Tensor], spent: float) -> Piece:
         motion, planted = decoded

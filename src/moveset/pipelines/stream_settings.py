@@ -11,6 +11,8 @@ from moveset.diffusion.phases import PhaseGrid
 from moveset.diffusion.schedule import Schedule, cosine, linear
 from moveset.errors import InputError
 from moveset.models.segment_transformer import UNKNOWN
+from moveset.motion.native import NativeCodec
+from moveset.motion.stream_decoder import StreamDecoder
 from moveset.pipelines.request import MAX_GUIDANCE, MAX_PROMPTS, SEEDS, check_prompt, check_real, check_whole
 from moveset.pipelines.stream_bundle import FLOW, StreamConfig
 from moveset.rdm.staircase import Staircase, levels
@@ -63,6 +65,10 @@ class StreamSettings:
     def clean_left(self) -> bool:
         """Whether every segment is told its finished predecessor as it is, at every step."""
         return self.one_by_one and self.past_lag is None
+
+    def decoder(self, config: StreamConfig, codec: NativeCodec) -> StreamDecoder:
+        """What makes motion of segments."""
+        return StreamDecoder(codec, self.blend_seconds, foot_lock=self.foot_lock, travelling=config.travelling)
 
     def staircase(self) -> Staircase:
         """The plan, without end."""

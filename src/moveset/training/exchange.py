@@ -44,7 +44,7 @@ def exchange(
             (``SegmentTransformerConfig``).
         averaged: the students' averaged weights instead of the last ones.
         max_error: how far 8-bit differences may be from the weights (``pipelines.stored_weights.subtracted``).
-        changes: other fields of the model's configuration, such as ``symmetric``.
+        changes: other fields of the model's configuration, such as ``symmetric`` and ``travelling``.
 
     Raises:
         InputError: a network that is no student, one of other sizes or phases, a new one without guidance, or guidance
@@ -124,6 +124,7 @@ def main() -> None:
     parser.add_argument("--guidance", nargs="*", default=[], metavar="NETWORK=W", help="where it changes")
     parser.add_argument("--tremor", nargs="*", default=[], metavar="NETWORK=C", help="of a stream's students")
     parser.add_argument("--symmetric", nargs="*", help="of a stream: networks to be sampled with mirror images")
+    parser.add_argument("--travelling", type=float, help="of a stream: how much the root of whoever goes is held")
     parser.add_argument("--name", help="what the model is called from now on")
     parser.add_argument("--last", action="store_true", help="the students' last weights instead of the averaged ones")
     parser.add_argument(
@@ -136,9 +137,10 @@ def main() -> None:
         raise InputError(f"{pathless[0]!r} names no run; write NETWORK=RUN, such as pcm-1=runs/small/pcm-1")
     students = {name: [Path(path) for path in paths.split(",")] for name, _, paths in pairs}
     changes: dict[str, Any] = {} if given.symmetric is None else {"symmetric": tuple(given.symmetric)}
-    changes |= {} if given.name is None else {"name": given.name}
-    if given.symmetric is not None and task_of(find_folder(given.model)) == TEXT_TO_MOTION:
-        raise InputError(f"--symmetric is of streams, and {given.model!r} makes clips; leave it out")
+    changes |= {name: getattr(given, name) for name in ("travelling", "name") if getattr(given, name) is not None}
+    of_streams = [name for name in ("symmetric", "travelling") if name in changes]
+    if of_streams and task_of(find_folder(given.model)) == TEXT_TO_MOTION:
+        raise InputError(f"--{of_streams[0]} is of streams, and {given.model!r} makes clips; leave it out")
     scales, tremor = (by_network(chosen, tuple(students)) for chosen in (given.guidance, given.tremor))
     print(exchange(given.model, students, given.out, scales, tremor, not given.last, given.max_error, **changes))
 

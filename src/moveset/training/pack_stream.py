@@ -34,6 +34,7 @@ class Sampling:
     eta: float = 0.0
     past_lag: int | None = None
     idle: str = "a person stands still"
+    travelling: float = 1.0
     symmetric: tuple[str, ...] = ()
 
 
@@ -160,6 +161,9 @@ def main() -> None:
     parser.add_argument("--last", action="store_true", help="the students' last weights instead of the averaged ones")
     parser.add_argument("--whole", action="store_true", help="the students' weights, not differences from rdm's")
     parser.add_argument("--symmetric", nargs="*", default=[], help="guided networks to be sampled with mirror images")
+    parser.add_argument(
+        "--travelling", type=float, default=Sampling.travelling, help="share by which the root of whoever goes is held"
+    )
     parser.add_argument("--name", default=DEFAULT_STREAM)
     parser.add_argument("--out", type=Path, required=True)
     given = parser.parse_args()
@@ -179,6 +183,7 @@ def main() -> None:
         eta=given.eta,
         past_lag=given.past_lag,
         idle=given.idle,
+        travelling=given.travelling,
         symmetric=tuple(given.symmetric),
     )
     scales, smoothing = (by_network(chosen, networks) for chosen in (given.guidance, given.smoothing))

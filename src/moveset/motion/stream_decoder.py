@@ -1,0 +1,84 @@
+"""Segments of features to the motion that a stream gives out: continued, seams blended, feet held.
+
+n frames of a segment, D features.
+"""
+
+from collections.abc import Mapping
+from copy import copy
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from moveset.motion.clip import Motion
+from moveset.motion.contacts import PLANTED
+from moveset.motion.foot_lock import FootLock
+from moveset.motion.hold_root import hold_root
+from moveset.motion.incremental import IncrementalDecoder
+from moveset.motion.native import NativeCodec
+
+
+class StreamDecoder:
+    """Decodes segments one after the other; each goes on from where the one before it ended.
+
+    Args:
+        codec: what the features mean.
+        blend_seconds: within which a jump from one segment to the next dies away (``IncrementalDecoder``).
+        foot_lock: hold planted feet in place, and the root over them.
+        travelling: share by which the root of whoever goes is held (``hold_root``).
+
+    Raises:
+        InputError: a negative duration.
+    """
+
+    def __init__(
+        self, codec: NativeCodec, blend_seconds: float = 0.0, *, foot_lock: bool = True, travelling: float = 1.0
+    ) -> None:
+        self.codec = codec
+        self._foot_lock, self._travelling = foot_lock, travelling
+        self._pieces = IncrementalDecoder(codec, blend_seconds)
+        self._feet = FootLock(codec.skeleton, codec.fps)
+
+    def __call__(self, features: Tensor) -> Motion:
+        """The next piece, float64 on the CPU, of unnormalised features (n, D).
+
+        Raises:
+            InputError: no frames, another width, or features that are not finite.
+        """
+        if not self._foot_lock:
+            return self._pieces(features)
+        planted = self.planted(features)
+        return self._feet(self._pieces(hold_root(features, planted, self.codec, self._travelling)), planted)
+
+    def whole(self, features: Tensor, frames: int) -> Motion:
+        """All the next pieces, of ``frames`` frames each, as one motion."""
+        pieces = [self(piece) for piece in features.split(frames)]
+        turned, root = (torch.cat([getattr(piece, name) for piece in pieces]) for name in ("rotations", "root"))
+        return Motion(turned, root, self.codec.fps, self.codec.skeleton)
+
+    def planted(self, features: Tensor) -> Tensor:
+        """(n, 4) bool, which feet stand by the features' own account."""
+        return features[:, self.codec.groups["contacts"]] > PLANTED
+
+    def go_on_from(self, features: Tensor, heading: float, x: float, z: float) -> None:
+        """Begin behind a given motion, which is not held: its features (n, D), and where its first frame is."""
+        place = {"heading": heading, "x": x, "z": z}
+        self._pieces = IncrementalDecoder.from_state(self.codec, {**self._pieces.state(), **place})
+        self._feet(self._pieces(features), self.planted(features))
+
+    def copy(self) -> "StreamDecoder":
+        """An independent copy."""
+        # The decoder of pieces replaces what it remembers; the foot lock writes into it.
+        other = copy(self)
+        other._pieces = copy(self._pieces)
+        other._feet = FootLock.from_state(self.codec.skeleton, self.codec.fps, self._feet.state())
+        return other
+
+    def state(self) -> dict[str, Any]:
+        """Everything that the next piece depends on, as numbers and lists that survive JSON exactly."""
+        return {"decoder": self._pieces.state(), "feet": self._feet.state()}
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Go on where the one whose ``state()`` this is stood."""
+        self._pieces = IncrementalDecoder.from_state(self.codec, state["decoder"])
+        self._feet = FootLock.from_state(self.codec.skeleton, self.codec.fps, state["feet"])
