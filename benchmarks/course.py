@@ -44,16 +44,20 @@ FPS = 20.0
 def turning(root_F3: Tensor) -> float:
     """Degrees a second, to the left positive, by which a path turns; steps of a second, so that gaits do not count."""
     travelled = (root_F3[int(FPS) :] - root_F3[: -int(FPS)])[:, [0, 2]]
-    course = torch.atan2(travelled[:, 0], travelled[:, 1]).diff()
-    turned = torch.atan2(course.sin(), course.cos()).sum().rad2deg()
-    return float(turned) / (len(course) / FPS)
+    course_F = torch.atan2(travelled[:, 0], travelled[:, 1])
+    return _change(course_F) / ((len(course_F) - 1) / FPS)
 
 
 def turned(joints_FJ3: Tensor) -> float:
-    """Degrees, to the left positive, by which a body has turned in the end: the sum of what its hips turn by."""
-    across = (joints_FJ3[:, HML22.index("left_hip")] - joints_FJ3[:, HML22.index("right_hip")])[:, [0, 2]]
-    angle = torch.atan2(-across[:, 1], across[:, 0]).diff()
-    return float(torch.atan2(angle.sin(), angle.cos()).sum().rad2deg())
+    """Degrees, to the left positive, by which the hips have turned from the first frame to the last."""
+    across_F2 = (joints_FJ3[:, HML22.index("left_hip")] - joints_FJ3[:, HML22.index("right_hip")])[:, [0, 2]]
+    return _change(torch.atan2(-across_F2[:, 1], across_F2[:, 0]))
+
+
+def _change(angle_F: Tensor) -> float:
+    """Degrees by which an angle in radians changes in all, which may be more than once around."""
+    step = angle_F.diff()
+    return float(torch.atan2(step.sin(), step.cos()).sum().rad2deg())
 
 
 def measured(clips: list[Tensor]) -> dict[str, Any]:
