@@ -140,6 +140,23 @@ def test_a_segment_of_two_phases_takes_two_steps_and_goes_on_from_where_it_lande
     assert torch.equal(told[3][b], made[2][b])
 
 
+def test_the_noise_that_a_segment_began_with_is_kept_until_its_end(monkeypatch):
+    lasting(monkeypatch, 1e9)
+    own, draws = OwnPast(1 / 3, BATCH, TWO), torch.Generator().manual_seed(0)
+    noises = torch.randn((4, BATCH, FRAMES, FEATURES), generator=draws)
+    a, b = own.rows.tolist()
+    seen = []
+    for step in range(4):
+        own.tell(takes(step), W, draws)
+        seen.append(own.began_with(noises[step]))
+        own.go_on(noises[step], noises[step], TURN)
+    others = [row for row in range(BATCH) if row not in (a, b)]
+    assert torch.equal(torch.stack(seen)[:, others], noises[:, others])
+    # The first segment of the second stream begins in its middle, where a take's segment is.
+    for row, began in ((a, (0, 0, 2, 2)), (b, (0, 1, 1, 3))):
+        assert torch.equal(torch.stack(seen)[:, row], noises[list(began), row])
+
+
 def test_a_segment_is_finished_before_its_stream_gives_way(monkeypatch):
     lasting(monkeypatch, 1)
     own, draws = OwnPast(0.5, BATCH, TWO), torch.Generator().manual_seed(0)

@@ -95,6 +95,23 @@ def test_a_teacher_may_be_told_a_noisy_past_of_streams_alone(folder, rdm7, tmp_p
                 assert not torch.allclose(previous[row], bound.batch.previous[row], atol=1e-2)
 
 
+def test_in_lower_phases_the_past_has_the_noise_that_the_segment_began_with(folder, rdm7, tmp_path, monkeypatch):
+    whites, noise_of = [], rdm_student.RDMStudentTask._past_noise
+    monkeypatch.setattr(
+        rdm_student.RDMStudentTask,
+        "_past_noise",
+        lambda task, white, noisy: (whites.append(white) if noisy else None) or noise_of(task, white, noisy),
+    )
+    settings = ("noisy_own=true", "own_past=0.5", "phases=2")
+    task, _ = trained(folder, "rdm-student", tmp_path / "run", *settings, steps=4)
+    assert len(whites) == 4
+    streams = task.own.rows.tolist()
+    for row in range(task.config.batch):
+        # The first stream has both phases of a segment in two steps, the second a step later, and so on.
+        again = [step for step in (1, 2, 3) if torch.equal(whites[step][row], whites[step - 1][row])]
+        assert again == ([] if row not in streams else [1, 3] if streams.index(row) % 2 == 0 else [2])
+
+
 def test_a_noisy_past_of_streams_asks_for_streams(folder, rdm7, tmp_path):
     with pytest.raises(InputError, match="set own_past too"):
         trained(folder, "rdm-student", tmp_path / "run", "noisy_own=true")

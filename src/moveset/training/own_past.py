@@ -35,7 +35,8 @@ class _Streams:
     """What streams are told (S, …): past, segment number, place in the time of the sentence, turn since it began,
     guidance scale, sentence; and an example of the sentence.
 
-    ``phase`` is the one that is next, and ``landed`` the noisy segment there, of no meaning where one begins.
+    ``phase`` is the one that is next, ``landed`` the noisy segment there, of no meaning where one begins, and ``noise``
+    the one that the segment began with.
     """
 
     previous: Tensor
@@ -46,6 +47,7 @@ class _Streams:
     clean: Tensor
     phase: Tensor
     landed: Tensor
+    noise: Tensor
     captions: list[str]
 
 
@@ -103,6 +105,7 @@ class OwnPast:
             _mixed(ends_S, offered.clean, old.clean),
             old.phase,
             old.landed,
+            old.noise,
             [new if end else kept for end, new, kept in new_captions],
         )
         rows, captions, before = self.rows.to(to), list(batch.captions), list(batch.previous_captions)
@@ -132,10 +135,22 @@ class OwnPast:
 
         Before anything was made it is where a take's segment is.
         """
-        if self._streams is None or not self._moving:
+        if self._streams is None:
             return z_BnD
-        rows, begun_S = self.rows.to(z_BnD.device), self._streams.phase < self.grid.phases - 1
-        return z_BnD.index_copy(0, rows, _mixed(begun_S, self._streams.landed, z_BnD[rows]))
+        rows = self.rows.to(z_BnD.device)
+        return z_BnD.index_copy(0, rows, _mixed(self._in_the_middle(), self._streams.landed, z_BnD[rows]))
+
+    def began_with(self, noise_BnD: Tensor) -> Tensor:
+        """Noise (B, n, D) that segments began with: a batch's own, but what a stream in the middle of one had then.
+
+        After ``tell``, once a step.
+        """
+        if self._streams is None:
+            return noise_BnD
+        rows, own_S = self.rows.to(noise_BnD.device), noise_BnD[self.rows.to(noise_BnD.device)]
+        noise_S = _mixed(self._in_the_middle(), self._streams.noise, own_S)
+        self._streams = replace(self._streams, noise=noise_S)
+        return noise_BnD.index_copy(0, rows, noise_S)
 
     def go_on(self, made_BnD: Tensor, landed_BnD: Tensor, turn_B: Tensor) -> None:
         """What the student made of the batch that ``tell`` gave becomes the streams' past, at the end of a segment.
@@ -181,7 +196,13 @@ class OwnPast:
         captions = [batch.captions[row] for row in rows.tolist()]
         clean, phase = batch.clean[rows], self._turns().to(batch.index.device)
         told = (batch.previous[rows], batch.index[rows], batch.place[rows], batch.turned[rows], w_B[rows])
-        return _Streams(*told, clean, phase, clean, captions)
+        return _Streams(*told, clean, phase, clean, clean, captions)
+
+    def _in_the_middle(self) -> Tensor:
+        """Which streams (S,) have made a part of a segment."""
+        assert self._streams is not None
+        begun_S: Tensor = self._streams.phase < self.grid.phases - 1
+        return begun_S & self._moving
 
     def _turns(self) -> Tensor:
         """Phases (S,) in which streams begin: the highest, the one below, and so on."""

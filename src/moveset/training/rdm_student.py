@@ -61,8 +61,7 @@ class RDMStudentConfig:
         noisy_past: tell the teacher the segment before at a level somewhat below the one it is asked at, as most of its
             training did, instead of finished; the student is told a finished one, as in use.
         noisy_own: tell it so of ``own_past`` only: from a noisy past the teacher goes on more lively than from the
-            tired one that a stream may have come to; told takes' pasts as they are, it can be followed. For one phase:
-            in lower phases of a stream the noise is another than the one that its segment began with.
+            tired one that a stream may have come to; told takes' pasts as they are, it can be followed.
         own_past: share of a batch's rows that are told what the student made itself (``training.own_past``). They are
             asked at the top of each phase in turn, and judged without their past: not whether a segment goes on as
             takes do, but whether it shows what is said as takes do.
@@ -196,11 +195,11 @@ class RDMStudentTask(Task):
             batch = replace(batch, previous=bent)
         shares = (config.sampled_share, config.judged_span)
         draws = draw(self.grid, batch.clean, config.guidance, self.draws, *shares, self.own.place)
-        past_noise = self._past_noise(draws.noise_BND, config.noisy_past or config.noisy_own)
-        draws = self._coloured(draws)
+        white_BnD, draws = draws.noise_BND, self._coloured(draws)
         if config.own_past:
             batch, w_B = self.own.tell(batch, draws.w_B, self.draws)
             draws = replace(draws, w_B=w_B)
+        past_noise = self._past_noise(self.own.began_with(white_BnD), config.noisy_past or config.noisy_own)
         # The student reads a roughened sentence and should say what is said to the sentence as it is.
         rough, text = self.data.read(batch.captions, self.draws), self.data.read(batch.captions)
         bound = self._bound(batch, text, past_noise)
