@@ -25,17 +25,17 @@ RUNS = {RDM: "rdm-7", MD: "md-7", "pcm-1": "rdm-pcm-1", "pcm-2": "rdm-pcm-2", "p
 
 @dataclass(frozen=True, kw_only=True)
 class Sampling:
-    """How a stream is sampled when nothing is asked for: fields of ``StreamConfig``."""
+    """How a stream is sampled when nothing is asked for: fields of ``StreamConfig``, and its defaults."""
 
     network: str = RDM
-    sampler_steps: int = 20
-    start: int = 7
-    lag: int = 1
-    eta: float = 0.0
-    past_lag: int | None = None
-    idle: str = "a person stands still"
-    travelling: float = 1.0
-    symmetric: tuple[str, ...] = ()
+    sampler_steps: int = StreamConfig.sampler_steps
+    start: int = StreamConfig.start
+    lag: int = StreamConfig.lag
+    eta: float = StreamConfig.eta
+    past_lag: int | None = StreamConfig.past_lag
+    idle: str = StreamConfig.idle
+    travelling: float = StreamConfig.travelling
+    symmetric: tuple[str, ...] = StreamConfig.symmetric
 
 
 def pack_stream(
