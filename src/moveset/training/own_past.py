@@ -147,8 +147,8 @@ class OwnPast:
         """
         if self._streams is None:
             return noise_BnD
-        rows, own_S = self.rows.to(noise_BnD.device), noise_BnD[self.rows.to(noise_BnD.device)]
-        noise_S = _mixed(self._in_the_middle(), self._streams.noise, own_S)
+        rows = self.rows.to(noise_BnD.device)
+        noise_S = _mixed(self._in_the_middle(), self._streams.noise, noise_BnD[rows])
         self._streams = replace(self._streams, noise=noise_S)
         return noise_BnD.index_copy(0, rows, noise_S)
 
