@@ -126,8 +126,9 @@ def test_a_timeline_is_lined_up_dragged_and_made(studio):
     for key in ("Home", "Shift+ArrowRight", "ArrowRight"):
         studio.page.keyboard.press(key)
     assert studio.run("document.activeElement.getAttribute('aria-valuenow')") == "2.1"
-    studio.wait(f"__moveset.recent.added === {kept + 2}")
-    assert shown(studio)["frames"] == pytest.approx(20 * (seconds + 2.1), abs=2)
+    # Keys that come further apart than the page waits for (a busy machine) make takes on the way: the last is meant.
+    studio.wait(f"Math.abs(__moveset.stage.shown.takes[0].take.frames - {20 * (seconds + 2.1)}) <= 2")
+    assert studio.run("__moveset.recent.added") >= kept + 2
     # And back to one prompt.
     studio.run("document.querySelectorAll('.timeline .words')[1].focus()")
     studio.page.keyboard.press("Delete")
