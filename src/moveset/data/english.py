@@ -4,16 +4,20 @@ import re
 
 #: verb: (past tense, -ing form); all others are regular.
 _IRREGULAR = {
-    "bend": ("bent", "bending"), "bid": ("bid", "bidding"), "bring": ("brought", "bringing"),
-    "burst": ("burst", "bursting"), "cut": ("cut", "cutting"),
-    "creep": ("crept", "creeping"), "do": ("did", "doing"), "drink": ("drank", "drinking"),
-    "fight": ("fought", "fighting"), "give": ("gave", "giving"), "go": ("went", "going"), "hit": ("hit", "hitting"),
-    "hold": ("held", "holding"), "keep": ("kept", "keeping"),
-    "make": ("made", "making"), "put": ("put", "putting"), "run": ("ran", "running"),
-    "say": ("said", "saying"), "shake": ("shook", "shaking"), "shoot": ("shot", "shooting"),
-    "show": ("showed", "showing"), "spring": ("sprang", "springing"), "stand": ("stood", "standing"),
+    "bear": ("bore", "bearing"), "begin": ("began", "beginning"), "bend": ("bent", "bending"),
+    "bid": ("bid", "bidding"), "break": ("broke", "breaking"), "bring": ("brought", "bringing"),
+    "burst": ("burst", "bursting"), "come": ("came", "coming"), "creep": ("crept", "creeping"),
+    "cut": ("cut", "cutting"), "do": ("did", "doing"), "drink": ("drank", "drinking"), "fight": ("fought", "fighting"),
+    "fly": ("flew", "flying"), "get": ("got", "getting"), "give": ("gave", "giving"), "go": ("went", "going"),
+    "hang": ("hung", "hanging"), "hit": ("hit", "hitting"), "hold": ("held", "holding"), "keep": ("kept", "keeping"),
+    "lead": ("led", "leading"), "let": ("let", "letting"), "make": ("made", "making"), "put": ("put", "putting"),
+    "run": ("ran", "running"), "say": ("said", "saying"), "see": ("saw", "seeing"), "shake": ("shook", "shaking"),
+    "shoot": ("shot", "shooting"), "show": ("showed", "showing"), "sidestep": ("sidestepped", "sidestepping"),
+    "speed": ("sped", "speeding"), "spring": ("sprang", "springing"), "stand": ("stood", "standing"),
     "stick": ("stuck", "sticking"), "stride": ("strode", "striding"), "strike": ("struck", "striking"),
-    "swing": ("swung", "swinging"), "take": ("took", "taking"), "throw": ("threw", "throwing"),
+    "sweep": ("swept", "sweeping"), "swing": ("swung", "swinging"), "take": ("took", "taking"),
+    "tear": ("tore", "tearing"), "throw": ("threw", "throwing"), "thrust": ("thrust", "thrusting"),
+    "tread": ("trod", "treading"), "withdraw": ("withdrew", "withdrawing"),
 }  # fmt: skip
 
 
