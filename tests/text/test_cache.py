@@ -13,7 +13,7 @@ WORDS = ("a", "person", "walks", "jumps", "waves", "slowly", "forward", "left", 
 class LetterEncoder:
     """Stands in for a real encoder: every word becomes a vector made of its letters."""
 
-    name, dim, max_tokens = "letters", 6, 8
+    name, dim, max_tokens, device = "letters", 6, 8, torch.device("cpu")
 
     def __init__(self):
         self.calls = 0

@@ -8,13 +8,13 @@ import torch
 
 from moveset.data.synthetic import synthetic_corpus
 from moveset.text.encoder import TextEmbedding
-from moveset.training import rdm
+from moveset.training import segment_data
 
 
 class Words:
     """Every word is a token, a random vector of its own; a sentence is their mean. "" is one token."""
 
-    name, dim, max_tokens = "words", 8, 16
+    name, dim, max_tokens, device = "words", 8, 16, torch.device("cpu")
 
     def token_count(self, sentence: str) -> int:
         return len(sentence.split()) or 1
@@ -34,7 +34,7 @@ class Words:
 
 def use_words(patch: pytest.MonkeyPatch) -> None:
     """Recurrent trainings then read captions by ``Words``."""
-    patch.setattr(rdm, "get_text_encoder", lambda name: Words())
+    patch.setattr(segment_data, "get_text_encoder", lambda name, device="cpu": Words())
 
 
 def write_corpus(folder: Path) -> Path:

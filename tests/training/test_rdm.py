@@ -11,6 +11,7 @@ import torch
 
 from moveset.cli import train as command
 from moveset.data.humanml3d import KIT
+from moveset.data.paraphrase import paraphrase
 from moveset.diffusion.schedule import cosine, linear
 from moveset.errors import InputError
 from moveset.models.registry import build_model, parse_config
@@ -153,6 +154,21 @@ def test_twenty_steps_are_ten_a_stop_and_ten(folder, tmp_path):
             assert (straight / "step_20" / name).read_bytes() == (halves / "step_20" / name).read_bytes(), name
         before, after = (checkpoint.read_tensors(straight / f"step_{n}", "flow") for n in (10, 20))
         assert any(not torch.equal(before[key], after[key]) for key in before)
+
+
+def test_reworded_captions_resume_too_and_workers_change_nothing(folder, tmp_path):
+    settings = ("disturbance.paraphrased=0.2", "disturbance.reworded=0.6", "batch=6", "cutting.continuations=0")
+    straight, halves = tmp_path / "straight", tmp_path / "halves"
+    trained(folder, "rdm-7", straight, *settings, steps=6, save_every=3)
+    halves.mkdir()
+    subprocess.run(["cp", "-r", str(straight / "step_3"), str(halves)], check=True)
+    task, _ = trained(folder, "rdm-7", halves, *settings, steps=6, save_every=3, resume=True, workers=2)
+    for name in ("denoiser", "flow", "denoiser_ema"):
+        file = f"step_6/{name}.safetensors"
+        assert (straight / file).read_bytes() == (halves / file).read_bytes(), name
+    written = set(task.data.train.all_captions())
+    said = [caption for step in range(12) for caption in task.data.train.batch(8, 0, step).captions]
+    assert any(caption not in written and paraphrase(caption) not in written for caption in said)
 
 
 def test_the_flow_rests_at_the_end_and_ignores_the_denoiser(folder, tmp_path):

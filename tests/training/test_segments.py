@@ -14,6 +14,7 @@ from moveset.training.clip_source import CorpusClips, open_clips
 from moveset.training.clips import FeatureStore
 from moveset.training.compositions import Row
 from moveset.training.dip import PieceSet
+from moveset.training.reading import Disturbance
 from moveset.training.segments import SEGMENT_FRAMES, ClipSet, CuttingConfig, SegmentSet
 from tests.training.hml_folder import write_folder
 from tests.training.segment_corpus import write_corpus
@@ -212,7 +213,7 @@ def test_compositions_get_their_shares(corpus):
 
 def test_batches_are_functions_of_seed_and_step(corpus):
     cutting = replace(PLAIN, continuations=6)
-    one, other = (corpus.cut(cutting, paraphrased=0.5) for _ in range(2))
+    one, other = (corpus.cut(cutting, disturbance=Disturbance(paraphrased=0.5)) for _ in range(2))
     a, b = one.batch(16, 3, 7), other.batch(16, 3, 7)
     for name, value in vars(a).items():
         same = getattr(b, name)

@@ -35,6 +35,7 @@ def train(
     devices: int | None = None,
     precision: Literal["auto", "32-true", "bf16-mixed"] | None = None,
     threads: int | None = None,
+    workers: int | None = None,
     save_every: int | None = None,
     validate_every: int | None = None,
     log_every: int | None = None,
@@ -70,6 +71,7 @@ def train(
         devices: Processes on this machine, each with its own batch.
         precision: bf16-mixed: bfloat16 where it is safe. auto: that on a CUDA device that has it.
         threads: CPU threads, 0 for torch's choice.
+        workers: Processes that make batches ahead, for networks of segments on a GPU.
         save_every: Steps between checkpoints.
         validate_every: Steps between validations, 0 for none.
         log_every: Steps between lines in metrics.jsonl.
@@ -84,8 +86,8 @@ def train(
     folder = folder or runs / what
     given: dict[str, Any] = {
         "steps": steps, "seed": seed, "device": device, "devices": devices, "precision": precision, "threads": threads,
-        "save_every": save_every, "validate_every": validate_every, "log_every": log_every, "keep_last": keep_last,
-        "keep_every": keep_every, "tensorboard": tensorboard,
+        "workers": workers, "save_every": save_every, "validate_every": validate_every, "log_every": log_every,
+        "keep_last": keep_last, "keep_every": keep_every, "tensorboard": tensorboard,
     }  # fmt: skip
     chosen = load_recipe(recipe, what)
     engine = replace(chosen.engine, **{name: value for name, value in given.items() if value is not None})

@@ -105,6 +105,14 @@ class EmbeddingCache:
             raise InputError(f"the text cache {path} was made by {cache.encoder!r}, not {encoder!r}; build it again")
         return cache
 
+    def __contains__(self, sentence: str) -> bool:
+        return sentence in self._row_of
+
+    @property
+    def widths(self) -> tuple[int, int]:
+        """C and P."""
+        return self.tokens.shape[1], self.pooled.shape[1]
+
     def to(self, device: torch.device | str) -> "EmbeddingCache":
         """The same with its tensors on another device; lookups then happen there."""
         return replace(
@@ -142,6 +150,10 @@ class EmbeddingCache:
         where_BL = start_B[:, None] + place_L * mask_BL
         tokens_BLC = self.tokens[where_BL].float() * mask_BL[:, :, None]
         return TextEmbedding(tokens_BLC, mask_BL, self.pooled[rows_B].float())
+
+    def pooled_of(self, sentences: Sequence[str]) -> Tensor:
+        """(B, P) pooled sentences, without looking up their tokens; errors as of ``rows``."""
+        return self.pooled[self.rows(sentences)].float()
 
     @cached_property
     def _row_of(self) -> dict[str, int]:

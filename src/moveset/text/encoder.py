@@ -43,12 +43,14 @@ class TextEncoder(Protocol):
     """A frozen text encoder.
 
     ``name`` identifies it in caches and checkpoints, ``dim`` is C, and sentences are cut after ``max_tokens`` tokens
-    (special tokens included). The empty sentence is legal: it is the unconditional input of guided diffusion.
+    (special tokens included). It computes on ``device``, and its results lie there. The empty sentence is legal: it is
+    the unconditional input of guided diffusion.
     """
 
     name: str
     dim: int
     max_tokens: int
+    device: torch.device
 
     def encode(self, sentences: Sequence[str]) -> TextEmbedding:
         """Encode one or more sentences. Raises InputError for none at all or for text that is not valid Unicode."""

@@ -25,8 +25,9 @@ from moveset.training.clips import FeatureStore
 from moveset.training.ema import Ema, ema_warmup
 from moveset.training.engine import Loop, Task
 from moveset.training.optim import cosine_lr
-from moveset.training.rdm import SegmentData, feature_weights
-from moveset.training.reading import MAX_TOKENS, Disturbance
+from moveset.training.rdm import feature_weights
+from moveset.training.reading import AS_WRITTEN, MAX_TOKENS, Disturbance
+from moveset.training.segment_data import SegmentData
 from moveset.training.segments import ClipSet, CuttingConfig
 from moveset.training.stills import idle_pose
 from moveset.training.tasks import Sources
@@ -101,10 +102,10 @@ class PieceSet(ClipSet):
         model: DipDecoderConfig,
         cutting: CuttingConfig,
         folder: Path,
-        paraphrased: float = 0.0,
+        disturbance: Disturbance = AS_WRITTEN,
         standing: float = 0.0,
     ) -> None:
-        super().__init__(source, split, store, codec, cutting, folder, paraphrased)
+        super().__init__(source, split, store, codec, cutting, folder, disturbance)
         self.prefix, self.frames, self.standing = model.prefix, model.frames, standing
         if standing:
             if not isinstance(source, CorpusClips):
@@ -135,11 +136,17 @@ class PieceData(SegmentData):
     """Pieces and embedded captions of both splits."""
 
     def cut(
-        self, config: DiPConfig, source: ClipSource, split: Split, store: FeatureStore, folder: Path, paraphrased: float
+        self,
+        config: DiPConfig,
+        source: ClipSource,
+        split: Split,
+        store: FeatureStore,
+        folder: Path,
+        disturbance: Disturbance,
     ) -> PieceSet:
         """Pieces of a split."""
         return PieceSet(
-            source, split, store, self.codec, config.model, config.cutting, folder, paraphrased, config.standing
+            source, split, store, self.codec, config.model, config.cutting, folder, disturbance, config.standing
         )
 
 
@@ -151,7 +158,7 @@ class DiPTask(Task):
     def __init__(self, config: DiPConfig, sources: Sources, loop: Loop) -> None:
         self.steps = loop.config.steps
         self.data = PieceData(sources, config, loop)
-        sizes = {"features": self.data.codec.dim, "text_dim": self.data.text.tokens.shape[1]}
+        sizes = {"features": self.data.codec.dim, "text_dim": self.data.text.widths[0]}
         self.config = config = replace(config, model=replace(config.model, **sizes))
         self.schedule = cosine(config.levels)
         self.denoiser = config.model.build().to(loop.device)
@@ -175,7 +182,7 @@ class DiPTask(Task):
 
     def training_step(self, step: int, loop: Loop) -> dict[str, Tensor]:
         config = self.config
-        batch = self.data.train.batch(config.batch, self.data.seed, step).to(loop.device)
+        batch = self.data.training_batch(config.batch, step)
         dropped = torch.rand(config.batch, generator=self.draws) < config.text_drop
         said = ["" if drop else caption for drop, caption in zip(dropped.tolist(), batch.captions, strict=True)]
         text = self.data.read(said, self.draws)

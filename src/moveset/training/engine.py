@@ -51,6 +51,8 @@ class EngineConfig:
         device: "auto", "cpu", "cuda" or "mps".
         devices: processes on this machine; under ``torchrun`` its own number counts.
         threads: CPU threads of torch, 0 to leave them alone.
+        workers: processes that make batches ahead, for tasks of segments on a fast device (``training.ahead``); 0 makes
+            each where it is used.
         seed: of everything random.
         tensorboard: write TensorBoard events too, where it is installed.
     """
@@ -66,6 +68,7 @@ class EngineConfig:
     device: str = "auto"
     devices: int = 1
     threads: int = 0
+    workers: int = 0
     seed: int = 0
     tensorboard: bool = True
 
@@ -73,7 +76,7 @@ class EngineConfig:
         for name in ("steps", "save_every", "log_every", "keep_last", "devices"):
             if getattr(self, name) < 1:
                 raise InputError(f"{name} is {getattr(self, name)} but must be at least 1; give a positive number")
-        for name in ("validate_every", "keep_every", "grad_clip", "threads"):
+        for name in ("validate_every", "keep_every", "grad_clip", "threads", "workers"):
             if getattr(self, name) < 0:
                 raise InputError(f"{name} is {getattr(self, name)} but must not be negative; give 0 to switch it off")
         if not 0 <= self.seed < 2**31:

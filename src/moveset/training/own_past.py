@@ -78,10 +78,10 @@ class OwnPast:
         ``clean`` of a stream is what a take shows for its sentence, not what follows on its past.
 
         Args:
-            generator: decides which streams give way, on the CPU.
+            generator: decides which streams give way.
         """
         to = batch.index.device
-        ends, stays = torch.rand((2, self.count), generator=generator).to(to)
+        ends, stays = torch.rand((2, self.count), generator=generator, device=generator.device).to(to)
         offered = self._offered(batch, w_B)
         if self._streams is None:
             self._streams = offered

@@ -6,13 +6,11 @@ Source: RDM (arXiv 2406.07169), Section 4.4 and Algorithm 2; MotionDiffuse (arXi
 """
 
 from dataclasses import dataclass, field, replace
-from pathlib import Path
-from typing import Any, Literal, cast, get_args
+from typing import Literal, cast, get_args
 
 import torch
 from torch import Tensor, nn
 
-from moveset.data.splits import Split
 from moveset.diffusion.schedule import linear
 from moveset.errors import InputError
 from moveset.models.flow import CouplingFlow, FlowConfig
@@ -20,22 +18,20 @@ from moveset.models.light_t2m import LightT2MConfig
 from moveset.models.registry import describe
 from moveset.models.segment_denoiser import SegmentDenoiserConfig
 from moveset.models.segment_transformer import SegmentTransformer, SegmentTransformerConfig
-from moveset.motion.features import FeatureCodec, Normalizer, get_codec
+from moveset.motion.features import FeatureCodec, Normalizer
 from moveset.rdm.grid import GridConfig, corrupt, draw
 from moveset.rdm.losses import flow_loss, masked_mse, velocity_loss
 from moveset.rdm.transport import Transport
-from moveset.text.cache import EmbeddingCache, cache_file
-from moveset.text.encoder import TextEmbedding, get_text_encoder
-from moveset.training.clip_source import ClipSource, open_clips
-from moveset.training.clips import FeatureStore
+from moveset.text.encoder import TextEmbedding
 from moveset.training.ema import Ema, ema_warmup
 from moveset.training.engine import Loop, Task
 from moveset.training.feet import foot_error
 from moveset.training.heading import bend, heading_error
 from moveset.training.momo import MomoAdam
 from moveset.training.optim import cosine_lr
-from moveset.training.reading import MAX_TOKENS, Disturbance, read_captions, wordings
-from moveset.training.segments import CuttingConfig, SegmentBatch, SegmentSet
+from moveset.training.reading import MAX_TOKENS, Disturbance
+from moveset.training.segment_data import SegmentData
+from moveset.training.segments import CuttingConfig, SegmentBatch
 from moveset.training.tasks import Sources
 from moveset.training.telling import stray, told_place, told_turn
 
@@ -140,55 +136,6 @@ class RDMConfig:
                 raise InputError(f"{name} {getattr(self, name)!r} is not one of {', '.join(get_args(known))}")
 
 
-class SegmentData:
-    """Segments and embedded captions of both splits; what is computed once is kept in the cache folder.
-
-    Args:
-        config: the task's; another task's has the same fields where it gives another ``cut``.
-
-    Raises:
-        InputError: disturbed captions that are to be read further than that is possible.
-    """
-
-    def __init__(self, sources: Sources, config: Any, loop: Loop) -> None:
-        if config.max_tokens != MAX_TOKENS and config.disturbance != Disturbance():
-            raise InputError(f"disturbed captions are read to {MAX_TOKENS} tokens; set max_tokens to that")
-        self.disturbance, self.max_tokens = config.disturbance, config.max_tokens
-        self.seed = loop.config.seed * 64 + loop.rank
-        with loop.fabric.rank_zero_first():
-            text = self._open(sources, config, loop.rank == 0)
-        self.text = text.to(loop.device)
-
-    def _open(self, sources: Sources, config: Any, progress: bool) -> EmbeddingCache:
-        source, codec = open_clips(sources.corpus), get_codec(config.codec)
-        folder = sources.cache / f"features-{codec.name}"
-        store = FeatureStore.of(source, codec, folder, progress)
-        self.codec, self.normalizer = codec, store.normalizer
-        self.train = self.cut(config, source, "train", store, folder, config.disturbance.paraphrased)
-        self.val = self.cut(config, source, "val", store, folder, 0.0)
-        said = wordings(self.train.all_captions(), config.disturbance)
-        captions = sorted({*said, *self.val.all_captions()})
-        path = cache_file(sources.cache, config.text_encoder)
-        return EmbeddingCache.build(get_text_encoder(config.text_encoder), captions, path)
-
-    def cut(
-        self, config: Any, source: ClipSource, split: Split, store: FeatureStore, folder: Path, paraphrased: float
-    ) -> Any:
-        """Segments of a split."""
-        frames, cutting = config.grid.frames, config.cutting
-        return SegmentSet(source, split, store, self.codec, frames, cutting, folder, paraphrased)
-
-    def read(self, captions: list[str], disturbed_by: torch.Generator | None = None) -> TextEmbedding:
-        """Token states of captions, and their pooled vectors; roughened if given a generator."""
-        if self.disturbance == Disturbance():
-            return self.text.lookup(captions, self.max_tokens)
-        return read_captions(self.text, captions, self.disturbance, disturbed_by)
-
-    def pooled(self, captions: list[str]) -> Tensor:
-        """Sentence embeddings (B, C) of captions, without looking up their tokens."""
-        return self.text.pooled[self.text.rows(captions)].float()
-
-
 class RDMTask(Task):
     """Both networks, each with its own loss and optimiser: the denoiser's error does not reach the flow."""
 
@@ -213,7 +160,7 @@ class RDMTask(Task):
         self.flow: CouplingFlow | None = None if config.flow is None else config.flow.build().to(loop.device)
         self.flow_ema = None if self.flow is None else Ema(self.flow, config.ema)
         self.transport = Transport(self.flow, config.depth_cap)
-        self.draws = loop.generator("draws")
+        self.draws = loop.generator("draws", device=loop.device)
         self.normalizer = Normalizer(*(x.to(loop.device) for x in vars(self.data.normalizer).values()))
         self.feature_weight = feature_weights(self.data.codec, config.root).to(loop.device)
         self._optimizers = {"denoiser": _optimizer(config, self.denoiser, config.lr)}
@@ -238,11 +185,11 @@ class RDMTask(Task):
 
     def training_step(self, step: int, loop: Loop) -> dict[str, Tensor]:
         config = self.config
-        batch = self.data.train.batch(config.batch, self.data.seed, step).to(loop.device)
+        batch = self.data.training_batch(config.batch, step)
         report: dict[str, Tensor] = {}
         if self.flow is not None and step <= self.steps * (1 - config.frozen_flow):
             report |= self._train_flow(batch, loop)
-        dropped = torch.rand(config.batch, generator=self.draws) < config.text_drop
+        dropped = torch.rand(config.batch, generator=self.draws, device=loop.device) < config.text_drop
         said = ["" if drop else caption for drop, caption in zip(dropped.tolist(), batch.captions, strict=True)]
         text = self.data.read(said, self.draws)
         loss, parts = self._loss(self.denoiser, self.transport, batch, text, self.draws)
@@ -273,7 +220,7 @@ class RDMTask(Task):
         rows = later.nonzero()[:, 0]
         pooled = self.data.pooled([batch.captions[k] for k in rows.tolist()])
         context = self.flow.context(pooled, batch.index[rows])
-        noise = torch.randn(len(rows), *batch.clean.shape[1:], generator=self.draws).to(loop.device)
+        noise = torch.randn(len(rows), *batch.clean.shape[1:], generator=self.draws, device=loop.device)
         noise *= self.config.flow_noise
         loss, error = flow_loss(
             self.flow,
@@ -372,7 +319,7 @@ def _optimizer(config: RDMConfig, module: nn.Module, lr: float) -> torch.optim.O
 def _sized(config: RDMConfig, data: SegmentData) -> RDMConfig:
     """With the sizes that follow from the codec, the segment and the text encoder filled in."""
     features, text = data.codec.dim, data.text
-    model = replace(config.model, features=features, frames=config.grid.frames, text_dim=text.tokens.shape[1])
+    model = replace(config.model, features=features, frames=config.grid.frames, text_dim=text.widths[0])
     for name in ("placed", "coursed"):
         if getattr(config, name):
             if not isinstance(model, SegmentTransformerConfig):
@@ -384,7 +331,7 @@ def _sized(config: RDMConfig, data: SegmentData) -> RDMConfig:
             model = replace(model, alone=True)
         elif isinstance(model, SegmentDenoiserConfig):
             model = replace(model, prev="none", max_index=0, boundary=0)
-    flow = None if config.flow is None else replace(config.flow, features=features, text_dim=text.pooled.shape[1])
+    flow = None if config.flow is None else replace(config.flow, features=features, text_dim=text.widths[1])
     return replace(config, model=model, flow=flow)
 
 

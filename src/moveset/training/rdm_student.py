@@ -34,8 +34,9 @@ from moveset.training.engine import Loop, Task
 from moveset.training.heading import bend, heading_error
 from moveset.training.optim import cosine_lr
 from moveset.training.own_past import OwnPast
-from moveset.training.rdm import SCHEDULE, RDMConfig, SegmentData, feature_weights
+from moveset.training.rdm import SCHEDULE, RDMConfig, feature_weights
 from moveset.training.reading import Disturbance
+from moveset.training.segment_data import SegmentData
 from moveset.training.segments import CuttingConfig, SegmentBatch
 from moveset.training.tasks import Sources
 from moveset.training.telling import stray, told_place, told_turn
@@ -148,7 +149,7 @@ class RDMStudentTask(Task):
         self.grid = PhaseGrid(config.points, config.phases)
         self.own = OwnPast(config.own_past, config.batch, self.grid)
         self.alone = torch.zeros(config.batch, dtype=torch.bool).index_fill(0, self.own.rows, True).to(loop.device)
-        self.draws = loop.generator("draws")
+        self.draws = loop.generator("draws", device=loop.device)
         self.optimizer = torch.optim.AdamW(self.student.parameters(), config.lr, betas=(0.9, 0.999), weight_decay=0.0)
         sizes = DiscriminatorConfig(width=self.student.config.width, taps=self.student.config.blocks)
         self.heads = sizes.build().to(loop.device)
@@ -183,7 +184,7 @@ class RDMStudentTask(Task):
 
     def training_step(self, step: int, loop: Loop) -> dict[str, Tensor]:
         config = self.config
-        batch = self.data.train.batch(config.batch, self.data.seed, step).to(loop.device)
+        batch = self.data.training_batch(config.batch, step)
         if config.astray:
             about = (config.astray, self.data.codec, self.normalizer, self.draws)
             clean, turned_B = stray(batch.clean, batch.turned, batch.place[:, 0] > 0, *about)
@@ -246,7 +247,7 @@ class RDMStudentTask(Task):
         running_B = self.alone[:count]
         text, w_B = self.data.read(batch.captions), draws.w_B[:count]
         bound = self._bound(batch, text, None if past_noise is None else past_noise[:count])
-        phase_B = torch.randint(self.config.phases, (count,), generator=self.draws).to(w_B.device)
+        phase_B = torch.randint(self.config.phases, (count,), generator=self.draws, device=w_B.device)
         point_B = torch.where(running_B, draws.point_B[:count], self.grid.highest_of(phase_B))
         noisy = add_noise(SCHEDULE, bound.pull(batch.clean), draws.noise_BND[:count], self.grid.time(point_B))
         z = torch.where(over(running_B, noisy), z[:count], noisy)

@@ -6,8 +6,10 @@ from dataclasses import dataclass
 import torch
 
 from moveset.data.paraphrase import paraphrase
+from moveset.data.rewordings import reword
 from moveset.text.cache import EmbeddingCache
 from moveset.text.encoder import TextEmbedding
+from moveset.text.live import LiveEmbeddings
 
 MAX_TOKENS = 32
 
@@ -18,13 +20,19 @@ class Disturbance:
 
     Args:
         paraphrased: share of captions said otherwise (``data.paraphrase``).
+        reworded: share of captions whose phrases are other ones, each time others (``data.rewordings``). They are
+            encoded as they come, and no text cache is made; one that is there is used.
         word_drop: mean share of a sentence's token states that go missing.
         blur: mean standard deviation of the noise on token states (MiniLM's own is 0.38).
     """
 
     paraphrased: float = 0.0
+    reworded: float = 0.0
     word_drop: float = 0.0
     blur: float = 0.0
+
+
+AS_WRITTEN = Disturbance()
 
 
 def wordings(captions: Sequence[str], disturbance: Disturbance) -> set[str]:
@@ -33,8 +41,18 @@ def wordings(captions: Sequence[str], disturbance: Disturbance) -> set[str]:
     return said | {paraphrase(caption) for caption in said if disturbance.paraphrased}
 
 
+def say(caption: str, disturbance: Disturbance, chance: float, key: int) -> str:
+    """The caption as it is said when a number in [0, 1) and a key are drawn."""
+    if chance < disturbance.paraphrased:
+        return paraphrase(caption)
+    if chance < disturbance.paraphrased + disturbance.reworded:
+        said = reword(caption, key)
+        return paraphrase(said, key) if key % 2 else said
+    return caption
+
+
 def read_captions(
-    text: EmbeddingCache,
+    text: EmbeddingCache | LiveEmbeddings,
     captions: Sequence[str],
     disturbance: Disturbance,
     disturbed_by: torch.Generator | None = None,
@@ -47,11 +65,12 @@ def read_captions(
     found = text.lookup(captions, MAX_TOKENS)
     if disturbed_by is None:
         return found
-    size = torch.rand(len(captions), 1, generator=disturbed_by)
-    missing = torch.rand(found.mask.shape, generator=disturbed_by) < disturbance.word_drop * 2 * size
+    at = disturbed_by.device
+    size = torch.rand(len(captions), 1, generator=disturbed_by, device=at)
+    missing = torch.rand(found.mask.shape, generator=disturbed_by, device=at) < disturbance.word_drop * 2 * size
     missing[:, 0] = False
-    noise = torch.randn(found.tokens.shape, generator=disturbed_by) * disturbance.blur * 2 * size[..., None]
-    empty = torch.tensor([not caption for caption in captions])
+    noise = torch.randn(found.tokens.shape, generator=disturbed_by, device=at) * disturbance.blur * 2 * size[..., None]
+    empty = torch.tensor([not caption for caption in captions], device=at)
     mask = found.mask & ~(missing & ~empty[:, None]).to(found.mask.device)
     tokens = found.tokens + noise.masked_fill(empty[:, None, None], 0.0).to(found.tokens)
     return TextEmbedding(tokens, mask, found.pooled)

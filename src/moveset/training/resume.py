@@ -26,7 +26,9 @@ if TYPE_CHECKING:
     from moveset.training.engine import Loop, Task
 
 # Changing these does not change what is learned. The number of steps does: learning rates end with it.
-_HARMLESS = {"save_every", "validate_every", "log_every", "keep_last", "keep_every", "tensorboard", "threads"}
+_HARMLESS = {
+    "save_every", "validate_every", "log_every", "keep_last", "keep_every", "tensorboard", "threads", "workers",
+}  # fmt: skip
 
 
 def save(task: "Task", loop: "Loop", folder: Path, step: int) -> Path:

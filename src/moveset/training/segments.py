@@ -16,7 +16,6 @@ import torch
 from torch import Tensor
 
 from moveset.data.augment import MAX_FRAMES
-from moveset.data.paraphrase import paraphrase
 from moveset.data.splits import Split
 from moveset.diffusion.coloured import temporal_spectrum
 from moveset.errors import InputError
@@ -24,6 +23,7 @@ from moveset.motion.features import FeatureCodec
 from moveset.training.clip_source import ClipSource, CorpusClips
 from moveset.training.clips import FeatureStore
 from moveset.training.compositions import Row, composed_rows
+from moveset.training.reading import AS_WRITTEN, Disturbance, say
 from moveset.training.stills import make_stills
 
 # Frames of a segment by N, the number of segments of the longest clip.
@@ -112,7 +112,7 @@ class ClipSet:
 
     Args:
         folder: where continuations are kept once they are made.
-        paraphrased: share of captions that are said otherwise.
+        disturbance: what share of captions is said otherwise.
 
     Raises:
         InputError: continuations of clips that are not a corpus.
@@ -126,9 +126,9 @@ class ClipSet:
         codec: FeatureCodec,
         cutting: CuttingConfig,
         folder: Path,
-        paraphrased: float = 0.0,
+        disturbance: Disturbance = AS_WRITTEN,
     ) -> None:
-        self.cutting, self.paraphrased = cutting, paraphrased
+        self.cutting, self.disturbance = cutting, disturbance
         yaw = codec.groups["root_yaw"]
         self._yaw = (yaw.start, float(store.normalizer.mean[yaw]), float(store.normalizer.std[yaw]))
         clips = source.clips(split)
@@ -175,8 +175,9 @@ class ClipSet:
     def say(self, clip: Row, start: int, frames: int, chance: Sequence[float]) -> str:
         """A sentence for these frames, chosen by three numbers in [0, 1)."""
         options = clip.whole if self._of_all(clip, chance) else clip.said[_part(clip, start, frames)]
-        caption = options[int(chance[1] * len(options))]
-        return paraphrase(caption) if chance[2] < self.paraphrased else caption
+        place = chance[1] * len(options)
+        # What chooses the caption has digits left to choose a wording of it.
+        return say(options[int(place)], self.disturbance, chance[2], int(place % 1 * 2**16))
 
     def span(self, clip: Row, start: int, frames: int, chance: Sequence[float]) -> tuple[int, int]:
         """First and last frame, exclusive, of what the sentence is said to that the same numbers choose."""
@@ -207,9 +208,9 @@ class SegmentSet(ClipSet):
         frames: int,
         cutting: CuttingConfig,
         folder: Path,
-        paraphrased: float = 0.0,
+        disturbance: Disturbance = AS_WRITTEN,
     ) -> None:
-        super().__init__(source, split, store, codec, cutting, folder, paraphrased)
+        super().__init__(source, split, store, codec, cutting, folder, disturbance)
         self.frames = frames
 
     def spectrum(self, segments: int = 4096) -> Tensor:

@@ -17,7 +17,7 @@ _STANDS, _WALKS = 0.2, 0.6  # metres a second: whoever is slower takes nothing b
 def told_place(place_B2: Tensor, share: float, generator: torch.Generator) -> Tensor:
     """Places (B, 2) of segments, in frames, of which about this share is told and the others are ``UNKNOWN``.
 
-    Drawn on the CPU; for a share of 0 nothing is drawn, so that such trainings stay what they were.
+    Drawn on the generator's device; for a share of 0 nothing is drawn, so that such trainings stay what they were.
     """
     if not share:
         return torch.full_like(place_B2, UNKNOWN)
@@ -68,4 +68,4 @@ def stray(
 
 
 def _hidden(rows: Tensor, share: float, generator: torch.Generator) -> Tensor:
-    return (torch.rand(len(rows), generator=generator) < 1 - share).to(rows.device)
+    return (torch.rand(len(rows), generator=generator, device=generator.device) < 1 - share).to(rows.device)
