@@ -8,7 +8,7 @@ from moveset.data import captions, held_out_phrases, phrases, reworded_phrases, 
 from moveset.data.captions import composed_captions, mirror_text, normal_form, train_captions
 from moveset.data.english import inflect
 from moveset.data.labels import mirror_label
-from moveset.data.rewordings import reword
+from moveset.data.rewordings import all_words, reword
 
 #: Words without which no English sentence is written, and those that training captions have anyway.
 FUNCTION_WORDS = set(
@@ -94,3 +94,16 @@ def test_what_is_not_known_stays() -> None:
 def test_mirrored_captions_are_known_too() -> None:
     caption = mirror_text("a person walks forward and turns left")
     assert reword(caption, 1) != caption
+
+
+def test_all_words_are_those_that_rewordings_say() -> None:
+    known = {word for content in phrases.TRAIN for caption in train_captions(content) for word in words(caption)}
+    said = {
+        word
+        for content in ("walk-turn-left", "salsa", "dash", "bow")
+        for caption in train_captions(content, "elderly")
+        for key in range(3)
+        for word in normal_form(reword(caption, key)).split()
+    }
+    assert said <= all_words() | known | words(styles.STYLES) | {"a", "an"}
+    assert {"swerve", "swerving", "swerved", "mambo", "granny"} <= all_words()

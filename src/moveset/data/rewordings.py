@@ -56,6 +56,15 @@ def reword(caption: str, key: int) -> str:
     return _ARTICLE.sub(lambda m: f"{m[1]}{'n' if m[2] in 'aeiou' else ''} ", made).strip() if found else caption
 
 
+@cache
+def all_words() -> frozenset[str]:
+    """Every word that a rewording may bring in, in lower case."""
+    written = [p for options in reworded_phrases.PHRASES.values() for p in options]
+    said = [render(p, form, their) for p in written for form in _FORMS for their in _POSSESSIVES]
+    said += [text for ways in reworded_styles.STYLES.values() for options in ways.values() for text in options]
+    return frozenset(word for text in said for word in normal_form(text.replace("{they}", "they")).split())
+
+
 def _phrases_in(caption: str) -> Iterator[tuple[int, int, _Found]]:
     """Where known phrases stand, the longest first wherever several begin; none overlaps another."""
     known, longest = _known()

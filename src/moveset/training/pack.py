@@ -11,6 +11,7 @@ from torch import nn
 
 from moveset.data.captions import heldout_captions
 from moveset.data.corpus import Corpus
+from moveset.data.rewordings import all_words
 from moveset.errors import InputError, exit_code_of
 from moveset.pipelines.bundle import BundleConfig, save_folder
 from moveset.text.cache import EmbeddingCache, cache_file
@@ -164,7 +165,7 @@ def known_captions(corpus: Corpus) -> list[str]:
 
 
 def trained_words(corpus: Corpus, task: Mapping[str, Any]) -> set[str]:
-    """Words of all that a network was told in its training: captions, composed ones too, and their paraphrases.
+    """Words of all that a network was told in its training: captions, composed ones too, and their other wordings.
 
     Args:
         corpus: of the training.
@@ -177,7 +178,9 @@ def trained_words(corpus: Corpus, task: Mapping[str, Any]) -> set[str]:
         for mirrored in (False, True)
         for caption in corpus.captions(k, mirrored)
     }
-    return {word for said in wordings(sorted(captions), Disturbance(**task["disturbance"])) for word in words_of(said)}
+    disturbance = Disturbance(**task["disturbance"])
+    words = {word for said in wordings(sorted(captions), disturbance) for word in words_of(said)}
+    return words | all_words() if disturbance.reworded else words
 
 
 def familiarity_limit(known: torch.Tensor, text_encoder: str) -> float:
