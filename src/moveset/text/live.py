@@ -41,7 +41,7 @@ class LiveEmbeddings:
 
     def lookup(self, sentences: Sequence[str], max_tokens: int | None = None) -> TextEmbedding:
         """Embeddings of some sentences, padded to the longest of them; arguments as for ``EmbeddingCache.lookup``."""
-        groups = list(self._by_origin(sentences, max_tokens))
+        groups = self._by_origin(sentences, max_tokens)
         length = max(int(found.mask.sum(dim=1).max()) for _, found in groups)
         if max_tokens is not None:
             length = min(length, max_tokens)
@@ -56,7 +56,7 @@ class LiveEmbeddings:
         """Sentence embeddings (B, P)."""
         return self.lookup(sentences).pooled
 
-    def _by_origin(self, sentences: Sequence[str], max_tokens: int | None) -> "list[tuple[Tensor, TextEmbedding]]":
+    def _by_origin(self, sentences: Sequence[str], max_tokens: int | None) -> list[tuple[Tensor, TextEmbedding]]:
         """Which sentences come from the cache, from what was prepared, and from the encoder now."""
         at = self._prepared.pooled.device
         known = set() if self.cache is None else {s for s in sentences if s in self.cache}
@@ -76,12 +76,9 @@ class LiveEmbeddings:
         return groups
 
     def _unknown(self, sentences: Sequence[str], prepared: bool = True) -> list[str]:
-        held = [self._rows] if prepared else []
-        return [
-            s
-            for s in dict.fromkeys(sentences)
-            if not any(s in rows for rows in held) and (self.cache is None or s not in self.cache)
-        ]
+        """Those that neither the cache holds nor, if that counts, was prepared, each once."""
+        rows = self._rows if prepared else {}
+        return [s for s in dict.fromkeys(sentences) if s not in rows and (self.cache is None or s not in self.cache)]
 
     def _encode(self, sentences: Sequence[str]) -> TextEmbedding:
         with torch.autocast(self.encoder.device.type, enabled=False):
