@@ -87,8 +87,8 @@ def test_no_marks_are_left_and_articles_agree() -> None:
 
 
 def test_what_is_not_known_stays() -> None:
-    for caption in ("", "xyzzy", "A cow jumps over the moon!", "a person does something odd"):
-        assert reword(caption, 1) == caption or "jump" in caption
+    for caption in ("", "xyzzy", "A cow flies over an hourglass!", "a person does something odd"):
+        assert reword(caption, 1) == caption
 
 
 def test_mirrored_captions_are_known_too() -> None:

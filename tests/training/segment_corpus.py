@@ -8,7 +8,7 @@ import torch
 
 from moveset.data.synthetic import synthetic_corpus
 from moveset.text.encoder import TextEmbedding
-from moveset.training import segment_data
+from moveset.training import reading
 
 
 class Words:
@@ -34,7 +34,7 @@ class Words:
 
 def use_words(patch: pytest.MonkeyPatch) -> None:
     """Recurrent trainings then read captions by ``Words``."""
-    patch.setattr(segment_data, "get_text_encoder", lambda name, device="cpu": Words())
+    patch.setattr(reading, "get_text_encoder", lambda name, device="cpu": Words())
 
 
 def write_corpus(folder: Path) -> Path:

@@ -171,6 +171,11 @@ def test_reworded_captions_resume_too_and_workers_change_nothing(folder, tmp_pat
     assert any(caption not in written and paraphrase(caption) not in written for caption in said)
 
 
+def test_shares_of_captions_may_not_exceed_all_of_them(folder, tmp_path):
+    with pytest.raises(InputError, match="no more than 1 together"):
+        trained(folder, "rdm-7", tmp_path / "run", "disturbance.paraphrased=0.5", "disturbance.reworded=0.6")
+
+
 def test_the_flow_rests_at_the_end_and_ignores_the_denoiser(folder, tmp_path):
     settings = ("frozen_flow=0.5", "cutting.continuations=0")
     run_folder = tmp_path / "run"

@@ -54,7 +54,7 @@ class LiveEmbeddings:
 
     def pooled_of(self, sentences: Sequence[str]) -> Tensor:
         """Sentence embeddings (B, P)."""
-        return self.lookup(sentences).pooled
+        return self.lookup(sentences, max_tokens=1).pooled
 
     def _by_origin(self, sentences: Sequence[str], max_tokens: int | None) -> list[tuple[Tensor, TextEmbedding]]:
         """Which sentences come from the cache, from what was prepared, and from the encoder now."""

@@ -78,6 +78,11 @@ class PieceBatch:
     clean: Tensor
     captions: list[str]
 
+    @property
+    def said(self) -> list[str]:
+        """Whatever is said in it."""
+        return self.captions
+
     def to(self, device: torch.device | str) -> "PieceBatch":
         """The same on another device."""
         return PieceBatch(self.prefix.to(device), self.clean.to(device), self.captions)

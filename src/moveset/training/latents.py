@@ -15,11 +15,11 @@ from torch import Tensor
 from tqdm import tqdm
 
 from moveset.data.corpus import Corpus
-from moveset.data.paraphrase import paraphrase
 from moveset.data.splits import Split
 from moveset.io.limits import atomic_write
 from moveset.training.clip_source import ClipSource, as_clips
 from moveset.training.clips import Crop, FeatureStore
+from moveset.training.reading import AS_WRITTEN, say
 
 
 class Encoder(Protocol):
@@ -50,10 +50,10 @@ class LatentSet:
         std: (M, N, d) posterior standard deviations.
         frames: (M,) clip lengths.
         clip: (M,) numbers of clips in the source and the feature store.
-        paraphrased: share of captions in a batch that are said otherwise.
+        disturbance: what share of captions in a batch is said otherwise.
     """
 
-    paraphrased = 0.0
+    disturbance = AS_WRITTEN
 
     def __init__(self, source: Corpus | ClipSource, split: Split, tensors: dict[str, Tensor]) -> None:
         source = as_clips(source)
@@ -95,9 +95,8 @@ class LatentSet:
         return self._captions[int(self.clip[entry])]
 
     def all_captions(self) -> list[str]:
-        """Every caption in use, with its paraphrase where batches hold any, sorted, for the embedding cache."""
-        written = {caption for captions in self._captions.values() for caption in captions}
-        return sorted(written | {paraphrase(caption) for caption in written if self.paraphrased})
+        """Every caption in use, as written."""
+        return sorted({caption for captions in self._captions.values() for caption in captions})
 
     def batch(self, size: int, seed: int, step: int) -> LatentBatch:
         """The batch of a step: a pure function of (seed, step); latents are drawn from the posterior and normalised."""
@@ -107,10 +106,8 @@ class LatentSet:
         z0 = (self.mean[entries] + self.std[entries] * noise - self.center) / self.scale
         pick, other = torch.rand(2, size, generator=generator).tolist()
         captions = []
-        for entry, share, said in zip(entries.tolist(), pick, other, strict=True):
-            options = self.captions(entry)
-            caption = options[int(share * len(options))]
-            captions.append(paraphrase(caption) if said < self.paraphrased else caption)
+        for entry, place, chance in zip(entries.tolist(), pick, other, strict=True):
+            captions.append(say(self.captions(entry), self.disturbance, place, chance))
         return LatentBatch(z0, self.frames[entries], captions)
 
 

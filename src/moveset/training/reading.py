@@ -2,13 +2,15 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import torch
 
 from moveset.data.paraphrase import paraphrase
 from moveset.data.rewordings import reword
-from moveset.text.cache import EmbeddingCache
-from moveset.text.encoder import TextEmbedding
+from moveset.errors import InputError
+from moveset.text.cache import EmbeddingCache, cache_file
+from moveset.text.encoder import TextEmbedding, get_text_encoder
 from moveset.text.live import LiveEmbeddings
 
 MAX_TOKENS = 32
@@ -41,11 +43,47 @@ def wordings(captions: Sequence[str], disturbance: Disturbance) -> set[str]:
     return said | {paraphrase(caption) for caption in said if disturbance.paraphrased}
 
 
-def say(caption: str, disturbance: Disturbance, chance: float, key: int) -> str:
-    """The caption as it is said when a number in [0, 1) and a key are drawn."""
+def open_text(
+    folder: Path,
+    encoder: str,
+    captions: Sequence[str],
+    others: Sequence[str],
+    disturbance: Disturbance,
+    device: torch.device,
+) -> EmbeddingCache | LiveEmbeddings:
+    """What captions of a training are looked up in, on a device.
+
+    Args:
+        folder: where the text cache is kept, which is made or added to if it may have to hold something new.
+        encoder: its name, as for ``get_text_encoder``.
+        captions: of training, which are disturbed, and ``others``, which are not.
+
+    Raises:
+        InputError: shares of captions that add up to more than all of them, or an encoder that is not here.
+    """
+    if disturbance.paraphrased + disturbance.reworded > 1.0:
+        raise InputError(
+            f"disturbance.paraphrased={disturbance.paraphrased:g} and disturbance.reworded={disturbance.reworded:g} "
+            "are shares of the same captions; give no more than 1 together"
+        )
+    path = cache_file(folder, encoder)
+    if disturbance.reworded:
+        live = get_text_encoder(encoder, device=device)
+        held = EmbeddingCache.open(path, encoder=live.name).to(device) if path.is_file() else None
+        return LiveEmbeddings(live, held)
+    said = sorted({*wordings(captions, disturbance), *others})
+    return EmbeddingCache.build(get_text_encoder(encoder), said, path).to(device)
+
+
+def say(options: Sequence[str], disturbance: Disturbance, pick: float, chance: float) -> str:
+    """One of the captions as it is said, by two numbers in [0, 1): which one, and whether otherwise."""
+    place = pick * len(options)
+    caption = options[int(place)]
     if chance < disturbance.paraphrased:
         return paraphrase(caption)
     if chance < disturbance.paraphrased + disturbance.reworded:
+        # What chooses the caption has digits left to choose a wording of it.
+        key = int(place % 1 * 2**16)
         said = reword(caption, key)
         return paraphrase(said, key) if key % 2 else said
     return caption

@@ -9,14 +9,14 @@ from torch import Tensor
 from moveset.data.splits import Split
 from moveset.errors import InputError
 from moveset.motion.features import get_codec
-from moveset.text.cache import EmbeddingCache, cache_file
-from moveset.text.encoder import TextEmbedding, get_text_encoder
+from moveset.text.cache import EmbeddingCache
+from moveset.text.encoder import TextEmbedding
 from moveset.text.live import LiveEmbeddings
 from moveset.training.ahead import Ahead
 from moveset.training.clip_source import ClipSource, open_clips
 from moveset.training.clips import FeatureStore
 from moveset.training.engine import Loop
-from moveset.training.reading import AS_WRITTEN, MAX_TOKENS, Disturbance, read_captions, wordings
+from moveset.training.reading import AS_WRITTEN, MAX_TOKENS, Disturbance, open_text, read_captions
 from moveset.training.segments import SegmentSet
 from moveset.training.tasks import Sources
 
@@ -28,7 +28,7 @@ class SegmentData:
         config: the task's; another task's has the same fields where it gives another ``cut``.
 
     Raises:
-        InputError: disturbed captions that are to be read further than that is possible.
+        InputError: disturbed captions that are to be read further than that is possible, or as of ``open_text``.
     """
 
     def __init__(self, sources: Sources, config: Any, loop: Loop) -> None:
@@ -48,14 +48,8 @@ class SegmentData:
         self.codec, self.normalizer = codec, store.normalizer
         self.train = self.cut(config, source, "train", store, folder, config.disturbance)
         self.val = self.cut(config, source, "val", store, folder, AS_WRITTEN)
-        path = cache_file(sources.cache, config.text_encoder)
-        if config.disturbance.reworded:
-            encoder = get_text_encoder(config.text_encoder, device=self.device)
-            held = EmbeddingCache.open(path, encoder=encoder.name).to(self.device) if path.is_file() else None
-            return LiveEmbeddings(encoder, held)
-        said = wordings(self.train.all_captions(), config.disturbance)
-        captions = sorted({*said, *self.val.all_captions()})
-        return EmbeddingCache.build(get_text_encoder(config.text_encoder), captions, path).to(self.device)
+        captions, others = self.train.all_captions(), self.val.all_captions()
+        return open_text(sources.cache, config.text_encoder, captions, others, config.disturbance, self.device)
 
     def cut(
         self,
@@ -73,8 +67,7 @@ class SegmentData:
     def training_batch(self, size: int, step: int) -> Any:
         """The batch of a training step, where the training computes, its text ready to be read."""
         batch = self._ahead.get(step, lambda step: self.train.batch(size, self.seed, step)).to(self.device)
-        if isinstance(self.text, LiveEmbeddings):
-            self.text.prepare([*batch.captions, *getattr(batch, "previous_captions", [])])
+        self.text.prepare(batch.said)
         return batch
 
     def read(self, captions: list[str], disturbed_by: torch.Generator | None = None) -> TextEmbedding:
@@ -84,5 +77,5 @@ class SegmentData:
         return read_captions(self.text, captions, self.disturbance, disturbed_by)
 
     def pooled(self, captions: list[str]) -> Tensor:
-        """Sentence embeddings (B, C) of captions, without looking up their tokens."""
+        """Sentence embeddings (B, C) of captions."""
         return self.text.pooled_of(captions)

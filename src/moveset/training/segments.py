@@ -88,6 +88,11 @@ class SegmentBatch:
     captions: list[str]
     previous_captions: list[str]
 
+    @property
+    def said(self) -> list[str]:
+        """Whatever is said in it."""
+        return self.captions + self.previous_captions
+
     def rows(self, count: int) -> "SegmentBatch":
         """The first so many."""
         return SegmentBatch(*(getattr(self, field.name)[:count] for field in fields(self)))
@@ -175,9 +180,7 @@ class ClipSet:
     def say(self, clip: Row, start: int, frames: int, chance: Sequence[float]) -> str:
         """A sentence for these frames, chosen by three numbers in [0, 1)."""
         options = clip.whole if self._of_all(clip, chance) else clip.said[_part(clip, start, frames)]
-        place = chance[1] * len(options)
-        # What chooses the caption has digits left to choose a wording of it.
-        return say(options[int(place)], self.disturbance, chance[2], int(place % 1 * 2**16))
+        return say(options, self.disturbance, chance[1], chance[2])
 
     def span(self, clip: Row, start: int, frames: int, chance: Sequence[float]) -> tuple[int, int]:
         """First and last frame, exclusive, of what the sentence is said to that the same numbers choose."""

@@ -12,8 +12,7 @@ from moveset.models.latent_denoiser import LatentDenoiserConfig
 from moveset.models.registry import describe
 from moveset.models.token_denoiser import TokenDenoiserConfig
 from moveset.motion.features import get_codec
-from moveset.text.cache import EmbeddingCache, cache_file
-from moveset.text.encoder import TextEmbedding, get_text_encoder
+from moveset.text.encoder import TextEmbedding
 from moveset.training import frozen
 from moveset.training.clip_source import open_clips
 from moveset.training.clips import FeatureStore
@@ -21,7 +20,7 @@ from moveset.training.ema import Ema, ema_warmup
 from moveset.training.engine import Loop, Task
 from moveset.training.latents import LatentBatch, LatentSet
 from moveset.training.optim import cosine_lr
-from moveset.training.reading import Disturbance, read_captions
+from moveset.training.reading import Disturbance, open_text, read_captions
 from moveset.training.tasks import Sources
 
 
@@ -49,28 +48,27 @@ class LatentData:
 
     def __init__(self, sources: Sources, text_encoder: str, disturbance: Disturbance, loop: Loop) -> None:
         self.disturbance = disturbance
+        self.seed, self.device = loop.config.seed * 64 + loop.rank, loop.device
         self.vae = frozen.load(sources.vae, "vae_ema")
         # Whoever comes first makes the caches; the other processes open them.
         with loop.fabric.rank_zero_first():
             self._open(sources, text_encoder, loop.rank == 0)
-        self.text = self.text.to(loop.device)
-        self.seed, self.device = loop.config.seed * 64 + loop.rank, loop.device
 
     def _open(self, sources: Sources, text_encoder: str, progress: bool) -> None:
         clips, vae, codec = open_clips(sources.corpus), self.vae, self.vae.task["codec"]
         store = FeatureStore.of(clips, get_codec(codec), sources.cache / f"features-{codec}", progress)
         latents = sources.cache / f"latents-{vae.digest[:12]}"
         self.train = LatentSet.of(clips, "train", store, vae.module, Path(f"{latents}-train.safetensors"))
-        self.train.paraphrased = self.disturbance.paraphrased
+        self.train.disturbance = self.disturbance
         self.val = LatentSet.of(clips, "val", store, vae.module, Path(f"{latents}-val.safetensors"), windows=0)
-        captions = sorted({*self.train.all_captions(), *self.val.all_captions()})
-        self.text = EmbeddingCache.build(
-            get_text_encoder(text_encoder), captions, cache_file(sources.cache, text_encoder)
-        )
+        captions, others = self.train.all_captions(), self.val.all_captions()
+        self.text = open_text(sources.cache, text_encoder, captions, others, self.disturbance, self.device)
 
     def batch(self, size: int, step: int) -> LatentBatch:
         """Training latents of a step, on the device."""
-        return self.train.batch(size, self.seed, step).to(self.device)
+        batch = self.train.batch(size, self.seed, step).to(self.device)
+        self.text.prepare(batch.captions)
+        return batch
 
     def read(self, captions: list[str], disturbed_by: torch.Generator | None = None) -> TextEmbedding:
         """Token states of captions; "" is the unconditional input. Roughened if given a generator."""
