@@ -1,5 +1,6 @@
 """Packing a stream: what is in the run folders comes out of the model folder, and what does not fit is refused."""
 
+import shutil
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -211,3 +212,15 @@ def test_students_of_different_grids_do_not_share_a_folder(trained, tmp_path, mo
     checkpoint.write(trained / "runs" / "other-grid", 7, tensors, {"config": other})
     with pytest.raises(InputError, match=r"grids of \[10, 20\] points"):
         command(monkeypatch, trained, tmp_path / "no", "--networks", "pcm-1", "pcm-2", "--folder", "pcm-2=other-grid")
+
+
+def test_a_training_that_left_no_text_cache_is_packed_alike(trained, tmp_path, monkeypatch, quick):
+    """One that rewords its captions encodes them as they come."""
+    command(monkeypatch, trained, tmp_path / "wanted", "--networks", "pcm-1")
+    copied = tmp_path / "copied"
+    shutil.copytree(trained, copied)
+    (file,) = (copied / "runs" / "cache").glob("text-*.safetensors")
+    file.unlink()
+    command(monkeypatch, copied, tmp_path / "found", "--networks", "pcm-1")
+    for name in ("prompts.safetensors", "prompts.json", "pcm-1.safetensors"):
+        assert (tmp_path / "found" / name).read_bytes() == (tmp_path / "wanted" / name).read_bytes(), name

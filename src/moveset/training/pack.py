@@ -14,7 +14,6 @@ from moveset.data.corpus import Corpus
 from moveset.data.rewordings import all_words
 from moveset.errors import InputError, exit_code_of
 from moveset.pipelines.bundle import BundleConfig, save_folder
-from moveset.text.cache import EmbeddingCache, cache_file
 from moveset.text.encoder import get_text_encoder
 from moveset.text.familiarity import calibrate
 from moveset.text.vocabulary import words_of
@@ -22,7 +21,7 @@ from moveset.training import checkpoint, frozen
 from moveset.training.clips import FeatureStore
 from moveset.training.latents import LatentSet
 from moveset.training.length import train_length
-from moveset.training.reading import Disturbance, wordings
+from moveset.training.reading import Disturbance, embedded, wordings
 from moveset.training.tasks import Sources
 
 KNOWN_CAPTIONS = 2000
@@ -71,7 +70,6 @@ def pack(
     latents = LatentSet.of(
         corpus, "train", store, vae.module, sources.cache / f"latents-{vae.digest[:12]}-train.safetensors"
     )
-    text = EmbeddingCache.open(cache_file(sources.cache, text_encoder))
     shipped = frozen.load(decoder, "vae_ema") if decoder else vae
     teacher = frozen.load(sources.teacher, "teacher_ema")
     modules: dict[str, nn.Module] = {"vae": shipped.module, "teacher": teacher.module}
@@ -85,12 +83,13 @@ def pack(
     if len(grids) > 1:
         raise InputError(f"the students were distilled on grids of {sorted(grids)} points; pack those of one grid")
     captions, frames, held_out = caption_lengths(corpus)
-    pooled = text.lookup(captions).pooled
+    known = known_captions(corpus)
+    text = embedded(sources.cache, text_encoder, [*captions, *known])
+    pooled = text.pooled_of(captions)
     length = train_length(pooled, frames, held_out=held_out, epochs=4)
     print(f"length predictor: median error {length.median_error:.0f} frames, constant {length.constant_error:.0f}")
     modules["length"] = length.model
-    known = known_captions(corpus)
-    known_pooled = text.lookup(known).pooled
+    known_pooled = text.pooled_of(known)
     config = BundleConfig(
         name=name,
         codec=vae.task["codec"],

@@ -9,11 +9,11 @@ from moveset.data.corpus import Corpus
 from moveset.errors import InputError, exit_code_of
 from moveset.motion.features import get_codec
 from moveset.pipelines.baseline_bundle import DENOISER, IDLE, BaselineConfig, save_baseline
-from moveset.text.cache import EmbeddingCache, cache_file
 from moveset.training import checkpoint, frozen
 from moveset.training.clip_source import CorpusClips
 from moveset.training.clips import FeatureStore
 from moveset.training.pack import familiarity_limit, known_captions
+from moveset.training.reading import embedded
 from moveset.training.stills import idle_pose
 
 
@@ -44,9 +44,8 @@ def pack_baseline(
     steps = 50 if steps is None else steps
     corpus, codec = Corpus.open(corpus_path), get_codec(task["codec"])
     store = FeatureStore(cache / f"features-{codec.name}")
-    text = EmbeddingCache.open(cache_file(cache, task["text_encoder"]))
     known = known_captions(corpus)
-    pooled = text.lookup(known).pooled
+    pooled = embedded(cache, task["text_encoder"], known).pooled_of(known)
     statistics = {"feature_mean": store.normalizer.mean, "feature_std": store.normalizer.std}
     if chunks:
         statistics[IDLE] = idle_pose(CorpusClips(corpus), store, codec)

@@ -11,11 +11,11 @@ from torch import nn
 from moveset.data.corpus import Corpus
 from moveset.errors import InputError, exit_code_of
 from moveset.pipelines.stream_bundle import DEFAULT_STREAM, FLOW, StreamConfig, save_stream_bundle
-from moveset.text.cache import EmbeddingCache, cache_file
 from moveset.text.vocabulary import words_of
 from moveset.training import frozen
 from moveset.training.clips import FeatureStore
 from moveset.training.pack import familiarity_limit, known_captions, trained_words
+from moveset.training.reading import embedded
 from moveset.training.stills import SENTENCES
 
 RDM, MD = "rdm", "md"
@@ -95,12 +95,11 @@ def pack_stream(
         raise InputError(f"the students were distilled on grids of {sorted(points)} points; pack those of one grid")
     corpus, encoder = Corpus.open(corpus_path), rdm.task["text_encoder"]
     store = FeatureStore(cache / f"features-{rdm.task['codec']}")
-    text = EmbeddingCache.open(cache_file(cache, encoder))
     known, words = known_captions(corpus), trained_words(corpus, rdm.task)
     if rdm.task["cutting"].get("stills"):
         known = sorted({*known, *SENTENCES})
         words |= {word for sentence in SENTENCES for word in words_of(sentence)}
-    pooled = text.lookup(known).pooled
+    pooled = embedded(cache, encoder, known).pooled_of(known)
     config = StreamConfig(
         name=name,
         codec=rdm.task["codec"],

@@ -71,8 +71,12 @@ def open_text(
         live = get_text_encoder(encoder, device=device)
         held = EmbeddingCache.open(path, encoder=live.name).to(device) if path.is_file() else None
         return LiveEmbeddings(live, held)
-    said = sorted({*wordings(captions, disturbance), *others})
-    return EmbeddingCache.build(get_text_encoder(encoder), said, path).to(device)
+    return embedded(folder, encoder, sorted({*wordings(captions, disturbance), *others})).to(device)
+
+
+def embedded(folder: Path, encoder: str, captions: Sequence[str]) -> EmbeddingCache:
+    """Captions as they are, from a training's text cache, or added to it: a training that rewords leaves none."""
+    return EmbeddingCache.build(get_text_encoder(encoder), captions, cache_file(folder, encoder))
 
 
 def say(options: Sequence[str], disturbance: Disturbance, pick: float, chance: float) -> str:
