@@ -8,11 +8,14 @@ import pytest
 import torch
 
 from moveset.errors import InputError
+from moveset.models.latent_denoiser import LatentDenoiserConfig
 from moveset.models.segment_transformer import SegmentTransformerConfig
 from moveset.rdm.grid import GridConfig
 from moveset.training import checkpoint, frozen, transplant
+from moveset.training.distill import DistillationConfig
 from moveset.training.rdm import RDMConfig
 from moveset.training.rdm_student import RDMStudentConfig
+from moveset.training.teacher import TeacherConfig
 from tests.training.run_folders import write_run
 
 MODEL = SegmentTransformerConfig(frames=8, width=32, heads=2, hidden=32, blocks=1)
@@ -83,6 +86,22 @@ def test_what_the_teacher_has_learned_to_read_since_the_student_reads_too(runs, 
     transplant.transplant(runs / "given", runs / "placed", runs / "placed", 0.5, runs / "again")
     again = frozen.load(runs / "again", "student_ema")
     torch.testing.assert_close(again.module.place.weight, given.module.place.weight)
+
+
+def test_a_student_of_clips_is_given_what_its_teacher_learned(tmp_path):
+    model = LatentDenoiserConfig(tokens=2, token_dim=4, width=16, heads=2, blocks=1, hidden=16)
+    torch.manual_seed(0)
+    before = model.build()
+    after = model.build()
+    student = moved(before.student(), 1)
+    write_run(tmp_path, "before", TeacherConfig(model=model), teacher_ema=before)
+    write_run(tmp_path, "after", TeacherConfig(model=model), teacher_ema=after)
+    write_run(tmp_path, "student", DistillationConfig(model=student.config), student_ema=student)
+    made = carried(tmp_path / "runs", 0.5, "given")
+    old, new = before.state_dict(), after.state_dict()
+    for key, value in student.state_dict().items():
+        torch.testing.assert_close(made[key], value + 0.5 * (new[key] - old[key]) if key in old else value)
+    assert not torch.equal(made["latent_in.weight"], student.latent_in.weight)
 
 
 def test_what_is_written_is_a_students_run(runs, monkeypatch, capsys):

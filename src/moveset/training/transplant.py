@@ -17,11 +17,13 @@ from moveset.models.registry import require_range
 from moveset.models.segment_transformer import SegmentTransformer
 from moveset.training import checkpoint
 
-STUDENT, TEACHER = "student_ema", "denoiser_ema"
+STUDENT = "student_ema"
+# What averaged weights are called in checkpoints of teachers of streams and of clips.
+TEACHERS = ("denoiser_ema", "teacher_ema")
 
 
 def transplant(student: Path, before: Path, after: Path, share: float, out: Path) -> Path:
-    """Write ``out/step_N``: the student of a stream with ``share`` of what lies between two stages of its teacher.
+    """Write ``out/step_N``: a student, of clips or streams, with ``share`` of what lies between stages of its teacher.
 
     Args:
         student: run folder or checkpoint of the student; N is its number of steps. Its averaged weights are taken.
@@ -40,7 +42,7 @@ def transplant(student: Path, before: Path, after: Path, share: float, out: Path
         raise InputError(f"{out} already holds a training; choose another folder")
     step = checkpoint.resolve(student)
     weights = checkpoint.read_tensors(step, STUDENT)
-    old, new = (checkpoint.read_tensors(checkpoint.resolve(path), TEACHER) for path in (before, after))
+    old, new = (_teacher(checkpoint.resolve(path)) for path in (before, after))
     added = [key for key in SegmentTransformer.learned_later if key in new and key not in old and key not in weights]
     for stage in (old, weights):
         stage |= {key: torch.zeros_like(new[key]) for key in added}
@@ -58,6 +60,11 @@ def transplant(student: Path, before: Path, after: Path, share: float, out: Path
     documents = {"config": config, "origin": {"student": step.name, "share": share}}
     modules = {STUDENT: weights, STUDENT.removesuffix("_ema"): weights}
     return checkpoint.write(out, int(step.name.removeprefix("step_")), modules, documents)
+
+
+def _teacher(step: Path) -> dict[str, torch.Tensor]:
+    held = [name for name in TEACHERS if (step / f"{name}.safetensors").is_file()]
+    return checkpoint.read_tensors(step, held[0] if held else TEACHERS[0])
 
 
 def main() -> None:
