@@ -1,0 +1,34 @@
+"""The sheets of the documents show the end of streams, whole, below one another."""
+
+from itertools import islice
+from pathlib import Path
+
+import pytest
+import torch
+from PIL import Image
+
+from moveset import MotionStream
+
+FOLDER = Path(__file__).resolve().parents[2] / "benchmarks"
+
+
+@pytest.mark.parametrize("segments", [2, 8])
+def test_the_last_seconds_are_the_streams_own(segments, monkeypatch):
+    monkeypatch.syspath_prepend(str(FOLDER))
+    from pictures import SHOWN, last_seconds
+
+    told = {"prompt": "a person walks", "seed": 3, "device": "cpu"}
+    pieces = [segment.motion for segment in islice(MotionStream.from_pretrained(**told), segments)]
+    frames = len(pieces[0])
+    found = last_seconds(MotionStream.from_pretrained(**told), (segments - 1) * frames / 20.0 / 60.0)
+    assert len(found) == min(segments * frames, int(SHOWN * 20.0))
+    assert torch.equal(found.root, torch.cat([piece.root for piece in pieces])[-len(found) :])
+
+
+def test_strips_lie_below_one_another(monkeypatch):
+    monkeypatch.syspath_prepend(str(FOLDER))
+    from pictures import WIDTH, sheet
+
+    joined = sheet([Image.new("RGB", (2 * WIDTH, 100), "red"), Image.new("RGB", (2 * WIDTH, 60), "blue")])
+    assert joined.size == (WIDTH, 80)
+    assert joined.getpixel((5, 20))[0] > 200 < joined.getpixel((5, 70))[2]
