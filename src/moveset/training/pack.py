@@ -2,7 +2,7 @@
 
 import argparse
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +11,7 @@ from torch import nn
 
 from moveset.data.captions import heldout_captions
 from moveset.data.corpus import Corpus
-from moveset.data.rewordings import all_words
+from moveset.data.rewordings import all_words, reword
 from moveset.errors import InputError, exit_code_of
 from moveset.pipelines.bundle import BundleConfig, save_folder
 from moveset.text.encoder import get_text_encoder
@@ -20,7 +20,7 @@ from moveset.text.vocabulary import words_of
 from moveset.training import checkpoint, frozen
 from moveset.training.clips import FeatureStore
 from moveset.training.latents import LatentSet
-from moveset.training.length import train_length
+from moveset.training.length import LengthTraining, train_length
 from moveset.training.reading import Disturbance, embedded, wordings
 from moveset.training.tasks import Sources
 
@@ -86,7 +86,10 @@ def pack(
     known = known_captions(corpus)
     text = embedded(sources.cache, text_encoder, [*captions, *known])
     pooled = text.pooled_of(captions)
-    length = train_length(pooled, frames, held_out=held_out, epochs=4)
+    if Disturbance(**teacher.task["disturbance"]).reworded:
+        length = length_of_rewordings(captions, pooled, frames, held_out, text_encoder)
+    else:
+        length = train_length(pooled, frames, held_out=held_out, epochs=4)
     print(f"length predictor: median error {length.median_error:.0f} frames, constant {length.constant_error:.0f}")
     modules["length"] = length.model
     known_pooled = text.pooled_of(known)
@@ -146,6 +149,23 @@ def caption_lengths(corpus: Corpus, per_clip: int = 2) -> tuple[list[str], torch
     ]
     captions, frames, held_out = zip(*rows, strict=True)
     return list(captions), torch.tensor(frames), torch.tensor(held_out)
+
+
+def length_of_rewordings(
+    captions: Sequence[str], pooled: torch.Tensor, frames: torch.Tensor, held_out: torch.Tensor, text_encoder: str
+) -> LengthTraining:
+    """The length predictor of a teacher that reads captions in other words, too: each caption, once more reworded.
+
+    Once through all of them: seen more often, lengths are learned of the very words, and those of unknown wordings get
+    worse (``docs/decisions.md``).
+    """
+    encoder = get_text_encoder(text_encoder)
+    said = [reword(caption, k) for k, caption in enumerate(captions) if not held_out[k]]
+    # Not kept in the text cache, which has the states of all tokens.
+    others = [encoder.encode(said[k : k + 256]).pooled for k in range(0, len(said), 256)]
+    lengths = torch.cat((frames, frames[~held_out]))
+    measured = torch.cat((held_out, torch.zeros(len(said), dtype=torch.bool)))
+    return train_length(torch.cat((pooled, *others)), lengths, held_out=measured, epochs=1)
 
 
 def known_captions(corpus: Corpus) -> list[str]:
