@@ -84,7 +84,8 @@ def test_a_training_starts_with_the_weights_it_is_given(models, runs, sources, t
     assert all((learned[name] - given[name]).abs().max() < 1e-6 for name in given)
     assert any(not torch.equal(learned[name], given[name]) for name in given)
     # A resumed training goes on from its own checkpoint, whatever it once began with.
-    run(maker, replace(recipe.engine, steps=2), tmp_path / "run", True, init=runs / "pcm-2")
+    with pytest.warns(UserWarning, match="with other settings: steps 1 -> 2"):
+        run(maker, replace(recipe.engine, steps=2), tmp_path / "run", True, init=runs / "pcm-2")
     later = checkpoint.read_tensors(tmp_path / "run" / "step_2", "student")
     assert all((later[name] - given[name]).abs().max() < 1e-6 for name in given)
 
