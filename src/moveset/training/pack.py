@@ -158,6 +158,13 @@ def length_of_rewordings(
 
     Once through all of them: seen more often, lengths are learned of the very words, and those of unknown wordings get
     worse (``docs/decisions.md``).
+
+    Args:
+        captions: N, as written.
+        pooled: (N, P) their sentence embeddings.
+        frames: (N,) lengths of their clips, frames.
+        held_out: (N,) bool, those that are only measured.
+        text_encoder: which made the embeddings.
     """
     encoder = get_text_encoder(text_encoder)
     said = [reword(caption, k) for k, caption in enumerate(captions) if not held_out[k]]
