@@ -21,8 +21,8 @@ def convert(
 
     Args:
         source: A motion file: .bvh .glb .npz .npy or .html; or the .part of a take, which is finished beside it first.
-        target: File to write: .bvh .glb .npz .npy .html .mp4 .gif or .png.
-        skeleton: Retarget to smpl, mixamo, vrm or ue5.
+        target: File to write: .bvh .glb .npz .amass.npz .npy .html .mp4 .gif or .png.
+        skeleton: Retarget to smpl, mixamo, vrm, ue5, hml22 or kit21.
         fps: Frame rate of the new file.
         in_place: Without travel over the ground.
         loop: Blend the end into the beginning.

@@ -43,8 +43,8 @@ def generate(
 
     Args:
         prompt: What the person does, such as "a person walks forward and waves".
-        output: File to write: .bvh .glb .npz .npy .html .mp4 .gif or .png; give it several times for several files.
-            Without it motion.glb is written. An .html is a page that plays the motion by itself, offline.
+        output: File to write: .bvh .glb .npz .amass.npz .npy .html .mp4 .gif or .png; give it several times for
+            several files. Without it motion.glb is written. An .html is a page that plays the motion, offline.
         seconds: Duration of a clip; once for all prompts, or once for each. Without it the text decides.
         model: A shipped model (see `moveset models`) or a model folder.
         steps: Network evaluations a clip takes: 1, 2 or 4; by default 1 (50 for the teacher).
@@ -53,7 +53,7 @@ def generate(
         seed: The same seed gives the same bytes.
         num: Variants to make; variant k has the seed SEED + k and is written as NAME-k.
         fps: Frame rate of the files; the model works at 20.
-        skeleton: Retarget to smpl, mixamo, vrm or ue5.
+        skeleton: Retarget to smpl, mixamo, vrm, ue5, hml22 or kit21.
         in_place: Without travel over the ground.
         loop: Blend the end into the beginning.
         foot_lock: Hold planted feet in place.

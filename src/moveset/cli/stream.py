@@ -71,8 +71,8 @@ def stream(
             does. A list that is known beforehand is better given as PROMPTs with --seconds.
         realtime: Make a second of motion a second, one segment ahead, instead of as fast as possible.
         model: A shipped stream model (see `moveset models`) or a model folder.
-        network: pcm-1, pcm-2 or pcm-4: students of that many evaluations a segment. rdm: the recurrent model itself.
-            md: the autoregressive baseline. By default the model's own choice.
+        network: pcm-1: the student of one evaluation a segment (pcm-2, pcm-4: of more, in models that have them). rdm:
+            the recurrent model itself. md: the autoregressive baseline. By default the model's own choice.
         steps: Evaluations a segment takes: picks a student, or sets the sampler of --network rdm or md.
         guidance: How strongly the text is followed (w); by default the model's own choice.
         start: --network rdm: steps that later segments are denoised for; the rest is inherited from their neighbour.
