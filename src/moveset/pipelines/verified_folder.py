@@ -109,6 +109,8 @@ def write_whole(path: Path, blobs: Mapping[str, bytes]) -> None:
         folder.rename(path)
         shutil.rmtree(path / ".old", ignore_errors=True)
     except BaseException:
+        if (folder / ".old").exists() and not path.exists():
+            (folder / ".old").rename(path)
         shutil.rmtree(folder, ignore_errors=True)
         raise
 
