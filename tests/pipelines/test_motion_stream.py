@@ -398,3 +398,15 @@ def test_a_pickled_stream_goes_on_where_it_stood(opened, buffer):
         assert (one.number, one.first_frame, one.prompt) == (two.number, two.first_frame, two.prompt)
         assert same(one, two)
     assert (again.seed, again.settings, again.timeline) == (stream.seed, stream.settings, stream.timeline)
+
+
+def test_a_state_of_a_stream_that_makes_ahead_may_be_restored_while_it_does(opened):
+    stream = opened([WALK, BOW], 3.0, buffer=4, seed=3)
+    take(stream, 2)
+    state = stream.state()
+    expected = take(stream, 5)
+    for _ in range(3):
+        # Three segments are still to be made by then.
+        for one, two in zip(expected, take(stream.restore(state), 5), strict=True):
+            assert one.number == two.number
+            assert torch.equal(one.motion.root, two.motion.root)

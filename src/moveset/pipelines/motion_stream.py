@@ -272,6 +272,9 @@ class MotionStream(Iterator[Segment]):
     def _begin(self, settings: StreamSettings, seed: SeedMotion | None) -> None:
         """Everything anew, by these settings."""
         config = self.bundle.config
+        if (pool := getattr(self, "_pool", None)) is not None:
+            # What it still has to make would be taken from the stream that begins here.
+            pool.shutdown(cancel_futures=True)
         self._settings = settings
         self._reading = 0.0
         self._lock = threading.Lock()
