@@ -45,6 +45,7 @@ def test_numbers_of_numpy_are_numbers():
         ({"prompt": ["a"] * 65}, "65 prompts were given; give 1 to 64"),
         ({"prompt": "a" * 10_240}, "10,240 characters, more than the limit of 1,000; shorten"),
         ({"prompt": "a\0b"}, "control characters"),
+        ({"prompt": "a \ud83d walks"}, r"'a \\ud83d walks' is not valid Unicode; give it as UTF-8"),
         ({"seconds": 0.0}, r"0 seconds are not in 1 to 9\.8 for a prompt; give at least 1$"),
         ({"seconds": 9.9}, r"9\.9 seconds are not in 1 to 9\.8 for a prompt; for a longer motion give several prompts"),
         ({"seconds": 1e6}, r"1e\+06 seconds"),
@@ -108,3 +109,10 @@ def test_a_model_without_teacher_says_so():
         check_method(config, "teacher")
     with pytest.raises(InputError, match="has no lcm students"):
         check_method(config, "lcm")
+
+
+def test_a_number_too_large_for_a_float_is_no_duration_and_no_guidance():
+    with pytest.raises(InputError, match="the duration has 401 digits"):
+        check_request(CONFIG, "a", 10**400)
+    with pytest.raises(InputError, match="guidance has 401 digits"):
+        check_method(CONFIG, guidance=10**400)

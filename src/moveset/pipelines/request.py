@@ -1,6 +1,7 @@
 """What may be asked of a model, checked before anything is computed. One sentence a refusal: value, limit, remedy."""
 
 import math
+import sys
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from numbers import Integral, Real
@@ -131,7 +132,7 @@ def check_prompt(text: str) -> None:
     """Refuse a prompt that says nothing, says too much, or is no text.
 
     Raises:
-        InputError: an empty or very long prompt, or control characters.
+        InputError: an empty or very long prompt, control characters, or halves of characters (lone surrogates).
     """
     if not isinstance(text, str):
         raise InputError(f"the prompt {text!r} is no text; describe a motion, such as 'a person walks forward'")
@@ -143,6 +144,8 @@ def check_prompt(text: str) -> None:
         )
     if any(ord(c) < 32 and c not in "\t\n\r" for c in text):
         raise InputError("a prompt contains control characters; give plain text")
+    if any("\ud800" <= c <= "\udfff" for c in text):
+        raise InputError(f"the prompt {text!r} is not valid Unicode; give it as UTF-8")
 
 
 def check_whole(name: str, value: object) -> None:
@@ -159,16 +162,19 @@ def check_real(name: str, value: object) -> None:
     """Refuse what is no number.
 
     Raises:
-        InputError: it is none.
+        InputError: it is none, or a whole number beyond all that floating point holds.
     """
     if not isinstance(value, Real):
         raise InputError(f"{name} {value!r} is not a number; give one such as 1.5")
+    if isinstance(value, int) and abs(value) > sys.float_info.max:
+        raise InputError(f"{name} has {len(str(abs(value))):,} digits; give a number such as 1.5")
 
 
 def _frames(seconds: float, config: BundleConfig) -> int:
     low, high = config.min_frames / config.fps, config.max_frames / config.fps
     if not isinstance(seconds, Real):
         raise InputError(f"duration {seconds!r} is not a number; give seconds from {low:g} to {high:g}")
+    check_real("the duration", seconds)
     if not math.isfinite(seconds) or not low <= seconds <= high:
         remedy = "for a longer motion give several prompts" if seconds > high else f"give at least {low:g}"
         raise InputError(f"{seconds:g} seconds are not in {low:g} to {high:g} for a prompt; {remedy}")
