@@ -131,3 +131,10 @@ def test_long_texts_take_no_time():
     # Each pattern must look at a word a bounded number of times: a server splits what strangers send.
     for part in ("a ", "and ", "then ", ", ", "after walking ", "a person ", "before "):
         split_stages(part * (10_000 // len(part)))
+
+
+@pytest.mark.timeout(60)  # searched from every space to the end, and again from each, it takes hours
+def test_a_run_of_spaces_is_a_space():
+    long = f"a person walks{' ' * 9000}forward"
+    assert split_stages(long) == (long,)
+    assert split_stages("a person walks, \n then\twaves") == ("a person walks", "a person waves")

@@ -28,7 +28,7 @@ _OTHER = {"left": "right", "right": "left"}
 
 
 def in_full(sentence: str) -> str:
-    """The sentence with what is done said of every limb; one that leaves nothing out is returned as it is.
+    """The sentence with what is done said of every limb, and its words a space apart.
 
     Args:
         sentence: what a person does.
@@ -40,6 +40,8 @@ def in_full(sentence: str) -> str:
     >>> in_full("a man raises his right hand, then turns left")
     'a man raises his right hand, then turns left'
     """
+    # A run of spaces would be searched from each of them to its end, and again.
+    sentence = " ".join(sentence.split())
     start = 0  # of the clause before the limb
     while found := _LEFT_OUT.search(sentence, start):
         clause = _last_clause(sentence[: found.start()])
