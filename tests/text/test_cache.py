@@ -1,5 +1,7 @@
 """The embedding cache gives back what the encoder said and refuses files that were touched."""
 
+import threading
+
 import pytest
 import torch
 
@@ -87,7 +89,7 @@ def test_a_file_of_another_encoder_or_of_none_is_made_anew(sentences, tmp_path):
     assert len(EmbeddingCache.open(path)) == 3
     path.write_bytes(b"nonsense")
     assert len(EmbeddingCache.build(encoder, sentences, path)) == len(set(sentences)) + 1
-    assert [p.name for p in tmp_path.iterdir()] == ["text.safetensors"]
+    assert {p.name for p in tmp_path.iterdir()} == {"text.safetensors", ".lock"}
 
 
 def test_unknown_sentences_encoders_and_files_are_named(sentences, tmp_path):
@@ -115,3 +117,24 @@ def test_a_changed_byte_is_found(sentences, tmp_path, where):
     path.write_bytes(data[: len(data) // 2])
     with pytest.raises(FormatError):
         EmbeddingCache.open(path)
+
+
+def test_of_two_that_add_to_a_cache_at_once_none_loses_its_sentences(tmp_path):
+    path, inside, go_on = tmp_path / "text.safetensors", threading.Event(), threading.Event()
+
+    class Slow(LetterEncoder):
+        def encode(self, sentences):
+            inside.set()
+            assert go_on.wait(30)
+            return super().encode(sentences)
+
+    first = threading.Thread(target=EmbeddingCache.build, args=(Slow(), ["a person walks"], path))
+    second = threading.Thread(target=EmbeddingCache.build, args=(LetterEncoder(), ["a person jumps"], path))
+    first.start()
+    assert inside.wait(30)
+    second.start()
+    second.join(0.3)  # it waits, unless it goes about it at once
+    go_on.set()
+    first.join(30)
+    second.join(30)
+    assert set(EmbeddingCache.open(path).sentences) == {"", "a person walks", "a person jumps"}

@@ -18,6 +18,7 @@ from torch import Tensor
 
 from moveset.errors import FormatError, InputError
 from moveset.io.limits import atomic_write
+from moveset.io.lock import locked
 from moveset.text.encoder import TextEmbedding, TextEncoder, check_sentences
 
 _FORMAT = "moveset text cache 1"
@@ -67,16 +68,20 @@ class EmbeddingCache:
         path = Path(path)
         wanted = tuple(dict.fromkeys(["", *check_sentences(sentences)]))
         found = cls._usable(path, encoder)
-        if found is not None:
-            held = set(found.sentences)
+        if found is not None and found._holds(wanted):
+            return found
+        # Of two processes that add to it at once the second adds to what the first has written.
+        with locked(path.parent):
+            found = cls._usable(path, encoder)
+            held = set() if found is None else set(found.sentences)
             wanted = tuple(sentence for sentence in wanted if sentence not in held)
-            if not wanted:
+            if found is not None and not wanted:
                 return found
-        states, pooled = _encode_all(encoder, wanted)
-        offsets = torch.tensor([0, *(len(s) for s in states)]).cumsum(0)
-        cache = cls(encoder.name, encoder.max_tokens, wanted, torch.cat(states), pooled, offsets)
-        (cache if found is None else found._with(cache))._write(path)
-        return cls.open(path)
+            states, pooled = _encode_all(encoder, wanted)
+            offsets = torch.tensor([0, *(len(s) for s in states)]).cumsum(0)
+            cache = cls(encoder.name, encoder.max_tokens, wanted, torch.cat(states), pooled, offsets)
+            (cache if found is None else found._with(cache))._write(path)
+            return cls.open(path)
 
     @classmethod
     def open(cls, path: str | Path, *, encoder: str | None = None) -> "EmbeddingCache":
@@ -107,6 +112,9 @@ class EmbeddingCache:
 
     def __contains__(self, sentence: str) -> bool:
         return sentence in self._row_of
+
+    def _holds(self, sentences: Sequence[str]) -> bool:
+        return all(sentence in self for sentence in sentences)
 
     @property
     def widths(self) -> tuple[int, int]:
