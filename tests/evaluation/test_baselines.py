@@ -42,7 +42,7 @@ class Says(nn.Module):
 
 def instead(model, answer):
     network = Says(answer)
-    model._bundle._modules["denoiser"] = network
+    model._bundle._modules["denoiser", "cpu"] = network
     return network
 
 

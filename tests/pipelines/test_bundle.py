@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from pathlib import Path
 
 import pytest
 import torch
@@ -113,6 +114,7 @@ def test_only_what_is_asked_for_is_read(folder):
         (lambda c: c.update(colour="red"), "'colour' is missing or unknown"),
         (lambda c: c.update(latent=7), "does not describe a model"),
         (lambda c: c.update(min_frames=0), "out of range"),
+        (lambda c: c.update(name="../walker"), r"'\.\./walker' cannot be part of a file's name"),
         (lambda c: c.update(max_frames=10**9), "out of range"),
         (lambda c: c.update(latent=[1, 32]), "'vae' has tokens 16, the latent 1"),
         (lambda c: c.update(models=[]), "does not describe a model"),
@@ -191,3 +193,20 @@ def test_an_empty_folder_may_be_filled(tmp_path):
     (tmp_path / "empty").mkdir()
     write_whole(tmp_path / "empty", {"config.json": b"{}"})
     assert (tmp_path / "empty/config.json").read_bytes() == b"{}"
+
+
+@pytest.mark.parametrize("broken_off", [KeyboardInterrupt, OSError])
+def test_a_model_that_could_not_be_replaced_is_there_as_before(tmp_path, monkeypatch, broken_off):
+    model, rename = tmp_path / "model", Path.rename
+    write_whole(model, {"config.json": b"old"})
+
+    def broken(self, target):
+        if target == model and self.name != ".old":
+            raise broken_off
+        return rename(self, target)
+
+    monkeypatch.setattr(Path, "rename", broken)
+    with pytest.raises(broken_off):
+        write_whole(model, {"config.json": b"new"})
+    assert (model / "config.json").read_bytes() == b"old"
+    assert [path.name for path in tmp_path.iterdir()] == ["model"]

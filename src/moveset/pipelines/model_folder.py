@@ -13,6 +13,7 @@ Only what is asked for is read, and what is read is verified. The kinds are ``bu
 
 import hashlib
 import math
+import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cached_property
@@ -101,6 +102,8 @@ class FolderConfig:
 
     def check(self) -> None:
         """Raises ValueError, TypeError or KeyError for numbers that no such model can have."""
+        if not self.name or re.search(r"[/\\:\x00-\x1f]|^\.", self.name):
+            raise ValueError(f"the name {self.name!r} cannot be part of a file's name")
         if not 0 < self.fps <= 1000:
             raise ValueError("frame rate out of range")
         for name, spec in self.models.items():
@@ -169,7 +172,7 @@ class ModelFolder(VerifiedFolder, Generic[Config]):
     def __init__(self, path: Path) -> None:
         super().__init__(path)
         self.config: Config = self.config_class.parse(self.read("config.json"), path / "config.json")
-        self._modules: dict[str, nn.Module] = {}
+        self._modules: dict[tuple[str, str], nn.Module] = {}
 
     @classmethod
     def find(cls, name_or_path: str | Path) -> Self:
@@ -186,7 +189,8 @@ class ModelFolder(VerifiedFolder, Generic[Config]):
         Raises:
             FormatError: the model has no such network, or its file is damaged.
         """
-        if name not in self._modules:
+        key = name, str(device)
+        if key not in self._modules:
             spec = self.spec(name)
             module = _build(spec)
             try:
@@ -196,8 +200,8 @@ class ModelFolder(VerifiedFolder, Generic[Config]):
                     f"{self.path / name}.safetensors does not fit the architecture in config.json; copy the model again"
                 ) from error
             module = module.eval().requires_grad_(False).to(device)
-            self._modules[name] = pack(module) if spec.kind in PACKABLE and can_pack(device) else module
-        return self._modules[name]
+            self._modules[key] = pack(module) if spec.kind in PACKABLE and can_pack(device) else module
+        return self._modules[key]
 
     def spec(self, name: str) -> ModelSpec:
         """What the network of that name is built from. Raises FormatError if the model has none."""

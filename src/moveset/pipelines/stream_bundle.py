@@ -134,7 +134,7 @@ class StreamBundle(ModelFolder[StreamConfig]):
         """
         network = super().module(name, device)
         if name in self.config.symmetric and not isinstance(network, Symmetric):
-            network = self._modules[name] = self._even(network).to(device)
+            network = self._modules[name, str(device)] = self._even(network).to(device)
         return network
 
     def _even(self, network: nn.Module) -> Symmetric:
