@@ -349,3 +349,30 @@ def test_another_kind_of_model_is_named(stream, tmp_path):
 def test_a_folder_that_cannot_be_written_to(stream, tmp_path):
     (tmp_path / "locked").mkdir(mode=0o500)
     assert stream("a", "-o", "locked/w.bvh")[0] == 2
+
+
+def test_for_ever_is_longer_than_its_prompts(process, tmp_path):
+    (tmp_path / "lines.txt").write_text("a person bows\n")
+    child = process("a person walks", "--forever", "--prompts", "lines.txt", "--json")
+    found = [json.loads(child.stdout.readline()) for _ in range(12)]
+    assert child.poll() is None
+    assert found[-1]["prompt"] == "a person bows"
+    child.send_signal(signal.SIGINT)
+    child.stdout.read()
+    assert child.wait(60) == 130
+
+
+def test_what_is_printed_is_json_whatever_the_terminal_can_show(model, tmp_path):
+    said = "a person walks to the café 😀"
+    command = [sys.executable, "-m", "moveset.cli", "stream", said, "--total", "1.4", "--json", "--model", str(model)]
+    done = subprocess.run(
+        command, cwd=tmp_path, env={**os.environ, "PYTHONIOENCODING": "ascii"}, capture_output=True, timeout=120
+    )
+    assert json.loads(done.stdout)["prompt"] == said
+
+
+def test_a_mark_of_byte_order_is_no_part_of_a_prompt(stream, tmp_path):
+    (tmp_path / "lines.txt").write_bytes("\ufeffa person bows\r\n".encode())
+    code, out, _ = stream("--prompts", "lines.txt", "--json")
+    assert code == 0
+    assert rows(out)[-1]["prompt"] == "a person bows"

@@ -69,7 +69,8 @@ class PromptLines:
             self._over.set()
 
     def _put(self, line: bytes) -> None:
-        if text := line.decode(errors="replace").strip():
+        # Editors of Windows begin a file with a mark of its byte order.
+        if text := line.decode(errors="replace").removeprefix("\ufeff").strip():
             self._lines.put(text)
 
 

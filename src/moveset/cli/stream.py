@@ -125,7 +125,10 @@ def stream(
         files = stack.enter_context(GrowingFiles(output, made.codec.skeleton, bundle.config.fps, _notes(made, request)))
         _tell_durations(request, bundle.config.segment / bundle.config.fps)
         _tell_unseen(request, frames, bundle.config.segment)
-        latencies = _run(made, files, lines, interrupts, frames=frames, realtime=realtime, in_place=in_place, json=json)
+        latencies = _run(
+            made, files, lines, interrupts, frames=frames, forever=forever, realtime=realtime, in_place=in_place,
+            json=json,
+        )  # fmt: skip
     if not json:
         _summary(files, made, latencies)
     interrupts.check()
@@ -134,7 +137,7 @@ def stream(
 
 def _run(
     made: "MotionStream", files: Any, lines: "PromptLines | None", interrupts: Any, *, frames: int | None,
-    realtime: bool, in_place: bool, json: bool,
+    forever: bool, realtime: bool, in_place: bool, json: bool,
 ) -> Sequence[float]:  # fmt: skip
     """Segments until there is a reason to stop; the latencies of the last thousand."""
     latencies: deque[float] = deque(maxlen=1000)
@@ -150,7 +153,7 @@ def _run(
                 break
             if lines is not None:
                 _tell(made, lines)
-                if frames is None and lines.ended and done >= made.timeline.end * each:
+                if frames is None and not forever and lines.ended and done >= made.timeline.end * each:
                     break
             segment = next(made)
             motion = segment.motion if frames is None else segment.motion[: frames - done]
@@ -158,7 +161,7 @@ def _run(
             done += len(motion)
             latencies.append(segment.latency_ms)
             if json:
-                print(jsonlib.dumps(_row(segment, len(motion)), ensure_ascii=False), flush=True)
+                print(jsonlib.dumps(_row(segment, len(motion))), flush=True)
             bar.update(len(motion))
     return latencies
 
