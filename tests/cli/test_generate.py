@@ -7,6 +7,7 @@ import pytest
 
 from moveset.cli.__main__ import main
 from moveset.cli.generate import prepare
+from moveset.io import WRITABLE
 from tests.bundles import tiny_bundle
 
 PROMPT = "a person walks forward and waves"
@@ -133,6 +134,7 @@ def test_without_output_a_glb_is_written(generate, tmp_path):
         (["a", "--seed", "-1"], "seed -1"),
         (["a", "-o", "w.fbx"], "'w.fbx': unknown extension; use one of .bvh"),
         (["a", "-o", "w"], "'w': unknown extension"),
+        (["a", "-o", "w" * 252 + ".bvh"], "is longer than 255 bytes; give a shorter one"),
         (["a", "-o", "w.bvh", "-o", "w.fbx"], "unknown extension"),
         (["a", "-o", "w.bvh", "-o", "w.bvh"], "'w.bvh' would be written twice"),
         (["a", "-o", "no/such/folder/w.bvh"], "folder 'no/such/folder' does not exist"),
@@ -184,6 +186,9 @@ def test_corrupt_weights(tmp_path, monkeypatch, capsys):
 
 def test_flags_with_several_values_do_not_swallow_a_prompt():
     assert prepare(["--seconds", "3", "a person walks"]) == ["--seconds", "3", "a person walks"]
-    assert prepare(["-o", "a.bvh", "b.glb", "walk to b.glb"]) == ["-o", "a.bvh", "-o", "b.glb", "walk to b.glb"]
+    assert prepare(["-o", "a.bvh", "b.glb", "walk to the glb"]) == ["-o", "a.bvh", "-o", "b.glb", "walk to the glb"]
     assert prepare(["a", "--seconds", "-1"]) == ["a", "--seconds", "-1"]
     assert prepare(["3", "--seed", "7", "8"]) == ["3", "--seed", "7", "8"]
+    assert prepare(["-o", "my a.npz", "my b.NPZ", "walk"]) == ["-o", "my a.npz", "-o", "my b.NPZ", "walk"]
+    for extension in WRITABLE:
+        assert prepare(["-o", f"a{extension}", f"b{extension}"]).count("-o") == 2

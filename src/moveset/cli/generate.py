@@ -121,7 +121,8 @@ def prepare(arguments: Sequence[str]) -> list[str]:
     >>> prepare(["a person walks", "--seconds", "3", "2", "-o", "a.bvh", "b.glb", "then waves"])
     ['a person walks', '--seconds', '3', '--seconds', '2', '-o', 'a.bvh', '-o', 'b.glb', 'then waves']
     """
-    more = {"--seconds": r"[\d.]+(e\d+)?", "-o": r"\S+\.(\w{3}|html)", "--output": r"\S+\.(\w{3}|html)"}
+    file = r"(?is).+\.(bvh|glb|npz|npy|html|mp4|gif|png)"  # io.WRITABLE, whose module takes a second to import
+    more = {"--seconds": r"[\d.]+(e\d+)?", "-o": file, "--output": file}
     out: list[str] = []
     flag = ""
     for argument in arguments:
