@@ -170,8 +170,11 @@ def then(texts: Sequence[str]) -> str:
 
 def _named(path: Path, prompts: dict[str, str]) -> str:
     """The prompt whose name says most of the file's: "a-b" rather than "b", and of two that say as much the whole."""
-    found = {name: re.search(rf"(?:^|-)({re.escape(name)}(-\d+)?)$", path.stem) for name in prompts}
-    fitting = [(len(end[1]), not end[2], name) for name, end in found.items() if end is not None]
+    bits = path.stem.split("-")
+    ends = ["-".join(bits[k:]) for k in range(len(bits))]
+    fitting = [(len(end), True, end) for end in ends if end in prompts]
+    if bits[-1].isdecimal():
+        fitting += [(len(end), False, name) for end in ends if (name := end.rpartition("-")[0]) in prompts]
     if not fitting:
         raise InputError(f"{path.name} has no prompt; add a line with its name to the list of prompts")
     return prompts[max(fitting)[-1]]

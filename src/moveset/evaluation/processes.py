@@ -3,13 +3,13 @@
 A process runs the command line as users do, and says at its end how much memory it has held.
 """
 
+import re
 import statistics
 import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 from moveset.errors import MovesetError
@@ -56,7 +56,7 @@ def processes(
     """Medians and minima of ``count`` processes of every command, in turns.
 
     Args:
-        commands: arguments of the command line by name; ``OUT`` in one stands for a folder for files.
+        commands: arguments of the command line by name; ``OUT/`` at the beginning of one is a folder for files.
         count: processes of each.
         tick: called after every process.
     """
@@ -64,7 +64,7 @@ def processes(
     with tempfile.TemporaryDirectory() as folder:
         for _ in range(count):
             for name, arguments in commands.items():
-                found[name].append(run_process([part.replace("OUT", str(Path(folder))) for part in arguments]))
+                found[name].append(run_process([re.sub(r"^OUT(?=/)", lambda _: folder, a) for a in arguments]))
                 tick()
     return {
         name: {
