@@ -1,6 +1,7 @@
 """``moveset serve`` as a program: what it says, how it stops, and whom it makes wait."""
 
 import asyncio
+import http.client
 import json
 import signal
 import socket
@@ -20,7 +21,9 @@ from moveset.server.app import create_app
 from moveset.server.limits import Limits
 from moveset.server.run import listen, make_server
 from moveset.server.service import Options
+from moveset.server.wire import pack_packet
 from tests import loops
+from tests.motions import wander
 
 
 @contextmanager
@@ -45,6 +48,17 @@ def let_go(one):
     one.settimeout(10)
     with suppress(ConnectionError), one:
         return one.recv(1) == b""
+    return True
+
+
+def hangs_up(these):
+    """Whether the server closes connections on which something is sent again and again."""
+    with suppress(ConnectionError):
+        for _ in range(100):
+            time.sleep(0.1)
+            for one in these:
+                one.sendall(b"T")
+        return False
     return True
 
 
@@ -155,6 +169,66 @@ def test_who_sends_half_a_request_is_told(models):
         host = b"Host: 127.0.0.1\r\nContent-Type: application/json\r\n"
         one.sendall(b"POST /v1/generate HTTP/1.1\r\n" + host + b"Content-Length: 100\r\n\r\n{")
         assert b"408" in one.recv(100)
+
+
+@pytest.mark.parametrize("drips", [False, True])
+def test_who_begins_a_second_request_and_does_not_end_it_is_let_go(drips, models):
+    with inside(models, patience=0.3, sockets=3) as port:
+        held = [http.client.HTTPConnection("127.0.0.1", port, timeout=10) for _ in range(3)]
+        for one in held:
+            one.request("GET", "/healthz")
+            assert one.getresponse().read()
+            one.sock.sendall(b"GE")
+        assert not drips or hangs_up([one.sock for one in held])
+        assert all(let_go(one.sock) for one in held)
+        with urllib.request.urlopen(f"http://127.0.0.1:{port}/healthz") as answer:
+            assert answer.status == 200
+
+
+def test_requests_in_pieces_are_answered_for_as_long_as_they_come(models):
+    with inside(models, patience=2.0) as port, socket.create_connection(("127.0.0.1", port)) as one:
+        one.settimeout(10)
+        for _ in range(10):
+            one.sendall(b"GET /healthz HTTP/1.1\r\nHo")
+            time.sleep(0.25)
+            one.sendall(b"st: 127.0.0.1\r\n\r\n")
+            answer = http.client.HTTPResponse(one)
+            answer.begin()
+            assert (answer.status, json.load(answer)["status"]) == (200, "ok")
+
+
+def export(length):
+    """What an export begins with."""
+    lines = ("POST /v1/export?format=bvh HTTP/1.1", "Host: 127.0.0.1", "Content-Type: application/octet-stream")
+    return "\r\n".join((*lines, f"Content-Length: {length}", "", "")).encode()
+
+
+def test_who_drips_an_export_is_told_and_makes_room_for_others(models):
+    with inside(models, patience=0.5, exports=1) as port, socket.create_connection(("127.0.0.1", port)) as one:
+        one.sendall(export(100_000))
+        one.settimeout(0.1)
+        answer = b""
+        for _ in range(100):
+            one.sendall(b"x")
+            with suppress(TimeoutError):
+                answer = one.recv(100)
+                break
+        assert b"408" in answer
+        data, headers = pack_packet(wander(9, seed=1)), {"Content-Type": "application/octet-stream"}
+        asked = urllib.request.Request(f"http://127.0.0.1:{port}/v1/export?format=bvh", data, headers)
+        with urllib.request.urlopen(asked) as answer:
+            assert answer.read().startswith(b"HIERARCHY")
+
+
+def test_an_export_may_take_longer_than_patience_where_it_keeps_coming(models):
+    data = pack_packet(wander(90, seed=1))
+    with inside(models, patience=1.0) as port, socket.create_connection(("127.0.0.1", port)) as one:
+        one.settimeout(10)
+        one.sendall(export(len(data)))
+        for k in range(0, len(data), 2500):
+            one.sendall(data[k : k + 2500])
+            time.sleep(0.1)
+        assert one.recv(100).startswith(b"HTTP/1.1 200")
 
 
 def test_a_websocket_may_wait_longer_than_that(models):

@@ -109,7 +109,7 @@ class Guard:
         return site.lower() == host.lower() or origin in self._origins
 
     async def _read(self, scope: Scope, headers: Headers, receive: Receive) -> bytes:
-        """All that was sent, if that is not too much and comes without long pauses."""
+        """All that was sent, if that is not too much and comes without long pauses and not by drops."""
         large = scope["path"] == "/v1/export"
         limit = self._limits.export if large else self._limits.body
         error = RequestError(413, "too_large", f"what was sent is larger than the limit of {limit:,} bytes; send less")
@@ -119,15 +119,19 @@ class Guard:
         if large and self._uploads >= self._limits.exports:
             raise busy("files", self._limits.exports)
         self._uploads += large
+        clock = asyncio.get_running_loop().time
+        begun = clock()
         try:
             body = bytearray()
             while True:
+                # Each byte earns a little time, never a whole new pause: a few that drip would keep all others out.
+                last = min(clock(), begun + len(body) / self._limits.pace) + self._limits.patience
                 try:
-                    async with asyncio.timeout(self._limits.patience):
+                    async with asyncio.timeout_at(last):
                         message = await receive()
                 except TimeoutError:
                     raise RequestError(
-                        408, "too_slow", "the rest of the request did not come; send it at once"
+                        408, "too_slow", "the rest of the request did not come in time; send it at once"
                     ) from None
                 body += message.get("body", b"")
                 if len(body) > limit:

@@ -29,7 +29,8 @@ class Limits:
         frames: of a file to be written, after resampling.
         body: bytes of any other request.
         sockets: TCP connections at a time, whatever they are for.
-        patience: seconds that a new TCP connection has to send a request.
+        patience: seconds that a new TCP connection has to send a request, and any has to send one that it began.
+        pace: bytes a second, patience aside, that what is sent with a request must come with on average.
         stopping: seconds that work in progress has when the server stops.
     """
 
@@ -55,6 +56,7 @@ class Limits:
     body: int = 64 * 2**10
     sockets: int = 256
     patience: float = 15.0
+    pace: int = 10_000
     stopping: float = 10.0
 
     def public(self) -> dict[str, object]:

@@ -138,7 +138,7 @@ class _Reading(WebSocketsSansIOProtocol):
 
 
 def _patient(limits: Limits) -> type[H11Protocol]:
-    """HTTP for a limited number of connections, which say what they want before patience ends."""
+    """HTTP for a limited number of connections, on which a request, once begun, must come before patience ends."""
 
     class Patient(H11Protocol):
         _timer: asyncio.TimerHandle | None = None
@@ -148,16 +148,27 @@ def _patient(limits: Limits) -> type[H11Protocol]:
                 transport.abort()
                 return
             super().connection_made(transport)
-            self._timer = self.loop.call_later(limits.patience, self._too_slow)
+            self._wait()
 
         def connection_lost(self, exc: Exception | None) -> None:
             if self._timer is not None:
                 self._timer.cancel()
                 super().connection_lost(exc)
 
-        def _too_slow(self) -> None:
-            # A WebSocket took the connection over, or a request has come.
-            if self.transport.get_protocol() is self and self.cycle is None:
-                self.transport.abort()
+        def data_received(self, data: bytes) -> None:
+            super().data_received(data)
+            assert self._timer is not None
+            if not self._waits():
+                self._timer.cancel()
+            elif self._timer.cancelled():
+                # A piece of the next request. It ended uvicorn's wait for that; further pieces shall not prolong ours.
+                self._wait()
+
+        def _wait(self) -> None:
+            self._timer = self.loop.call_later(limits.patience, self.transport.abort)
+
+        def _waits(self) -> bool:
+            """Whether neither a WebSocket took the connection over nor a request waits for its answer."""
+            return self.transport.get_protocol() is self and (self.cycle is None or self.cycle.response_complete)
 
     return Patient
