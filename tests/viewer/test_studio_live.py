@@ -146,6 +146,23 @@ def test_a_stream_pauses_goes_on_stops_and_is_kept(studio, tmp_path):
     assert studio.words("#made") == ""
 
 
+def test_a_stream_that_was_stopped_is_kept_where_the_next_one_begins_before_it_has_ended(studio):
+    def route(socket):
+        # A server with much to do says that a stream has stopped only after somebody has asked for another one.
+        upstream = socket.connect_to_server()
+        upstream.on_message(lambda message: None if '"stopped"' in str(message) else socket.send(message))
+
+    studio.page.route_web_socket("**/v1/stream", route)
+    kept = studio.run("__moveset.recent.added")
+    start(studio, "a person walks forward")
+    studio.click("#live-stop")
+    assert studio.run("document.body.dataset.live") == "stopping"
+    start(studio, "a person bows")
+    assert studio.run("__moveset.recent.added") == kept + 1
+    studio.click("#open-recent")
+    assert studio.words("#shelf .kept strong") == "a person walks forward"
+
+
 def test_a_lost_stream_is_told_and_found_again(studio):
     lose = {"next": True}
 

@@ -87,6 +87,9 @@ export class Live {
   }
 
   private start(text: string): void {
+    // A stream that was stopped may not have ended yet, and nothing is heard of its end any more.
+    const rest = this.state === "stopping" ? this.copy() : null;
+    if (rest) this.events.kept(rest);
     this.stream?.abandon();
     this.prompt = text;
     this.take = this.shown = this.started = this.expected = null;
