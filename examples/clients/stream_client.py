@@ -35,8 +35,7 @@ def record(server: str, prompts: list[str], seconds: float, seed: int | None) ->
             count, first, fps = HEADER.unpack_from(message)[3:6]
             # With "commit" set, a new prompt takes frames back that were sent but not played: they come once more.
             packets = [packet for packet in packets if HEADER.unpack_from(packet)[4] < first] + [message]
-            made = first + count
-            if made >= seconds * fps:
+            if (made := first + count) >= seconds * fps:
                 return packets
             # A player acknowledges what it has shown; this one looks at nothing and wants the next segment at once.
             socket.send(json.dumps({"type": "played", "frame": made}))
@@ -67,10 +66,11 @@ def main() -> None:
         try:
             with urllib.request.urlopen(request, timeout=120) as reply:
                 data = reply.read()
-        except urllib.error.HTTPError as error:
-            kept = given.out.with_suffix(".mvst")
-            kept.write_bytes(data)
-            raise SystemExit(f"{json.load(error)['error']['message']}; the packets are in {kept}") from None
+        except (Exception, KeyboardInterrupt) as error:  # whatever it was, a stream cannot be had a second time
+            (kept := given.out.with_suffix(".mvst")).write_bytes(data)
+            told = isinstance(error, urllib.error.HTTPError) and error.headers.get_content_type() == "application/json"
+            why = json.load(error)["error"]["message"] if told else f"the server gave no file ({error!r})"
+            raise SystemExit(f"{why}; the packets are in {kept}") from None
     if given.out:
         given.out.write_bytes(data)
 

@@ -1,11 +1,14 @@
 """The clients of examples/clients against a server that runs: what they save is what the server made."""
 
+import importlib
 import json
 import os
 import re
 import shutil
+import socket
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 import numpy as np
@@ -122,6 +125,43 @@ def test_a_stream_that_no_file_can_be_made_of_is_kept(served, tmp_path):
     assert "unknown format 'fbx'" in done.stderr
     assert len(done.stderr.strip().splitlines()) == 1
     assert len(unpack_packets((tmp_path / "take.mvst").read_bytes()).motion) == 28
+
+
+@pytest.mark.parametrize(
+    ("reply", "word"),
+    [
+        (None, "refused"),
+        (b"", "closed"),
+        (b"HTTP/1.1 200 OK\r\nContent-Length: 1000\r\n\r\nHIERARCHY", "9 bytes"),
+        (b"HTTP/1.1 502 Bad Gateway\r\nContent-Length: 6\r\n\r\n<html>", "502"),
+    ],
+    ids=["gone", "hangs up", "breaks off", "of a proxy"],
+)
+def test_a_stream_is_kept_whatever_the_server_does_before_there_is_a_file(reply, word, tmp_path, monkeypatch):
+    packet = pack_packet(wander(9, seed=1))
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        address = "127.0.0.1:{1}".format(*server.getsockname())
+
+        def answer():
+            one, _ = server.accept()
+            with one:
+                asked = b""
+                while not asked.endswith(packet):
+                    asked += one.recv(65536)
+                one.sendall(reply)
+
+        if reply is None:
+            server.close()
+        else:
+            threading.Thread(target=answer, daemon=True).start()
+        monkeypatch.syspath_prepend(CLIENTS)
+        client = importlib.import_module("stream_client")
+        monkeypatch.setattr(client, "record", lambda *_: [packet])
+        monkeypatch.setattr(sys, "argv", ["", "a", "--server", address, "-o", str(tmp_path / "take.bvh")])
+        with pytest.raises(SystemExit, match=rf"{word}.*; the packets are in .*take\.mvst"):
+            client.main()
+    assert (tmp_path / "take.mvst").read_bytes() == packet
+    assert not (tmp_path / "take.bvh").exists()
 
 
 def test_amass_is_asked_for_by_name(node, served, tmp_path):
