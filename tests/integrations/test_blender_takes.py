@@ -3,6 +3,7 @@
 import http.server
 import importlib
 import json
+import socket
 import struct
 import threading
 import zipfile
@@ -163,8 +164,10 @@ def test_what_is_no_moveset_server_is_told_from_one(load):
         "skeleton": {"name": "x", "joints": ["a"], "parents": [-1], "offsets": [[0, 0, 0]]},
         "takes": [{"seed": 1}],
     }
+    absurd = empty | {"skeleton": empty["skeleton"] | {"parents": [float("inf")]}}
+    strange = [json.dumps(empty).encode(), json.dumps(absurd).encode(), b"[" * 100_000]
     try:
-        for answer in (b"<html>", b"[]", b"{}", b'{"skeleton": 3, "takes": []}', json.dumps(empty).encode()):
+        for answer in (b"<html>", b"[]", b"{}", b'{"skeleton": 3, "takes": []}', *strange):
             Other.answer = answer
             with pytest.raises(error, match="is it moveset's"):
                 server.generate(url, [("a person walks", None)])
@@ -173,9 +176,42 @@ def test_what_is_no_moveset_server_is_told_from_one(load):
         other.server_close()
     with pytest.raises(error, match=r"no moveset server answers .* moveset serve"):
         server.generate(url, [("a person walks", None)], timeout=5)
-    for wrong in ("file:///etc/passwd", "127.0.0.1:8765", "", "ftp://127.0.0.1/"):
+    for wrong in (
+        "file:///etc/passwd", "127.0.0.1:8765", "", "ftp://127.0.0.1/", "http://[::1", "http://127.0.0.1:87x5",
+        "http://127.0.0.1:8765 x", "http://127.0.0.1:99999",
+    ):  # fmt: skip
         with pytest.raises(error, match="no address of a server"):
             server.generate(wrong, [("a person walks", None)])
+        with pytest.raises(error, match="no address of a server"):
+            server.is_this_machine(wrong)
+    for wrong in ("http://127.0.0.1:9/a b", "http://127.0.0.1:9/ü", f"http://{'a' * 70}.example"):
+        with pytest.raises(error, match="no moveset server answers"):
+            server.generate(wrong, [("a person walks", None)], timeout=5)
+
+
+@pytest.mark.parametrize(
+    ("reply", "word"),
+    [
+        (b"", "moveset serve"),
+        (b"SSH-2.0-x\r\n", "SSH.*moveset serve"),
+        (b"HTTP/1.1 200 OK\r\nContent-Length: 99\r\n\r\n{}", "moveset"),
+        (b"HTTP/1.1 500 Oops\r\nTransfer-Encoding: chunked\r\n\r\n9\r\n", "500 Oops"),
+    ],
+    ids=["silent", "ssh", "breaks off", "breaks off an error"],
+)
+def test_other_services_on_the_port_are_told_from_a_moveset_server(load, reply, word):
+    with socket.create_server(("127.0.0.1", 0)) as other:
+
+        def answer():
+            one, _ = other.accept()
+            with one:
+                one.recv(65536)
+                one.sendall(reply)
+
+        threading.Thread(target=answer, daemon=True).start()
+        url = "http://127.0.0.1:{1}".format(*other.getsockname())
+        with pytest.raises(load("take").MotionError, match=word):
+            load("server").generate(url, [("a person walks", None)], timeout=30)
 
 
 def test_which_servers_are_on_this_machine(load):

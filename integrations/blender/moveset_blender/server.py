@@ -8,6 +8,7 @@ import urllib.error
 import urllib.parse
 import urllib.request
 from dataclasses import dataclass
+from http.client import HTTPException
 from typing import Any
 
 import numpy as np
@@ -34,7 +35,11 @@ class Answer:
 
 
 def is_this_machine(url: str) -> bool:
-    """Whether a server's address is on this machine, so that asking it is no use of the network."""
+    """Whether a server's address is on this machine, so that asking it is no use of the network.
+
+    Raises:
+        MotionError: this is no address of a server.
+    """
     host = _checked(url).hostname or ""
     try:
         return ipaddress.ip_address(host).is_loopback
@@ -86,17 +91,20 @@ def generate(
         ]
         seeds = tuple(int(take["seed"]) for take in answer["takes"])
         return Answer(tuple(takes), seeds, tuple(map(str, answer.get("warnings", ()))))
-    except (KeyError, TypeError, ValueError, binascii.Error) as error:
+    except (KeyError, TypeError, ValueError, OverflowError, binascii.Error) as error:
         if isinstance(error, MotionError):
             raise
         raise MotionError(f"the server at {url} answered something else than motion; is it moveset's?") from error
 
 
 def _checked(url: str) -> urllib.parse.SplitResult:
-    parts = urllib.parse.urlsplit(url.strip())
-    if parts.scheme not in ("http", "https") or not parts.hostname:
-        raise MotionError(f"{url!r} is no address of a server; give one such as http://127.0.0.1:8765")
-    return parts
+    try:
+        parts = urllib.parse.urlsplit(url.strip())
+        if parts.scheme in ("http", "https") and parts.hostname and parts.port != 0:
+            return parts
+    except ValueError:
+        pass  # a bracket that is not closed, or a port that is no number of one
+    raise MotionError(f"{url!r} is no address of a server; give one such as http://127.0.0.1:8765")
 
 
 def _ask(url: str, path: str, body: bytes, timeout: float) -> dict[str, Any]:
@@ -111,14 +119,15 @@ def _ask(url: str, path: str, body: bytes, timeout: float) -> dict[str, Any]:
             data = reply.read(MAX_ANSWER + 1)
     except urllib.error.HTTPError as error:
         raise MotionError(_said(error)) from error
-    except (urllib.error.URLError, OSError) as error:
-        reason = getattr(error, "reason", error)
+    except (OSError, HTTPException, ValueError) as error:
+        # Of the last kind are addresses with characters that cannot be sent.
+        reason = str(getattr(error, "reason", error)).strip()
         raise MotionError(f"no moveset server answers at {url} ({reason}); start one with: moveset serve") from error
     if len(data) > MAX_ANSWER:
         raise MotionError(f"the server's answer is larger than {MAX_ANSWER >> 20} MiB; ask for less at once")
     try:
         answer = json.loads(data)
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise MotionError(f"the server at {url} answered no JSON; is it moveset's?") from error
     if not isinstance(answer, dict):
         raise MotionError(f"the server at {url} answered something else than motion; is it moveset's?")
@@ -129,5 +138,5 @@ def _said(error: urllib.error.HTTPError) -> str:
     """The server's own sentence, or its status where it has none."""
     try:
         return str(json.loads(error.read(65536))["error"]["message"])
-    except (ValueError, KeyError, TypeError, OSError):
+    except (ValueError, RecursionError, KeyError, TypeError, OSError, HTTPException):
         return f"the server answered {error.code} {error.reason}"
