@@ -72,12 +72,20 @@ if (import.meta.filename === process.argv[1]) {
   const packets = await record(server, prompts.length ? prompts : ["a person walks forward"], 4);
   for (const file of files) {
     const format = /(amass\.)?\w+$/i.exec(file)[0].toLowerCase();
-    const reply = await fetch(`${server}/v1/export?format=${format}`, {
-      method: "POST",
-      headers: { "Content-Type": "application/octet-stream" },
-      body: new Blob(packets),
-    });
-    if (!reply.ok) throw new Error((await reply.json()).error.message);
-    await writeFile(file, Buffer.from(await reply.arrayBuffer()));
+    try {
+      const reply = await fetch(`${server}/v1/export?format=${format}`, {
+        method: "POST",
+        headers: { "Content-Type": "application/octet-stream" },
+        body: new Blob(packets),
+      });
+      const said = reply.ok ? null : await reply.json().catch(() => null);
+      if (!reply.ok) throw new Error(said?.error?.message ?? `the server gave no file (${reply.status})`);
+      await writeFile(file, Buffer.from(await reply.arrayBuffer()));
+    } catch ({ message }) {
+      // Whatever it was, a stream cannot be had a second time.
+      const kept = file.replace(/\.\w+$/, ".mvst");
+      await writeFile(kept, Buffer.from(await new Blob(packets).arrayBuffer()));
+      throw new Error(`${message}; the packets are in ${kept}`);
+    }
   }
 }

@@ -127,6 +127,14 @@ def test_a_stream_that_no_file_can_be_made_of_is_kept(served, tmp_path):
     assert len(unpack_packets((tmp_path / "take.mvst").read_bytes()).motion) == 28
 
 
+def test_javascript_keeps_a_stream_that_no_file_can_be_made_of(node, served, tmp_path):
+    done = run(*node, CLIENTS / "stream_client.mjs", "a", tmp_path / "take.fbx", env={"MOVESET_SERVER": served})
+    assert done.returncode == 1
+    assert "unknown format 'fbx'" in done.stderr
+    assert done.stderr.strip().endswith(f"the packets are in {tmp_path / 'take.mvst'}")
+    assert len(unpack_packets((tmp_path / "take.mvst").read_bytes()).motion) >= 80
+
+
 @pytest.mark.parametrize(
     ("reply", "word"),
     [
