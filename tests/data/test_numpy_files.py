@@ -47,6 +47,8 @@ def test_damage_is_noticed(tmp_path):
         b"",
         b"PK\x03\x04",
         data.replace(b"(10, 3)", b"(-1, 3)"),
+        data.replace(b"'descr'", b"'descr\n"),
+        data[:10] + b"{'descr': (".ljust(data.index(b"\n") - 10) + data[data.index(b"\n") :],
     ):
         (tmp_path / "b.npy").write_bytes(damaged)
         with pytest.raises(FormatError):

@@ -154,7 +154,7 @@ BAD_FIELDS = {
     "fps": (np.float64(0), np.float64(-20), np.float64(np.nan), np.array("20"), np.zeros(2)),
     "joints": (np.array(["a"] * 21), np.arange(22), np.array([None] * 22, dtype=object)),
     "parents": (np.zeros(22, dtype=int), np.arange(22) + 1, np.full(22, -1), np.zeros(3, dtype=int)),
-    "offsets": (np.full((22, 3), np.inf), np.zeros((21, 3))),
+    "offsets": (np.full((22, 3), np.inf), np.full((22, 3), -np.inf, dtype=np.float16), np.zeros((21, 3))),
     "skeleton": (np.float64(3),),
 }
 

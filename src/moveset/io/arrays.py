@@ -258,6 +258,7 @@ def _array(file: IO[bytes], size: int, where: str, kinds: str) -> np.ndarray:
     if len(raw) != count * dtype.itemsize:
         raise FormatError(f"{where}: {len(raw)} bytes for shape {shape} of {dtype}; it is truncated")
     values = np.frombuffer(raw, dtype=dtype).reshape(shape, order="F" if fortran else "C")
-    if dtype.kind == "f" and not (np.abs(values) <= MAX_NUMBER).all():
+    # The limit itself would be infinite in float16.
+    if dtype.kind == "f" and not (np.abs(values) <= np.float64(MAX_NUMBER)).all():
         raise FormatError(f"{where}: it holds NaN, infinite or absurd numbers; save it again")
     return values
