@@ -5,6 +5,7 @@ import hashlib
 import html
 import json
 import re
+from dataclasses import replace
 from html.parser import HTMLParser
 
 import pytest
@@ -13,6 +14,7 @@ import torch
 from moveset.errors import FormatError, InputError
 from moveset.io import load, read_metadata, save
 from moveset.io.html import Scene, Shown, html_page, inline_player, player_script, write_html
+from moveset.motion.clip import Motion
 from moveset.motion.retarget import retarget
 from moveset.motion.skeleton import Skeleton
 from tests.motions import gait, wander
@@ -133,6 +135,12 @@ def test_several_prompts_are_marked_where_they_begin(walk, tmp_path):
     save(walk, tmp_path / "b.html", metadata={"prompt": notes["prompt"]})
     [take] = page_of((tmp_path / "b.html").read_text())["scenes"][0]["takes"]
     assert take["prompts"] == [{"text": "a person walks, then a person waves", "firstFrame": 0}]
+
+
+def test_motions_of_one_body_stand_side_by_side_whatever_their_skeletons_are_called(walk):
+    named = Motion(walk.rotations, walk.root, walk.fps, replace(walk.skeleton, name="run"))
+    one, other = page_of(html_page([Scene("", (Shown(walk), Shown(named)))]))["scenes"][0]["takes"]
+    assert one["data"] == other["data"]
 
 
 def test_what_does_not_belong_side_by_side_is_refused(walk):

@@ -5,6 +5,7 @@ import json
 import os
 import re
 import tracemalloc
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -17,6 +18,7 @@ from moveset.io.take_writer import Take, open_take, recover_take
 from moveset.motion import rotations
 from moveset.motion.clip import Motion
 from moveset.motion.retarget import retarget
+from moveset.motion.rigs import RIGS
 from moveset.motion.skeleton import HML22
 from tests.motions import wander
 
@@ -343,3 +345,18 @@ def test_a_take_on_any_skeleton_at_any_rate(tmp_path):
         found = load(take.path)
         assert (len(found), found.skeleton.joints) == (2, tree.joints)
         assert found.fps == pytest.approx(29.97)
+
+
+@every_format
+def test_pieces_are_of_the_takes_own_body_whatever_it_is_called(motion, suffix, tmp_path):
+    body = replace(RIGS["smpl"], name="body", offsets=1.1 * RIGS["smpl"].offsets)
+    made = retarget(motion, body)
+    read = load(save(made, tmp_path / "read.bvh"))  # in another order of joints
+    assert read.skeleton.joints != body.joints
+    with open_take(tmp_path / f"take{suffix}", body, 20.0) as take:
+        take.append(made[:28])
+        take.append(read[28:])
+        with pytest.raises(InputError, match=r"other joints or bones; retarget"):
+            take.append(retarget(motion, replace(body, offsets=1.2 * RIGS["smpl"].offsets)))
+    found = retarget(load(tmp_path / f"take{suffix}"), body)
+    assert same(found, made)

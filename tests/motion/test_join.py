@@ -1,5 +1,6 @@
 """Seams and loops: nothing lost, nothing jumps, poses and speeds continue."""
 
+from dataclasses import replace
 from itertools import pairwise
 
 import pytest
@@ -10,7 +11,9 @@ from moveset.errors import InputError
 from moveset.motion import rotations
 from moveset.motion.clip import Motion
 from moveset.motion.join import join, make_loop
-from moveset.motion.skeleton import KIT21
+from moveset.motion.retarget import retarget
+from moveset.motion.rigs import get_rig
+from moveset.motion.skeleton import HML22, KIT21
 from tests.motions import gait, wander
 
 
@@ -96,6 +99,21 @@ def test_joining_is_independent_of_where_the_first_clip_stands():
     torch.testing.assert_close(moved.joints, join(clips).transformed(turn, shift).joints, atol=1e-4, rtol=0)
 
 
+def test_clips_of_one_body_are_joined_whatever_their_skeletons_are_called():
+    a, b = wander(20, 55), wander(30, 56)
+    joined = join([a, replace(b, skeleton=replace(HML22, name="run"))])
+    assert joined.skeleton is HML22
+    assert torch.equal(joined.joints, join([a, b]).joints)
+
+
+@pytest.mark.parametrize("other", [replace(HML22, offsets=1.2 * HML22.offsets), replace(get_rig("vrm"), name="hml22")])
+def test_clips_of_different_bodies_are_refused_whatever_their_skeletons_are_called(other):
+    clips = [wander(9, 0), retarget(wander(9, 1), other)]
+    with pytest.raises(InputError, match=r"clip 2 .* other joints or bones .*retarget\(clip, clips\[0\]\.skeleton\)"):
+        join(clips)
+    assert len(join([clips[0], retarget(clips[1], clips[0].skeleton)])) == 18
+
+
 def twice(loop: Motion) -> Motion:
     """A loop played two times: the first frame of the second round is the last of the first."""
     turn = rotations.mul(
@@ -146,6 +164,8 @@ def test_a_loop_changes_nothing_in_its_middle():
         (lambda: join([wander(5, 0), wander(1, 0)]), "at least 2 frames"),
         (lambda: make_loop(wander(3, 0)), "got 3"),
         (lambda: make_loop(wander(9, 0), -0.5), "-0.5 s"),
+        *((lambda s=s: join([wander(9, 0), wander(9, 1)], s), f"{s} s") for s in (float("nan"), float("inf"))),
+        *((lambda s=s: make_loop(wander(9, 0), s), f"{s} s") for s in (float("nan"), float("inf"))),
     ],
 )
 def test_bad_requests_are_named(call, message):

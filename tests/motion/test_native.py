@@ -1,5 +1,7 @@
 """Laws of the native features."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 
@@ -7,6 +9,7 @@ from moveset.errors import InputError
 from moveset.motion import rotations
 from moveset.motion.clip import Motion
 from moveset.motion.native import NativeCodec
+from moveset.motion.retarget import retarget
 
 
 @pytest.fixture
@@ -63,3 +66,9 @@ def test_mirroring_twice_in_feature_space_is_nothing(motion: Motion) -> None:
 def test_another_rate_is_refused(motion: Motion) -> None:
     with pytest.raises(InputError, match="20 fps"):
         NativeCodec().encode(motion.resampled(30.0))
+
+
+def test_another_tree_is_refused_even_under_the_same_name(motion: Motion) -> None:
+    there = retarget(motion, "mixamo")
+    with pytest.raises(InputError, match="25 joints"):
+        NativeCodec().encode(replace(there, skeleton=replace(there.skeleton, name="hml22")))

@@ -194,3 +194,27 @@ def test_what_cannot_be_retargeted_is_said(motion):
         retarget(motion, crane)
     with pytest.raises(InputError, match="'crane'"):
         retarget(Motion(rotations.identity(2, 2), torch.zeros(2, 3), 20.0, crane), "vrm")
+
+
+def test_to_the_same_body_nothing_changes_even_where_no_role_is_known(motion):
+    crane = Skeleton("crane", ("base", "arm", "leg"), (-1, 0, 0), torch.eye(3))
+    swung = Motion(rotations.normalize(torch.randn(9, 3, 4, generator=torch.Generator().manual_seed(1))),
+                   torch.zeros(9, 3), 20.0, crane)  # fmt: skip
+    order = [0, 2, 1]
+    listed = Skeleton("listed", ("base", "leg", "arm"), (-1, 0, 0), crane.offsets[order])
+    there = retarget(swung, listed)
+    assert there.skeleton is listed
+    assert torch.equal(there.joints, swung.joints[:, order])
+    assert torch.equal(retarget(there, crane).rotations, swung.rotations)
+
+
+@pytest.mark.parametrize("bones", ["legs", "all"])
+def test_a_body_without_length_of_leg_is_refused(motion, bones):
+    rig = get_rig("mixamo")
+    offsets = rig.offsets.clone()
+    offsets[[roles(rig)[f"{side}_{part}"] for side in ("left", "right") for part in ("knee", "ankle")]] = 0.0
+    flat = replace(rig, name="flat", offsets=offsets if bones == "legs" else torch.zeros_like(offsets))
+    with pytest.raises(InputError, match="'flat' has legs of no length"):
+        retarget(Motion(retarget(motion, "mixamo").rotations, motion.root, 20.0, flat), "hml22")
+    with pytest.raises(InputError, match="'flat' has legs of no length"):
+        retarget(motion, flat)

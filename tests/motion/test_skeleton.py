@@ -1,5 +1,7 @@
 """The built-in skeletons are what their documentation says, and broken ones are refused."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 
@@ -74,3 +76,28 @@ def test_unknown_joints_are_refused_with_the_known_ones():
 def test_offsets_of_numpy_are_refused():
     with pytest.raises(InputError, match="needs its offsets as a tensor, not ndarray; convert"):
         Skeleton("s", ("root",), (-1,), torch.zeros(1, 3).numpy())
+
+
+def test_a_body_is_its_joints_and_bones_whatever_it_is_called_and_in_whatever_order():
+    tree = Skeleton("a", ("base", "arm", "leg", "hand"), (-1, 0, 0, 1), torch.eye(4)[:, :3])
+    order = tree.order_in(Skeleton("b", ("base", "leg", "arm", "hand"), (-1, 0, 0, 2), torch.eye(4)[[0, 2, 1, 3], :3]))
+    assert order == [0, 2, 1, 3]
+    nudge, root = torch.zeros(4, 3), torch.zeros(4, 3)
+    nudge[2, 0], root[0] = 9e-5, 1.0
+    for offsets in (tree.offsets + nudge, tree.offsets + root):
+        assert tree.order_in(replace(tree, name="b", offsets=offsets)) == [0, 1, 2, 3]
+    for other in (
+        replace(tree, offsets=tree.offsets + 2 * nudge),
+        replace(tree, parents=(-1, 0, 1, 1)),
+        replace(tree, joints=("base", "arm", "leg", "foot")),
+        replace(tree, joints=("base", "arm", "leg", "arm")),
+        Skeleton("a", tree.joints[:3], tree.parents[:3], tree.offsets[:3]),
+    ):
+        assert tree.order_in(other) is None
+        assert other.order_in(tree) is None
+
+
+def test_joints_of_one_name_are_told_apart_by_their_order():
+    tree = Skeleton("a", ("base", "bone", "bone"), (-1, 0, 1), torch.eye(3))
+    assert tree.order_in(replace(tree, name="b")) == [0, 1, 2]
+    assert tree.order_in(Skeleton("b", ("bone", "base", "bone"), (-1, 0, 1), torch.eye(3))) is None

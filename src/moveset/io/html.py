@@ -23,6 +23,7 @@ from moveset.errors import FormatError, InputError
 from moveset.io.limits import MAX_BYTES, MAX_JOINTS, atomic_write, read_limited
 from moveset.io.packets import HEADER, MAGIC, VERSION, pack_packet, skeleton_json, unpack_packets
 from moveset.motion.clip import Motion
+from moveset.motion.retarget import retarget
 from moveset.motion.rigs import as_skeleton
 from moveset.motion.skeleton import Skeleton
 
@@ -235,10 +236,7 @@ def player_script() -> str:
 
 def _scene(scene: Scene) -> dict[str, Any]:
     skeletons = [shown.motion.skeleton for shown in scene.takes]
-    if not skeletons or any(
-        skeleton.joints != skeletons[0].joints or not skeleton.offsets.equal(skeletons[0].offsets)
-        for skeleton in skeletons
-    ):
+    if not skeletons or any(skeletons[0].order_in(skeleton) is None for skeleton in skeletons):
         raise InputError(f"the scene {scene.title!r} needs motions on one skeleton; retarget them, or make two scenes")
     return {
         "title": scene.title,
@@ -248,7 +246,7 @@ def _scene(scene: Scene) -> dict[str, Any]:
             {
                 "title": shown.title,
                 "prompts": [{"text": text, "firstFrame": frame} for text, frame in shown.prompts],
-                "data": base64.b64encode(pack_packet(shown.motion)).decode(),
+                "data": base64.b64encode(pack_packet(retarget(shown.motion, skeletons[0]))).decode(),
             }
             for shown in scene.takes
         ],

@@ -22,6 +22,7 @@ from moveset.io.take_bvh import BvhTake, recover_bvh
 from moveset.io.take_html import HtmlTake, recover_html
 from moveset.io.take_rows import RowsTake, recover_rows
 from moveset.motion.clip import Motion
+from moveset.motion.retarget import retarget
 from moveset.motion.skeleton import Skeleton
 
 SUFFIXES = (".bvh", ".glb", ".npz", ".html")
@@ -92,17 +93,24 @@ class Take:
         """Write the next frames; when this returns they survive the process.
 
         Raises:
-            InputError: another skeleton or frame rate, more frames than there is ``room`` for, or a take that has
-                ended; nothing is written.
+            InputError: another body (``Skeleton.order_in``) or frame rate, more frames than there is ``room`` for, or a
+                take that has ended; nothing is written.
             MovesetError: the disk is full: the frames that fitted are kept, and the take can only be closed.
         """
         if self._stopped or self._closed:
             raise InputError(f"the take {self.path} has ended after {self.frames} frames; begin another")
-        if motion.skeleton.joints != self._skeleton.joints or motion.fps != self._fps:
+        if motion.fps != self._fps:
             raise InputError(
-                f"a piece on {motion.skeleton.name!r} at {motion.fps:g} fps does not go on a take on "
-                f"{self._skeleton.name!r} at {self._fps:g} fps; retarget and resample it first"
+                f"a piece at {motion.fps:g} fps does not go on a take at {self._fps:g} fps; resample it first "
+                "(motion.resampled)"
             )
+        if self._skeleton.order_in(motion.skeleton) is None:
+            raise InputError(
+                f"a piece on {motion.skeleton.name!r} does not go on a take on {self._skeleton.name!r}, which has "
+                "other joints or bones; retarget it first (moveset.motion.retarget.retarget)"
+            )
+        # The same body may list its joints in another order.
+        motion = retarget(motion, self._skeleton)
         if len(motion) > self.room:
             raise InputError(
                 f"{len(motion)} more frames after {self.frames} may make {self.path} too long to be read back; close "

@@ -5,6 +5,7 @@ the seam, and starts with half the difference of the speeds, dies away into eith
 their speeds are then continuous, and nothing changes beyond the blend.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -16,6 +17,7 @@ from moveset.errors import InputError
 from moveset.motion import rotations
 from moveset.motion.clip import Motion
 from moveset.motion.inertia import decay
+from moveset.motion.retarget import retarget
 
 _SEAM = 0.5  # frames outside the clips
 _TREND = 0.5  # share of the acceleration at its edge with which a clip is taken to go on
@@ -31,15 +33,26 @@ def join(motions: Sequence[Motion], blend_seconds: float = 0.3) -> Motion:
     a blend: ``lock_feet`` after.
 
     Raises:
-        InputError: no clips, a clip of one frame, different skeletons or frame rates, or a negative duration.
+        InputError: no clips, a clip of one frame, different skeletons (``Skeleton.order_in``) or frame rates, or a
+            duration that is negative or not finite.
     """
-    if not motions or blend_seconds < 0:
+    if not motions or not 0 <= blend_seconds < math.inf:
         raise InputError(
             f"joining takes clips and a blend of 0 s or more; got {len(motions)} clips and {blend_seconds} s"
         )
     first = motions[0]
-    if any(m.skeleton.name != first.skeleton.name or m.fps != first.fps for m in motions):
-        raise InputError("clips to join must have one skeleton and one frame rate; retarget and resample them first")
+    for number, motion in enumerate(motions[1:], start=2):
+        if first.skeleton.order_in(motion.skeleton) is None:
+            raise InputError(
+                f"clips to join must be on one skeleton; clip {number} is on {motion.skeleton.name!r} and has other "
+                f"joints or bones than clip 1 on {first.skeleton.name!r}: retarget it first "
+                "(moveset.motion.retarget.retarget(clip, clips[0].skeleton))"
+            )
+        if motion.fps != first.fps:
+            raise InputError(
+                f"clips to join must have one frame rate; clip {number} has {motion.fps:g} and clip 1 {first.fps:g} "
+                "fps: resample it first (clip.resampled)"
+            )
     if len(motions) == 1:
         return first
     if min(len(m) for m in motions) < 2:
@@ -48,7 +61,7 @@ def join(motions: Sequence[Motion], blend_seconds: float = 0.3) -> Motion:
     done = [_doubled(first)]
     for motion in motions[1:]:
         # The seam is the instant halfway between the last frame and the first.
-        end, clip = _Edge.of(done[-1], last=True, beyond=_SEAM), _doubled(motion)
+        end, clip = _Edge.of(done[-1], last=True, beyond=_SEAM), _doubled(retarget(motion, first.skeleton))
         clip = clip.transformed(*_placement(end, _Edge.of(clip, last=False, beyond=_SEAM)))
         gap = _Gap.between(end, _Edge.of(clip, last=False, beyond=_SEAM), beyond=_SEAM)
         reach = 0.0 if _fit(done[-1], clip) else _gentle(done[-1], clip, blend_seconds * first.fps)
@@ -66,9 +79,9 @@ def make_loop(motion: Motion, blend_seconds: float = 0.5) -> Motion:
     end and start is shared by both and dies away within ``blend_seconds``, or up to twice that as in ``join``.
 
     Raises:
-        InputError: fewer than 4 frames, or a negative duration.
+        InputError: fewer than 4 frames, or a duration that is negative or not finite.
     """
-    if len(motion) < 4 or blend_seconds < 0:
+    if len(motion) < 4 or not 0 <= blend_seconds < math.inf:
         raise InputError(
             f"a loop takes 4 frames or more and a blend of 0 s or more; got {len(motion)}, {blend_seconds} s"
         )
@@ -128,7 +141,7 @@ class _Gap:
 
     def closed(self, motion: Motion, reach: float, last: bool) -> Motion:
         """The clip before (``last``) or after the seam, having given way within ``reach`` frames."""
-        count = min(int(reach), len(motion) // 2)
+        count = int(min(reach, len(motion) // 2))
         if count == 0:
             return motion
         sign = -1.0 if last else 1.0

@@ -77,10 +77,13 @@ class NativeCodec:
         Raises:
             InputError: another skeleton, another frame rate, or a single frame.
         """
-        if motion.skeleton.name != self.skeleton.name or motion.fps != self.fps or len(motion) < 2:
+        # Bones may have other lengths, for bodies differ; the tree may not, whatever it is called.
+        known = motion.skeleton.name == self.skeleton.name and motion.skeleton.parents == self.skeleton.parents
+        if not known or motion.fps != self.fps or len(motion) < 2:
             raise InputError(
-                f"native features need at least 2 frames on {self.skeleton.name!r} at {self.fps:g} fps; got "
-                f"{len(motion)} on {motion.skeleton.name!r} at {motion.fps:g} (retarget and resample it first)"
+                f"native features need at least 2 frames on {self.skeleton.name!r} ({len(self.skeleton)} joints) at "
+                f"{self.fps:g} fps; got {len(motion)} on {motion.skeleton.name!r} ({len(motion.skeleton)} joints) at "
+                f"{motion.fps:g} (retarget and resample it first)"
             )
         heading = rotations.heading(motion.rotations[:, 0])
         back = rotations.inv(heading)

@@ -3,6 +3,7 @@
 import torch
 from torch import Tensor
 
+from moveset.errors import InputError
 from moveset.motion import rotations
 from moveset.motion.clip import Motion
 from moveset.motion.kinematics import global_to_local
@@ -24,6 +25,7 @@ _LIMBS = {
         ("wrist", "elbow", "wrist"),
     )
 }
+_SHORTEST_LEG = 1e-6  # metres
 
 
 def retarget(motion: Motion, target: str | Skeleton) -> Motion:
@@ -35,18 +37,25 @@ def retarget(motion: Motion, target: str | Skeleton) -> Motion:
     centre between the hips is scaled by the leg lengths, and raised or lowered once, so that a foot that stands flat on
     the floor does so afterwards (exactly where thigh and shin have the same proportions in both, as in the presets).
 
+    Where both skeletons are one body (``Skeleton.order_in``) nothing moves, be there roles or not.
+
     Args:
         motion: on a skeleton whose joints ``rigs.roles`` recognises.
         target: "smpl", "mixamo", "vrm", "ue5", "hml22", "kit21", or any skeleton with recognisable joints.
 
     Raises:
-        InputError: an unknown name, or a skeleton without recognisable legs.
+        InputError: an unknown name, or a skeleton without recognisable legs or with legs of no length.
     """
     skeleton = get_rig(target) if isinstance(target, str) else target
     source = motion.skeleton
     if skeleton is source:
         return motion
+    if (order := skeleton.order_in(source)) is not None:
+        return Motion(motion.rotations[:, order], motion.root, motion.fps, skeleton)
     theirs, ours = roles(source), roles(skeleton)
+    for body, found in ((source, theirs), (skeleton, ours)):
+        if leg_length(body, found) < _SHORTEST_LEG:
+            raise InputError(f"skeleton {body.name!r} has legs of no length, which say no size; give its bones lengths")
     turned = motion.global_rotations
     wanted = {
         ours[role]: rotations.mul(turned[:, theirs[role]], _correction(source, theirs, skeleton, ours, role))

@@ -1,5 +1,6 @@
 """Skeletons: names, parents, rest pose. ``hml22`` (the first 22 joints of SMPL) and ``kit21`` are built in."""
 
+import re
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -7,6 +8,8 @@ import torch
 from torch import Tensor
 
 from moveset.errors import InputError
+
+_SAME_PLACE = 1e-4  # metres
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,6 +64,27 @@ class Skeleton:
             raise InputError(f"skeleton {self.name!r} has no joint {joint!r}; it has {', '.join(self.joints)}")
         return self.joints.index(joint)
 
+    def order_in(self, other: "Skeleton") -> list[int] | None:
+        """Index in another skeleton of each joint of this one, or None where that is another body.
+
+        Two skeletons are one body where joints of the same names hang under the same parents, 0.1 mm apart at most:
+        files round. What they are called, in which order they list joints, where they put the root, and blanks in
+        names, which BVH does not have, do not matter.
+        """
+        order = list(range(len(self)))
+        if self is other:
+            return order
+        if self.joints != other.joints:
+            names, place = [_plain(name) for name in self.joints], {_plain(n): j for j, n in enumerate(other.joints)}
+            # Names that are used twice tell joints apart only by their order.
+            if len(names) != len(other) or len(place) < len(other) or set(names) != set(place):
+                return None
+            order = [place[name] for name in names]
+        if [order[p] for p in self.parents[1:]] != [other.parents[j] for j in order[1:]]:
+            return None
+        apart = (self.offsets[1:].double() - other.offsets[order[1:]].double().to(self.offsets.device)).norm(dim=-1)
+        return order if bool((apart <= _SAME_PLACE).all()) else None
+
     @cached_property
     def children(self) -> tuple[tuple[int, ...], ...]:
         """Children of each joint."""
@@ -89,6 +113,10 @@ class Skeleton:
         for j, p in enumerate(self.parents[1:], start=1):
             out[j] = out[p] + self.offsets[j]
         return out
+
+
+def _plain(name: str) -> str:
+    return re.sub(r"[\s{}]+", "_", name)
 
 
 def _unit(*rows: tuple[float, float, float]) -> Tensor:
