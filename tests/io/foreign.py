@@ -107,3 +107,26 @@ def as_foreign(tree, binary, seed, spline):
     del tree["asset"]["extras"]
     tree["buffers"][0]["byteLength"] = len(out)
     return pack(tree, bytes(out))
+
+
+def shaken(tree, binary, joint, by):
+    """Tree and binary chunk where a joint travels within its parent by ``by`` of its units up and down, as in files
+    whose exporter gives every bone a translation channel."""
+    out = bytearray(binary)
+    node = next(k for k, n in enumerate(tree["nodes"]) if n["name"] == joint)
+    animation = tree["animations"][0]
+    clock = animation["samplers"][0]["input"]
+    frames = tree["accessors"][clock]["count"]
+    keys = np.tile(np.array(tree["nodes"][node]["translation"]), (frames, 1))
+    keys[:, 1] += by * np.sin(np.arange(frames) / 5)
+    out += b"\0" * (-len(out) % 4)
+    tree["bufferViews"].append({"buffer": 0, "byteOffset": len(out), "byteLength": 12 * frames})
+    out += keys.astype("<f4").tobytes()
+    tree["accessors"].append(
+        {"bufferView": len(tree["bufferViews"]) - 1, "componentType": 5126, "count": frames, "type": "VEC3"}
+    )
+    target = {"node": node, "path": "translation"}
+    animation["channels"].append({"sampler": len(animation["samplers"]), "target": target})
+    animation["samplers"].append({"input": clock, "output": len(tree["accessors"]) - 1, "interpolation": "LINEAR"})
+    tree["buffers"][0]["byteLength"] = len(out)
+    return tree, bytes(out)

@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 
 from moveset.errors import FormatError, InputError
 from moveset.io import bvh
-from moveset.io.body_mesh import body_meshes
 from moveset.io.gltf import write_glb
 from moveset.io.gltf_clip import Clip
 from moveset.io.gltf_reader import glb_metadata, read_glb
@@ -88,23 +87,6 @@ def test_bytes_are_a_correct_glb(data):
     np.testing.assert_allclose(times, np.arange(25) / 20, atol=1e-6)
 
 
-@pytest.mark.parametrize("rig", ["hml22", "mixamo", "ue5"])
-def test_body_is_closed_faces_outwards_and_stands_on_the_floor(rig):
-    skeleton = RIGS[rig]
-    floor = float(skeleton.rest_positions[:, 1].min())
-    lowest = np.inf
-    for mesh in body_meshes(skeleton).values():
-        edges = np.concatenate([mesh.triangles[:, pair] for pair in ((0, 1), (1, 2), (2, 0))])
-        there, back = ({tuple(e) for e in way.tolist()} for way in (edges, edges[:, ::-1]))
-        assert there == back, "every edge is shared by two triangles that run along it in opposite ways"
-        a, b, c = (mesh.positions[mesh.triangles[:, k]] for k in range(3))
-        face = np.cross(b - a, c - a)
-        assert (np.einsum("ij,ij->i", face, mesh.normals[mesh.triangles].sum(axis=1)) > 0).all()
-        np.testing.assert_allclose(np.linalg.norm(mesh.normals, axis=1), 1.0, atol=1e-5)
-        lowest = min(lowest, float(mesh.positions[:, 1].min()))
-    assert lowest == pytest.approx(floor, abs=0.012)
-
-
 def test_khronos_validator_finds_nothing(motion, node, tmp_path):
     crane = Skeleton("crane", ("base", "arm", "hook"), (-1, 0, 1), torch.tensor([[0, 0, 0], [0, 2.0, 0], [1.0, 0, 0]]))
     motions = [retarget(motion, rig) for rig in RIGS] + [
@@ -146,19 +128,6 @@ def test_foreign_rigs_are_read_in_place(motion, data, seed, spline):
     back = retarget(found, "hml22")
     assert (back.joints - motion.joints).abs().max() < 2e-4
     assert rotations.angle(rotations.mul(rotations.inv(back.rotations), motion.rotations)).max() < 2e-3
-
-
-def test_a_still_root_joint_is_folded_into_the_hips_that_travel(tmp_path):
-    tree = Skeleton("rig", ("root", "hips", "leg"), (-1, 0, 1), torch.tensor([[0, 0, 0], [0, 1.0, 0], [0, -0.5, 0]]))
-    path = torch.linspace(0, 2, 10)[:, None] * torch.tensor([0.0, 0.1, 1.0])
-    write_glb(Motion(rotations.identity(10, 3), path, 20.0, tree), tmp_path / "a.glb")
-    json_tree, binary = unpack((tmp_path / "a.glb").read_bytes())
-    json_tree["animations"][0]["channels"][-1]["target"]["node"] = 1
-    found = _read(pack(json_tree, binary))
-    assert found.skeleton.joints == ("hips", "leg")
-    # The root joint itself stands half a metre up, so that the lowest joint is on the floor.
-    lift = torch.tensor([0.0, -float(tree.rest_positions[:, 1].min()), 0.0])
-    assert torch.allclose(found.root, path + lift, atol=1e-6)
 
 
 @pytest.mark.parametrize("kind", ["STEP", "CUBICSPLINE"])

@@ -4,15 +4,19 @@ import json
 import os
 import subprocess
 import sys
+from dataclasses import replace
 
 import pytest
 import torch
 
 from moveset.errors import FormatError, InputError, MovesetError
 from moveset.io import READABLE, WRITABLE, load, read_metadata, save
+from moveset.motion.cleanup import lock_feet
 from moveset.motion.clip import Motion
+from moveset.motion.join import join
 from moveset.motion.retarget import retarget
 from moveset.motion.rigs import RIGS
+from moveset.motion.skeleton import Skeleton
 from tests.motions import gait, wander
 
 NOTES = {"prompt": "a person walks", "seed": 7, "guidance": 3.5, "model": "tiny"}
@@ -147,6 +151,53 @@ def test_rates_are_read_back(name, fps, tmp_path):
     found = load(save(Motion(gait(5).rotations, torch.zeros(5, 3), fps), tmp_path / name))
     # The time of a frame is written with nine decimals in BVH; in all other formats the rate comes back exactly.
     assert (len(found), found.fps) == (5, pytest.approx(fps, rel=1e-8) if name == "a.bvh" else fps)
+
+
+@pytest.mark.parametrize("size", [1.0, 1.1])
+@pytest.mark.parametrize("suffix", [".bvh", ".glb", ".npz", ".html"])
+@pytest.mark.parametrize("rig", RIGS)
+def test_files_of_one_body_can_be_joined_with_each_other_and_with_what_was_written(motion, rig, suffix, size, tmp_path):
+    """BVH lists joints depth first and calls the skeleton by the file's name."""
+    body = replace(RIGS[rig], name="body", offsets=size * RIGS[rig].offsets)
+    written = retarget(motion, body)
+    walk, run = (load(save(written, tmp_path / f"{name}{suffix}")) for name in ("walk", "run"))
+    joined = join([written, walk, run])
+    assert joined.skeleton is body
+    assert (joined.joints - join([written] * 3).joints).abs().max() < 1e-3
+    there = retarget(walk, body)
+    assert (there.joints - written.joints).abs().max() < 1e-4
+
+
+def test_files_of_different_bodies_are_not_joined(motion, tmp_path):
+    (tmp_path / "small").mkdir()
+    (tmp_path / "big").mkdir()
+    for folder, size in (("small", 1.1), ("big", 1.6)):
+        body = replace(RIGS["mixamo"], offsets=size * RIGS["mixamo"].offsets)
+        save(retarget(motion, body), tmp_path / folder / "x.bvh")
+    clips = [load(tmp_path / folder / "x.bvh") for folder in ("small", "big")]
+    with pytest.raises(InputError, match="retarget"):
+        join(clips)
+    joined = join([clips[0], retarget(clips[1], clips[0].skeleton)])
+    assert float(joined.joints[12:, 0, 1].mean()) == pytest.approx(float(clips[0].joints[:, 0, 1].mean()), abs=0.05)
+
+
+def test_a_file_called_as_a_built_in_skeleton_is_not_taken_for_it(motion, tmp_path):
+    body = replace(RIGS["mixamo"], offsets=1.1 * RIGS["mixamo"].offsets)
+    found = load(save(retarget(motion, body), tmp_path / "hml22.bvh"))
+    assert found.skeleton.name not in RIGS
+    with pytest.raises(InputError, match="retarget"):
+        lock_feet(found)
+
+
+@pytest.mark.parametrize("suffix", [".bvh", ".glb", ".npz"])
+@pytest.mark.parametrize("size", [0.0, 0.001, 0.1, 30.0])
+def test_own_files_keep_the_size_of_what_is_no_human(size, suffix, tmp_path):
+    tree = Skeleton("crane", ("the base", "arm", "a hook"), (-1, 0, 1), size * torch.eye(3))
+    for skeleton in (tree, Skeleton("one", ("base",), (-1,), torch.zeros(1, 3))):
+        made = Motion(gait(5).rotations[:, : len(skeleton)], gait(5).root, 20.0, skeleton)
+        found = load(save(made, tmp_path / f"a{suffix}"))
+        assert (found.joints - made.joints).abs().max() < 1e-4
+        assert len(join([made, found])) == 10
 
 
 def test_feet_stand_on_the_floor_in_every_format(tmp_path):

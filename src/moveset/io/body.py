@@ -39,6 +39,8 @@ class Part:
 
 # Sizes for a body whose legs (hip to ankle) measure this many metres; other bodies are scaled in proportion.
 _LEG = 0.82094
+_NO_SIZE = 1e-6  # of that: legs so short say nothing of a body
+_FAR_BACK = -0.5  # cosine between a forearm and the way it points at rest in a body that faces +Z; where it hangs: 0
 _TRUNK: tuple[tuple[str, Vector, Vector, tuple[float, float], Vector, str], ...] = (
     ("pelvis", (-0.060, -0.050, -0.02), (0.060, -0.050, -0.02), (0.096, 0.096), (1.0, 1.05, 1.06), "trunk"),
     ("pelvis", (0.0, -0.02, -0.01), (0.0, 0.14, -0.015), (0.108, 0.092), (1.36, 1.0, 1.0), "trunk"),
@@ -52,7 +54,7 @@ _TRUNK: tuple[tuple[str, Vector, Vector, tuple[float, float], Vector, str], ...]
 
 
 def human_body(skeleton: Skeleton) -> tuple[Part, ...]:
-    """Parts of a mannequin for a skeleton with human roles; for any other tree, one slim part per bone."""
+    """Parts of a mannequin for a skeleton with human roles and legs; for any other tree, one slim part per bone."""
     try:
         found = roles(skeleton)
     except InputError:
@@ -65,6 +67,8 @@ def human_body(skeleton: Skeleton) -> tuple[Part, ...]:
         for start, end in (("hip", "knee"), ("knee", "ankle"))
     ]
     size = float(sum(legs)) / 2 / _LEG
+    if size < _NO_SIZE:
+        return _bones(skeleton)
     parts = [
         _part(found[role], start, end, radii, np.diag(stretch), tone, size)
         for role, start, end, radii, stretch, tone in _TRUNK
@@ -91,8 +95,13 @@ def _part(
 
 
 def _turn(u: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """(3, 3) shortest rotation from direction u to direction v (not opposite)."""
-    u, v = u / np.linalg.norm(u), v / np.linalg.norm(v)
+    """(3, 3) shortest rotation from the level direction u to direction v, after half a turn about Y where v is nearer
+    to opposite, as in a body that faces backward: so palms stay down. The identity where v has no length."""
+    if (length := np.linalg.norm(v)) < 1e-9:
+        return np.eye(3)
+    u, v = u / np.linalg.norm(u), v / length
+    if u @ v < _FAR_BACK:
+        return _turn(-u, v) @ np.diag([-1.0, 1.0, -1.0])
     w = np.cross(u, v)
     skew = np.array([[0, -w[2], w[1]], [w[2], 0, -w[0]], [-w[1], w[0], 0]])
     turn: np.ndarray = np.eye(3) + skew + skew @ skew / (1.0 + float(u @ v))

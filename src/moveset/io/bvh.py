@@ -21,8 +21,10 @@ __all__ = ["BvhFile", "BvhText", "LocalFrames", "bvh_motion", "likely_scale", "l
 CENTIMETRES = 0.01
 _REACH = 2.0
 _TIP = 0.1
+_TIP_ROUNDING = 1e-3  # of a tip: digits of a short bone tell its direction no better
+_UNITS = (1.0, 0.01, 0.001)
 # Parts of a body's reach: less movement of a joint inside its parent is rounding, more is not a skeleton's.
-_ROUNDING, _STRETCH = 1e-4, 0.02
+ROUNDING, STRETCH = 1e-4, 0.02
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +74,7 @@ def local_frames(bvh: BvhFile, *, root: str | None = None) -> LocalFrames:
     quats, places = _local(bvh)
     moves = (places - places[:1]).abs().amax(dim=(0, 2))
     first = bvh.joints.index(root) if root is not None else 0
-    limit = _ROUNDING * _reach(bvh.parents, places.mean(dim=0))
+    limit = ROUNDING * bone_reach(bvh.parents, places.mean(dim=0))
     while root is None and bvh.parents.count(first) == 1 and moves[bvh.parents.index(first)] > limit:
         first = bvh.parents.index(first)
     turn, place = quats[:, 0], places[:, 0]
@@ -95,10 +97,25 @@ def local_frames(bvh: BvhFile, *, root: str | None = None) -> LocalFrames:
 
 
 def likely_scale(bvh: BvhFile) -> float:
-    """Metres per unit, guessed: 1, 0.01 or 0.001, whichever makes the longest way along the bones nearest to the two
-    metres that a human body has from hand to foot."""
-    reach = _reach(bvh.parents, _local(bvh)[1].mean(dim=0))
-    return min((1.0, 0.01, 0.001), key=lambda scale: abs(np.log(max(reach, 1e-9) * scale / _REACH)))
+    """Metres per unit: 1, 0.01 or 0.001. Files of ``write_bvh`` say it by their End Sites, each 10 cm along its bone;
+    of others it is guessed: whichever makes the longest way along the bones nearest to the two metres that a human body
+    has from hand to foot."""
+    if (scale := _scale_of_tips(bvh)) is not None:
+        return scale
+    reach = bone_reach(bvh.parents, _local(bvh)[1].mean(dim=0))
+    return min(_UNITS, key=lambda scale: abs(np.log(max(reach, 1e-9) * scale / _REACH)))
+
+
+def _scale_of_tips(bvh: BvhFile) -> float | None:
+    """Metres per unit of a file of ``write_bvh``; None for others."""
+    if not bvh.end_sites or bvh.offsets[0].any():
+        return None
+    found = np.array([tip for _, tip in bvh.end_sites])
+    for scale in _UNITS:
+        tips = np.array([_tip(bvh.offsets[joint].tolist(), 1.0 / scale) for joint, _ in bvh.end_sites])
+        if np.abs(found - tips).max() < _TIP_ROUNDING * _TIP / scale:
+            return scale
+    return None
 
 
 def bvh_motion(bvh: BvhFile, *, scale: float = CENTIMETRES) -> Motion:
@@ -114,7 +131,7 @@ def bvh_motion(bvh: BvhFile, *, scale: float = CENTIMETRES) -> Motion:
             hold that.
     """
     frames = local_frames(bvh)
-    limit = _STRETCH * _reach(frames.parents, frames.offsets)
+    limit = STRETCH * bone_reach(frames.parents, frames.offsets)
     worst = int(frames.stretch.argmax())
     if frames.stretch[worst] > limit:
         raise FormatError(
@@ -292,7 +309,7 @@ def _descendants(parents: tuple[int, ...], joint: int) -> Iterator[int]:
             yield j
 
 
-def _reach(parents: tuple[int, ...], offsets: Tensor) -> float:
+def bone_reach(parents: tuple[int, ...], offsets: Tensor) -> float:
     """The longest way along the bones from one joint to another, not counting the bone of the root itself."""
     lengths = offsets.norm(dim=-1).tolist()
     below = [0.0] * len(parents)

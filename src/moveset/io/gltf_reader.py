@@ -7,12 +7,15 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from moveset.errors import InputError
+from moveset.io.bvh import ROUNDING, STRETCH, bone_reach
 from moveset.io.glb import MAX_NODES, Glb
 from moveset.io.gltf_clip import Clip, read_clip, unit_quaternions
 from moveset.io.limits import MAX_FRAMES, MAX_JOINTS, MAX_POSES
 from moveset.motion import rotations
 from moveset.motion.clip import Motion
-from moveset.motion.rigs import as_skeleton
+from moveset.motion.rigs import RIGS, as_skeleton, roles
+from moveset.motion.skeleton import Skeleton
 
 
 def read_glb(path: str | Path, *, fps: float | None = None) -> Motion:
@@ -20,7 +23,8 @@ def read_glb(path: str | Path, *, fps: float | None = None) -> Motion:
 
     Files of ``write_glb`` come back exactly (up to the sign of quaternions). Others are sampled at ``fps``, by default
     the rate of their keys. Their joints' axes are turned to be the world's in the bind pose; a still chain of joints
-    above the one that moves ("Armature", "root") is folded into it; bones keep one length, scale channels are ignored.
+    above the one that moves ("Armature", "root") is folded into it, never further down than to the pelvis where names
+    tell which joint that is (``rigs.roles``); bones keep one length, scale channels are ignored.
 
     Raises:
         InputError: the file cannot be read.
@@ -160,13 +164,49 @@ def _rig(glb: Glb, nodes: _Nodes, clip: Clip, joints: list[int]) -> _Rig:
     for joint in sorted(joints, key=lambda j: -nodes.depth[j]):
         if parent[joint] != -1:
             size[parent[joint]] += size[joint]
-    root = max((j for j in joints if parent[j] == -1), key=lambda j: size[j])
-    while True:
-        # Fold downwards while most of the body hangs on a child that travels by itself.
-        heavy = [j for j in joints if parent[j] == root and 2 * size[j] >= size[root] and clip.moves(j) > 1e-3]
+    top = max((j for j in joints if parent[j] == -1), key=lambda j: size[j])
+    whole = _tree(glb, nodes, joints, parent, top)
+    if len(whole.joints) == 1:
+        return whole
+    reach = bone_reach(whole.parents, _offsets(nodes, clip, whole, rotations.identity(len(whole.joints)).double()))
+
+    def travels(joint: int, part: float = ROUNDING) -> bool:
+        """Whether a joint moves within its parent by more than a part of the body's reach."""
+        unit = nodes.scale[nodes.path(nodes.parents[joint])].prod()
+        return float(unit) * clip.moves(joint) > part * reach
+
+    root, way = top, _way_to_pelvis(nodes, whole, parent)
+    if way is not None:
+        # Not beyond the pelvis: folding down to a spine that travels, too, would lose the legs.
+        root = next((joint for joint in way if 2 * size[joint] >= size[top] and travels(joint)), top)
+    while way is None:
+        # Fold downwards while all, or most, of an unknown body hangs on a child that travels by itself.
+        below = [j for j in whole.joints if parent[j] == root]
+        limit = ROUNDING if len(below) == 1 else STRETCH
+        heavy = [j for j in below if 2 * size[j] >= size[root] and travels(j, limit)]
         if not heavy:
             break
         root = heavy[0]
+    return _tree(glb, nodes, joints, parent, root)
+
+
+def _way_to_pelvis(nodes: _Nodes, whole: _Rig, parent: dict[int, int]) -> list[int] | None:
+    """Joints from the one that plays the pelvis up to just below the root; None where none is known to play it."""
+    count = len(whole.joints)
+    names = tuple(nodes.names[joint] for joint in whole.joints)
+    try:
+        joint = whole.joints[roles(Skeleton("glTF", names, whole.parents, torch.zeros(count, 3)))["pelvis"]]
+    except InputError:
+        return None
+    way = []
+    while joint != whole.joints[0]:
+        way.append(joint)
+        joint = parent[joint]
+    return way
+
+
+def _tree(glb: Glb, nodes: _Nodes, joints: list[int], parent: dict[int, int], root: int) -> _Rig:
+    """The joints below a root."""
     chosen = {root}
     for joint in sorted(joints, key=lambda j: nodes.depth[j]):
         if parent[joint] in chosen:
@@ -239,7 +279,10 @@ def _own(glb: Glb) -> dict[str, Any]:
 
 def _name(glb: Glb, path: str | Path) -> str:
     name = _own(glb).get("skeleton")
-    return name[:64] if isinstance(name, str) else Path(path).stem[:64]
+    if not isinstance(name, str):
+        # A built-in skeleton's name would promise its joints.
+        name = Path(path).name if Path(path).stem in RIGS else Path(path).stem
+    return name[:64]
 
 
 def glb_metadata(path: str | Path) -> dict[str, Any]:
