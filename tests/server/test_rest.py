@@ -96,6 +96,14 @@ def test_touches_of_json(client):
     assert float(root[:, [0, 2]].std(dim=0).max()) < 1e-6
 
 
+def test_a_result_of_one_frame_is_a_whole_packet(client):
+    take = client.post("/v1/generate", json={"prompts": [BOW], "seed": 1, "fps": 1}).json()["takes"][0]
+    assert (take["frames"], take["seconds"]) == (1, 1.0)
+    found = unpack_packets(base64.b64decode(take["data"]))
+    assert len(found.motion) == 1
+    assert found.planted is None
+
+
 @pytest.mark.parametrize("suffix", ["bvh", "glb", "npz"])
 def test_files_of_clips_can_be_read_again(client, suffix, tmp_path):
     body = {"prompts": [WALK], "seed": 3, "format": suffix, "skeleton": "mixamo", "fps": 30}

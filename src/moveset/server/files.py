@@ -115,7 +115,8 @@ def _headers(made: Any) -> dict[str, str]:
 
 def _take(made: Any, finish: Finish) -> dict[str, Any]:
     motion = finish(made.motion)
-    planted = stances(motion.joints, motion.fps, motion.skeleton)
+    # One frame has no speed, which says whether a foot is planted.
+    planted = stances(motion.joints, motion.fps, motion.skeleton) if len(motion) > 1 else None
     scale = motion.fps / made.motion.fps
     prompts = [
         {"text": text, "first_frame": min(round(start * scale), len(motion) - 1)}
