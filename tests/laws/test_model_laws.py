@@ -23,6 +23,9 @@ DENOISERS = {
     "latent": lambda guidance: LatentDenoiserConfig(
         tokens=3, token_dim=4, text_dim=6, width=16, heads=2, hidden=32, blocks=3, guided=guidance
     ).build(),
+    "carried": lambda guidance: LatentDenoiserConfig(
+        tokens=3, token_dim=4, text_dim=6, width=16, heads=2, hidden=32, blocks=3, guided=guidance, carried=True
+    ).build(),
 }
 
 

@@ -53,10 +53,11 @@ def test_convolution_over_time(kernel, batch):
 @pytest.mark.parametrize("batch", [1, 3])
 @pytest.mark.parametrize("guided", [True, False])
 @pytest.mark.parametrize("padded", [True, False])
+@pytest.mark.parametrize("carried", [True, False])
 @torch.inference_mode()
-def test_the_denoiser_keeps_its_output(batch, guided, padded):
+def test_the_denoiser_keeps_its_output(batch, guided, padded, carried):
     torch.manual_seed(0)
-    denoiser = perturbed(LatentDenoiserConfig(width=64, hidden=128, blocks=3, guided=guided).build())
+    denoiser = perturbed(LatentDenoiserConfig(width=64, hidden=128, blocks=3, guided=guided, carried=carried).build())
     mask = torch.arange(9) < torch.tensor([6, 9, 7])[:batch, None] if padded else torch.ones(batch, 9, dtype=torch.bool)
     given = (torch.randn(batch, 16, 32), torch.tensor([999, 499, 0])[:batch], torch.randn(batch, 9, 384), mask)
     frames = torch.tensor([80, 196, 20])[:batch]

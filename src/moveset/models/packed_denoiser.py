@@ -12,7 +12,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as fn
 
-from moveset.models.latent_denoiser import Block, LatentDenoiser, frequencies
+from moveset.models.latent_denoiser import Block, LatentDenoiser, carry, frequencies
 from moveset.models.packed import PackedLinear
 
 
@@ -49,6 +49,7 @@ class PackedDenoiser(nn.Module):
         self.blocks = nn.ModuleList(PackedBlock(block) for block in denoiser.blocks)
         self.skips = nn.ModuleList(PackedLinear.of(skip) for skip in denoiser.skips)
         self.out = PackedLinear.of(denoiser.out)
+        self.schedule = denoiser.schedule
 
     def read(self, tokens_BLC: Tensor, mask_BL: Tensor) -> PackedText:
         """The text's keys and values for every block; they depend on neither time nor noise."""
@@ -101,7 +102,8 @@ class PackedDenoiser(nn.Module):
                 remembered.append(x)
             if taps is not None:
                 taps.append(x)
-        return self.out(_modulated(x, *parts[-2:]))
+        said = self.out(_modulated(x, *parts[-2:]))
+        return said if self.schedule is None else carry(said, z_BND, t_B, self.schedule)
 
     def _modulation(
         self, t_B: Tensor, text: PackedText, w_B: Tensor | None, frames_B: Tensor | None
