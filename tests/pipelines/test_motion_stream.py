@@ -268,20 +268,6 @@ def test_a_state_is_what_it_says(opened, tmp_path):
         made.restore(Snapshot({**state.numbers, "weights": {}}, state.tensors))
 
 
-def test_a_buffer_changes_nothing_but_the_time(opened):
-    plain_ones, ahead = take(opened(), 6), opened(buffer=2)
-    first = take(ahead, 2)
-    state = ahead.state()
-    frame = ahead.prompt(BOW)
-    # Two segments are there already, of prompts that cannot be changed any more.
-    assert frame == 4 * FRAMES
-    more = take(ahead, 3)
-    assert all(map(same, plain_ones[:4], [*first, *more[:2]]))
-    assert more[2].prompt == BOW
-    for one, two in zip(plain_ones[2:], take(opened().restore(state), 4), strict=True):
-        assert same(one, two)
-
-
 @pytest.mark.parametrize("network", ["pcm-1", "rdm"])
 def test_a_stream_goes_on_from_a_motion(opened, network):
     clip = walking(50, speed=1.0, heading=0.7, start=(3.0, -2.0))
@@ -398,15 +384,3 @@ def test_a_pickled_stream_goes_on_where_it_stood(opened, buffer):
         assert (one.number, one.first_frame, one.prompt) == (two.number, two.first_frame, two.prompt)
         assert same(one, two)
     assert (again.seed, again.settings, again.timeline) == (stream.seed, stream.settings, stream.timeline)
-
-
-def test_a_state_of_a_stream_that_makes_ahead_may_be_restored_while_it_does(opened):
-    stream = opened([WALK, BOW], 3.0, buffer=4, seed=3)
-    take(stream, 2)
-    state = stream.state()
-    expected = take(stream, 5)
-    for _ in range(3):
-        # Three segments are still to be made by then.
-        for one, two in zip(expected, take(stream.restore(state), 5), strict=True):
-            assert one.number == two.number
-            assert torch.equal(one.motion.root, two.motion.root)

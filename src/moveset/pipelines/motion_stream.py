@@ -11,6 +11,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from copy import deepcopy
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Self, cast
@@ -215,10 +216,14 @@ class MotionStream(Iterator[Segment]):
     def restore(self, snapshot: Snapshot) -> Self:
         """Go on where the stream whose ``state()`` this is stood, by its settings (but with this one's buffer).
 
+        A state may be restored any number of times.
+
         Raises:
             InputError: the state of another model.
             FormatError: a state that does not describe a stream; this one is of no use then.
         """
+        # Parts of a stream go on with the very lists that they are given.
+        snapshot = deepcopy(snapshot)
         numbers, name = snapshot.numbers, self.bundle.config.name
         if numbers.get("model") != name:
             raise InputError(
