@@ -138,7 +138,7 @@ def test_what_does_not_fit_is_said(humanml3d, corpus, tmp_path):
         FeatureStore.of(source, get_codec("native"), tmp_path / "native")
     assert {path.name for path in tmp_path.iterdir()} <= {".lock"}  # nothing half made
     FeatureStore.of(source, get_codec("hml"), tmp_path / "store")
-    with pytest.raises(InputError, match="made from another"):
+    with pytest.raises(InputError, match="made from other clips"):
         FeatureStore.of(Corpus.open(corpus), get_codec("hml"), tmp_path / "store")
     with pytest.raises(InputError, match="no split 'dev'"):
         source.clips("dev")

@@ -3,7 +3,10 @@
 A source numbers its clips as networks see them: a mirror image is a clip of its own. F frames, D features.
 """
 
+import hashlib
 from collections.abc import Callable, Hashable, Sequence
+from dataclasses import replace
+from functools import cached_property
 from pathlib import Path
 from typing import Protocol
 
@@ -29,6 +32,13 @@ class ClipSource(Protocol):
         Raises:
             InputError: an unknown split.
         """
+
+    @property
+    def fingerprint(self) -> str:
+        """A hash of all clips' motions and splits, but not of their sentences, which are never kept."""
+
+    def frames(self, clip: int) -> int:
+        """Frames of a clip's motion; some codecs make one row of features less."""
 
     def features(self, clip: int, codec: FeatureCodec) -> Tensor:
         """(F, D) features of a clip, not normalised.
@@ -57,10 +67,20 @@ def open_clips(path: Path) -> ClipSource:
     """What a path holds: a folder is HumanML3D or KIT-ML, a file a corpus.
 
     Raises:
-        InputError: it is missing, or parts of it are.
+        InputError: it is missing, or parts of it are, or there is nothing to train on or to validate with.
         FormatError: it is damaged.
     """
-    return FolderClips(HumanML3D.open(path)) if path.is_dir() else CorpusClips(Corpus.open(path))
+    if path.is_dir():
+        return FolderClips(HumanML3D.open(path))
+    corpus = Corpus.open(path)
+    needed: tuple[Split, ...] = ("train", "val")
+    for split in needed:
+        if not corpus.indices(split, composed=False):
+            raise InputError(
+                f"{path} has no take of the {split} split; training needs some in train and in val: build the corpus "
+                "from more performers"
+            )
+    return CorpusClips(corpus)
 
 
 def as_clips(source: Corpus | ClipSource) -> ClipSource:
@@ -81,6 +101,18 @@ class CorpusClips:
         if plain:
             return tuple(2 * record for record in self.corpus.indices(split, composed=False))
         return tuple(2 * record + mirrored for record in self.corpus.indices(split) for mirrored in (0, 1))
+
+    @cached_property
+    def fingerprint(self) -> str:
+        corpus = self.corpus
+        records = "\n".join(repr(replace(record, captions=())) for record in corpus.records)
+        sha = hashlib.sha256(records.encode())
+        for stored in (corpus._packed, corpus._root, corpus.skeleton.offsets):
+            sha.update(stored.contiguous().numpy().data)
+        return sha.hexdigest()
+
+    def frames(self, clip: int) -> int:
+        return self.corpus.records[clip // 2].frames
 
     def features(self, clip: int, codec: FeatureCodec) -> Tensor:
         return codec.encode(self.corpus.motion(clip // 2, clip % 2 == 1))
@@ -143,12 +175,28 @@ class FolderClips:
             raise InputError(f"there is no split {split!r}; use 'train', 'val' or 'test'")
         return self._splits[split]
 
+    @cached_property
+    def fingerprint(self) -> str:
+        """Files are known by size and time: the sets hold gigabytes."""
+        counts = [len(clips) for clips in self._splits.values()]
+        sha = hashlib.sha256(repr(counts).encode())
+        for item in self.items:
+            found = (self.data.folder / "new_joint_vecs" / f"{item.name}.npy").stat()
+            row = (item.name, item.start, item.stop, found.st_size, int(found.st_mtime))
+            sha.update(repr(row).encode())
+        for statistic in (self.data.mean, self.data.std):
+            sha.update(statistic.numpy().data)
+        return sha.hexdigest()
+
+    def frames(self, clip: int) -> int:
+        return self.items[clip].stop - self.items[clip].start
+
     def features(self, clip: int, codec: FeatureCodec) -> Tensor:
         if codec.name != self.data.layout.codec:
             raise InputError(
                 f"{self.data.folder} holds {self.data.layout.codec!r} features ({self.data.layout.features} a frame), "
-                f"not {codec.name!r} ones; train the vae with --set codec={self.data.layout.codec} and "
-                f"--set model.features={self.data.layout.features}"
+                f"not {codec.name!r} ones; train the vae with --set codec={self.data.layout.codec} "
+                f"--set model.features={self.data.layout.features} --set loss=published"
             )
         item = self.items[clip]
         return self.data.features(item.name)[item.start : item.stop]

@@ -19,7 +19,7 @@ from tqdm import tqdm
 
 from moveset.data.augment import MAX_FRAMES
 from moveset.data.corpus import Corpus
-from moveset.errors import FormatError, InputError
+from moveset.errors import FormatError, InputError, MovesetError
 from moveset.io.lock import locked
 from moveset.motion.features import FeatureCodec, Normalizer
 from moveset.training.clip_source import ClipSource, as_clips
@@ -45,6 +45,8 @@ class FeatureStore:
         if index["version"] != _VERSION:
             raise FormatError(f"{folder} was written by another version; delete it and it will be made again")
         self.clips = [Clip(start, frames) for start, frames in index["clips"]]
+        #: ``ClipSource.fingerprint`` of what it was made from; "" where an earlier version made it.
+        self.source: str = index.get("source", "")
         self.features = np.load(folder / "features.npy", mmap_mode="r")
         mean, std = (torch.tensor(index[name]) for name in ("mean", "std"))
         self.normalizer = Normalizer(mean, std)
@@ -57,6 +59,7 @@ class FeatureStore:
 
         Raises:
             InputError: the store there holds another source's clips, or the source cannot be read.
+            MovesetError: the store could not be written.
         """
         source = as_clips(source)
         if not (folder / "index.json").is_file():
@@ -65,12 +68,20 @@ class FeatureStore:
                 if not (folder / "index.json").is_file():
                     _make(source, codec, folder, progress)
         store = cls(folder)
-        if len(store.clips) != len(source):
+        if not store._is_of(source):
             raise InputError(
-                f"{folder} holds {len(store.clips)} clips and the corpus has {len(source)}: it was made from another "
-                "one; delete it to make it anew, or train in another folder"
+                f"{folder} was made from other clips; delete it and the latents-*.safetensors beside it, and they will "
+                "be made anew, or train in another folder"
             )
         return store
+
+    def _is_of(self, source: ClipSource) -> bool:
+        if self.source:
+            return self.source == source.fingerprint
+        # An earlier version did not say; other clips would hardly have the same lengths one by one.
+        if len(self.clips) != len(source):
+            return False
+        return {source.frames(k) - clip.frames for k, clip in enumerate(self.clips)} in ({0}, {1})
 
     def whole(self, clip: int) -> "Crop":
         """All of a clip, or its first 196 frames."""
@@ -144,10 +155,13 @@ class CropSampler:
 
 
 def _make(source: ClipSource, codec: FeatureCodec, folder: Path, progress: bool) -> None:
-    """Writes a store, which appears whole or not at all."""
+    """Writes a store, which appears whole or not at all. Nobody else may be writing it."""
     building = folder.with_name(f".{folder.name}.{os.getpid()}")
-    building.mkdir(parents=True)
+    # What a kill left takes room, and in a container the next training has the same number.
+    for left in folder.parent.glob(f".{folder.name}.*"):
+        shutil.rmtree(left, ignore_errors=True)
     try:
+        building.mkdir(parents=True)
         # By way of the disk: the features of a large data set may not fit in memory.
         frames = []
         with open(building / "raw", "wb") as file:
@@ -159,9 +173,14 @@ def _make(source: ClipSource, codec: FeatureCodec, folder: Path, progress: bool)
         normalizer = _normalise(source, codec, building, ends)
         (building / "raw").unlink()
         rows = [[int(start), count] for start, count in zip(ends, frames, strict=False)]
-        index = {"version": _VERSION, "clips": rows, **normalizer}
+        index = {"version": _VERSION, "source": source.fingerprint, "clips": rows, **normalizer}
         (building / "index.json").write_text(json.dumps(index))
         building.rename(folder)
+    except OSError as error:
+        raise MovesetError(
+            f"the features {folder} could not be written ({error.strerror or error}); make room or fix the "
+            "permissions, then start again"
+        ) from error
     finally:
         shutil.rmtree(building, ignore_errors=True)
 
@@ -172,8 +191,10 @@ def _normalise(source: ClipSource, codec: FeatureCodec, building: Path, ends: np
     raw = np.memmap(building / "raw", np.float32, "r", shape=shape)
     normalizer = source.normalizer(codec, lambda clip: torch.tensor(raw[ends[clip] : ends[clip + 1]]))
     mean, std = normalizer.mean.numpy(), normalizer.std.numpy()
-    out = np.lib.format.open_memmap(building / "features.npy", mode="w+", dtype=np.float32, shape=shape)
-    for start, stop in pairwise(ends):
-        out[start:stop] = (raw[start:stop] - mean) / std
-    out.flush()
+    # Not through a memory map: on a full disk that would be a signal, which ends the process without a word.
+    with open(building / "features.npy", "wb") as file:
+        header = {"descr": np.lib.format.dtype_to_descr(raw.dtype), "fortran_order": False, "shape": shape}
+        np.lib.format.write_array_header_1_0(file, header)
+        for start, stop in pairwise(ends):
+            file.write(((raw[start:stop] - mean) / std).tobytes())
     return {"mean": mean.tolist(), "std": std.tolist()}

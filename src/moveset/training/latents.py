@@ -10,16 +10,20 @@ from pathlib import Path
 from typing import Protocol
 
 import torch
-from safetensors.torch import load_file
+from safetensors import safe_open
+from safetensors.torch import load_file, save
 from torch import Tensor
 from tqdm import tqdm
 
 from moveset.data.corpus import Corpus
 from moveset.data.splits import Split
+from moveset.errors import InputError
 from moveset.io.limits import atomic_write
 from moveset.training.clip_source import ClipSource, as_clips
 from moveset.training.clips import Crop, FeatureStore
 from moveset.training.reading import AS_WRITTEN, say
+
+_SOURCE = "moveset source"
 
 
 class Encoder(Protocol):
@@ -77,15 +81,29 @@ class LatentSet:
         windows: int = 2,
         batch: int = 64,
     ) -> "LatentSet":
-        """Open ``path``, encoding the split first where it is missing."""
+        """Open ``path``, encoding the split first where it is missing.
+
+        Raises:
+            InputError: the latents there are of another source's clips, or of another split.
+        """
         source = as_clips(source)
+        made_of = f"{source.fingerprint} {split}"
         if not path.is_file():
             tensors = _encode(_entries(source, source.clips(split), store, windows), store, vae, batch)
-            from safetensors.torch import save
-
             with atomic_write(path) as file:
-                file.write(save(tensors))
-        return cls(source, split, load_file(path))
+                file.write(save(tensors, {_SOURCE: made_of}))
+            return cls(source, split, load_file(path))
+        with safe_open(path, "pt") as file:
+            said = (file.metadata() or {}).get(_SOURCE)
+        tensors = load_file(path)
+        # An earlier version did not say; other clips would hardly have the same lengths one by one.
+        fits = said == made_of if said else _whole_clips(tensors, source.clips(split), store)
+        if not fits:
+            raise InputError(
+                f"{path} was made from other clips; delete {path.parent}/latents-*.safetensors, and they will be made "
+                "anew, or train in another folder"
+            )
+        return cls(source, split, tensors)
 
     def __len__(self) -> int:
         return len(self.clip)
@@ -109,6 +127,14 @@ class LatentSet:
         for entry, place, chance in zip(entries.tolist(), pick, other, strict=True):
             captions.append(say(self.captions(entry), self.disturbance, place, chance))
         return LatentBatch(z0, self.frames[entries], captions)
+
+
+def _whole_clips(tensors: dict[str, Tensor], clips: Sequence[int], store: FeatureStore) -> bool:
+    """Whether these are latents of just these clips, each whole and perhaps windows of it."""
+    longest: dict[int, int] = {}
+    for clip, frames in zip(tensors["clip"].tolist(), tensors["frames"].tolist(), strict=True):
+        longest[clip] = max(frames, longest.get(clip, 0))
+    return longest.keys() == set(clips) and all(longest[clip] == store.whole(clip).frames for clip in clips)
 
 
 def _entries(source: ClipSource, clips: Sequence[int], store: FeatureStore, windows: int) -> list[Crop]:

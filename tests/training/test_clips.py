@@ -1,0 +1,187 @@
+"""Features and latents that are kept are of the clips that they are used for, and are written whole or not at all."""
+
+import errno
+import json
+import os
+import shutil
+
+import numpy as np
+import pytest
+import torch
+
+from moveset.data.captions import train_captions
+from moveset.data.corpus import Corpus, CorpusWriter, TakeEntry
+from moveset.data.synthetic import synthetic_motion
+from moveset.errors import InputError, MovesetError
+from moveset.motion.features import get_codec
+from moveset.training import clips, latents
+from moveset.training.clip_source import FolderClips, open_clips
+from moveset.training.clips import FeatureStore
+from moveset.training.latents import LatentSet
+from tests.training.hml_folder import write_folder
+
+NATIVE = get_codec("native")
+
+
+class Still:
+    """An encoder that says nothing."""
+
+    def encode(self, x_BFD, lengths_B):
+        return torch.randn(len(x_BFD), 2, 3), torch.zeros(len(x_BFD), 2, 3)
+
+
+def corpus(path, seed=0, frames=(40, 52, 48), splits=("train", "train", "val"), said=4):
+    """Takes of so many frames."""
+    writer = CorpusWriter()
+    for k, (count, split) in enumerate(zip(frames, splits, strict=True)):
+        writer.add_take(
+            TakeEntry(
+                name=f"{k}", take=f"{k}", source="s", content="walk", style=None, split=split, subject="s",
+                captions=train_captions("walk", plain=said), motion=synthetic_motion("walk", count, seed=seed + k),
+            )
+        )  # fmt: skip
+    return Corpus.open(writer.write(path))
+
+
+def forget(folder):
+    """Makes an index what earlier versions wrote."""
+    index = json.loads((folder / "index.json").read_text())
+    del index["source"]
+    (folder / "index.json").write_text(json.dumps(index))
+
+
+def test_features_of_another_corpus_are_refused_though_it_has_as_many_clips(tmp_path):
+    folder = tmp_path / "cache" / "store"
+    FeatureStore.of(corpus(tmp_path / "a"), NATIVE, folder)
+    with pytest.raises(InputError, match=r"store was made from other clips; delete it .*latents-\*"):
+        FeatureStore.of(corpus(tmp_path / "b", seed=9), NATIVE, folder)
+    with pytest.raises(InputError, match="other clips"):  # statistics are of the training split
+        FeatureStore.of(corpus(tmp_path / "c", splits=("val", "train", "val")), NATIVE, folder)
+    # The same motions in other words are the same to it.
+    FeatureStore.of(corpus(tmp_path / "d", said=2), NATIVE, folder)
+
+
+def test_features_of_an_earlier_version_are_known_by_the_frames_of_their_clips(tmp_path):
+    for codec in (NATIVE, get_codec("hml")):
+        folder = tmp_path / "cache" / codec.name
+        FeatureStore.of(corpus(tmp_path / "a"), codec, folder)
+        forget(folder)
+        FeatureStore.of(corpus(tmp_path / "a"), codec, folder)
+        with pytest.raises(InputError, match="other clips"):
+            FeatureStore.of(corpus(tmp_path / "b", frames=(40, 48, 52)), codec, folder)
+        with pytest.raises(InputError, match="other clips"):
+            FeatureStore.of(corpus(tmp_path / "c", frames=(40, 52), splits=("train", "val")), codec, folder)
+
+
+@pytest.mark.parametrize("changed", ["Std.npy", "new_joint_vecs/000001.npy", "texts/000001.txt", None])
+def test_features_of_a_folder_that_has_changed_are_refused(tmp_path, changed):
+    folder, store = write_folder(tmp_path / "data"), tmp_path / "cache" / "store"
+    hml = get_codec("hml")
+    made = FeatureStore.of(open_clips(folder), hml, store)
+    assert [clip.frames for clip in made.clips[:2]] == [120, 60]
+    if changed is None:
+        moved = folder.rename(tmp_path / "moved")
+        FeatureStore.of(open_clips(moved), hml, store)
+        forget(store)
+        FeatureStore.of(open_clips(moved), hml, store)
+        return
+    if changed.endswith(".npy"):
+        np.save(folder / changed, np.load(folder / changed) * 2)
+        os.utime(folder / changed, (1, 1))
+    else:  # the second part of the motion is another
+        (folder / changed).write_text((folder / changed).read_text().replace("#4.0", "#5.0"))
+    with pytest.raises(InputError, match="other clips"):
+        FeatureStore.of(open_clips(folder), hml, store)
+
+
+def test_latents_of_another_corpus_are_refused(tmp_path):
+    one, other = corpus(tmp_path / "a"), corpus(tmp_path / "b", seed=9)
+    stores = [FeatureStore.of(source, NATIVE, tmp_path / name) for source, name in ((one, "one"), (other, "other"))]
+    path = tmp_path / "cache" / "latents-x-train.safetensors"
+    path.parent.mkdir()
+    made = LatentSet.of(one, "train", stores[0], Still(), path)
+    assert torch.equal(LatentSet.of(one, "train", stores[0], Still(), path).mean, made.mean)
+    with pytest.raises(InputError, match=r"latents-x-train.safetensors was made from other clips; delete"):
+        LatentSet.of(other, "train", stores[1], Still(), path)
+
+
+def test_latents_of_an_earlier_version_are_known_by_their_clips(tmp_path, monkeypatch):
+    one, other = corpus(tmp_path / "a"), corpus(tmp_path / "b", frames=(40, 48, 52))
+    stores = [FeatureStore.of(source, NATIVE, tmp_path / name) for source, name in ((one, "one"), (other, "other"))]
+    path, save = tmp_path / "latents.safetensors", latents.save
+    monkeypatch.setattr(latents, "save", lambda tensors, metadata: save(tensors))
+    LatentSet.of(one, "train", stores[0], Still(), path)
+    assert sorted(set(LatentSet.of(one, "train", stores[0], Still(), path).clip.tolist())) == [0, 1, 2, 3]
+    for source, store, split in ((other, stores[1], "train"), (one, stores[0], "val")):
+        with pytest.raises(InputError, match="other clips"):
+            LatentSet.of(source, split, store, Still(), path)
+
+
+def test_what_a_killed_training_left_is_cleared_away(tmp_path):
+    folder = tmp_path / "cache" / "store"
+    left = [folder.with_name(f".store.{pid}") for pid in (os.getpid(), 1)]
+    for one in left:
+        one.mkdir(parents=True)
+        (one / "raw").write_bytes(b"half")
+    other = folder.with_name(".other.1")
+    other.mkdir()
+    store = FeatureStore.of(corpus(tmp_path / "a"), NATIVE, folder)
+    assert len(store.clips) == 6
+    assert not any(one.exists() for one in left)
+    assert other.is_dir()
+
+
+@pytest.mark.parametrize("name", ["raw", "features.npy"])
+def test_a_full_disk_is_one_sentence(tmp_path, monkeypatch, name):
+    class Full:
+        def __init__(self, file):
+            self.file = file
+
+        def write(self, content):
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+        def __enter__(self):
+            return self
+
+        def __exit__(self, *given):
+            self.file.close()
+
+    opened = open
+
+    def opener(path, mode):
+        file = opened(path, mode)
+        return Full(file) if path.name == name else file
+
+    monkeypatch.setattr(clips, "open", opener, raising=False)
+    folder = tmp_path / "cache" / "store"
+    with pytest.raises(MovesetError, match=r"store could not be written \(No space left on device\)"):
+        FeatureStore.of(corpus(tmp_path / "a"), NATIVE, folder)
+    assert [path.name for path in folder.parent.iterdir()] == [".lock"]
+
+
+def test_features_are_stored_as_numpy_stores_them(tmp_path):
+    source = corpus(tmp_path / "a")
+    store = FeatureStore.of(source, NATIVE, tmp_path / "store")
+    whole = np.concatenate(
+        [store.normalizer.normalize(NATIVE.encode(source.motion(k // 2, k % 2 == 1)).float()).numpy() for k in range(6)]
+    )
+    np.testing.assert_allclose(np.load(tmp_path / "store" / "features.npy"), whole, atol=1e-6)
+    np.save(tmp_path / "theirs.npy", np.load(tmp_path / "store" / "features.npy"))
+    assert (tmp_path / "theirs.npy").read_bytes() == (tmp_path / "store" / "features.npy").read_bytes()
+
+
+@pytest.mark.parametrize("splits", [("train", "train", "test"), ("val", "val", "test")])
+def test_a_corpus_without_a_split_is_refused_at_once(tmp_path, splits):
+    corpus(tmp_path / "a", splits=splits)
+    with pytest.raises(InputError, match=f"no take of the {'val' if 'train' in splits else 'train'} split"):
+        open_clips(tmp_path / "a")
+
+
+def test_what_a_source_says_of_itself_is_said_again(tmp_path):
+    write_folder(tmp_path / "data")
+    one, again = open_clips(tmp_path / "data"), open_clips(tmp_path / "data")
+    assert isinstance(one, FolderClips)
+    assert one.fingerprint == again.fingerprint
+    corpus(tmp_path / "a")
+    shutil.copy(tmp_path / "a", tmp_path / "b")
+    assert open_clips(tmp_path / "a").fingerprint == open_clips(tmp_path / "b").fingerprint != one.fingerprint
