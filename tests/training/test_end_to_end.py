@@ -20,7 +20,7 @@ from moveset.training import pack as packing
 from moveset.training.distill import DistillationConfig
 from moveset.training.engine import run
 from moveset.training.pack import pack
-from moveset.training.tasks import Sources, task_maker
+from moveset.training.tasks import Sources, task_maker, with_settings
 from moveset.training.unpack import unpack
 
 
@@ -131,12 +131,51 @@ def test_a_student_may_be_asked_for_all_of_its_teachers_steps(trained: Path, tmp
     assert any(not torch.equal(learned[0][name], learned[1][name]) for name in learned[0])
 
 
-@pytest.mark.parametrize(
-    "wrong", [{"sampled_share": 1.5}, {"mismatched": -0.1}, {"judged_span": 2.0}, {"rehearsed": 65, "batch": 64}]
-)
+@pytest.mark.parametrize("wrong", [{"sampled_share": 1.5}, {"mismatched": -0.1}, {"judged_span": 2.0}])
 def test_shares_beyond_one_are_refused(wrong: dict[str, Any]) -> None:
     with pytest.raises(InputError, match="is outside 0"):
         DistillationConfig(**wrong)
+
+
+@pytest.mark.parametrize("settings", [("batch=8", "rehearsed=6"), ("rehearsed=6", "batch=8")])
+def test_settings_come_in_any_order(trained: Path, tmp_path: Path, settings: tuple[str, ...]) -> None:
+    recipe = tiny.TRAINING["pcm"]()
+    task = with_settings(recipe.task, settings)
+    run(task_maker("pcm", task, sources(trained)), replace(recipe.engine, steps=1), tmp_path / "run")
+
+
+@pytest.mark.parametrize(
+    ("what", "settings", "message"),
+    [
+        ("pcm", ("rehearsed=9", "batch=8"), "rows that are rehearsed = 9 is outside 0"),
+        ("pcm", ("rehearsed=-1",), "rows that are rehearsed = -1 is outside 0"),
+        ("lcm", ("phases=2",), "phases=2 is for pcm"),
+    ],
+)
+def test_what_a_student_cannot_learn_is_refused(
+    trained: Path, tmp_path: Path, what: str, settings: tuple[str, ...], message: str
+) -> None:
+    task = with_settings(tiny.TRAINING[what]().task, settings)
+    with pytest.raises(InputError, match=message):
+        run(task_maker(what, task, sources(trained)), tiny.TRAINING[what]().engine, tmp_path / "run")
+
+
+def test_a_folder_reads_as_its_teacher_did(trained: Path, tmp_path: Path, monkeypatch) -> None:
+    step, asked = checkpoint.resolve(trained / "teacher"), []
+    config = checkpoint.read_document(step, "config")
+    config["config"]["text_encoder"] = "sentence-t5:where"
+    tensors = {"teacher_ema": checkpoint.read_tensors(step, "teacher_ema")}
+    teacher = checkpoint.write(tmp_path / "teacher", 4, tensors, {"config": config})
+    read = packing.embedded
+    monkeypatch.setattr(
+        packing, "embedded", lambda folder, name, said: asked.append(name) or read(folder, "minilm", said)
+    )
+    monkeypatch.setattr(packing, "familiarity_limit", lambda known, encoder: asked.append(encoder) or 0.42)
+    encoder = packing.get_text_encoder("minilm")
+    monkeypatch.setattr(packing, "get_text_encoder", lambda name: asked.append(name) or encoder)
+    out = pack(replace(sources(trained), teacher=teacher), {}, {"teacher": 2.0}, "t5", tmp_path / "packed")
+    assert json.loads((out / "config.json").read_text())["text_encoder"] == "sentence-t5:where"
+    assert set(asked) == {"sentence-t5:where"}
 
 
 def test_a_packed_model_generates_by_every_method(trained: Path, tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ from torch import nn
 
 from moveset.errors import InputError, MovesetError
 from moveset.io.lock import locked
-from moveset.training import checkpoint
+from moveset.training import checkpoint, resume
 from moveset.training.engine import EngineConfig, Task, run, stream_seed
 from tests.training.tiny_task import TinyConfig, TinyTask, train
 
@@ -82,6 +82,32 @@ def test_validation_leaves_no_trace_in_the_training(straight, tmp_path):
         assert (tmp_path / "step_20" / name).read_bytes() == (straight / "step_20" / name).read_bytes()
     assert [line["step"] for line in metrics(tmp_path, "val")] == list(range(1, 21))
     assert [line["step"] for line in metrics(straight, "val")] == [4, 8, 12, 16, 20]
+
+
+def test_a_validation_that_fails_does_not_cost_the_steps_before_it(straight, tmp_path, monkeypatch):
+    monkeypatch.setattr(TinyTask, "validate", lambda task, step, loop: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        train(tmp_path, validate_every=10)
+    assert checkpoint.latest(tmp_path) == tmp_path / "step_10"
+    monkeypatch.undo()
+    train(tmp_path, validate_every=4, resume=True)
+    for name in ("rng.safetensors", "generator.safetensors"):
+        assert (tmp_path / "step_20" / name).read_bytes() == (straight / "step_20" / name).read_bytes()
+
+
+def test_on_another_kind_of_device_noise_starts_anew(tmp_path, monkeypatch):
+    kept = resume._rank_state
+
+    def elsewhere(task, loop):
+        """A generator of CUDA has a state of 16 bytes."""
+        state = kept(task, loop)
+        return state | {"generator/noise": torch.zeros(16, dtype=torch.uint8)}
+
+    monkeypatch.setattr(resume, "_rank_state", elsewhere)
+    train(tmp_path, stop_at=5)
+    monkeypatch.undo()
+    with pytest.warns(UserWarning, match="another kind of device: data order and noise start anew"):
+        assert train(tmp_path, steps=20, resume=True).step == 20
 
 
 def test_the_callers_generator_is_left_alone(tmp_path):

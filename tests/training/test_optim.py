@@ -20,6 +20,12 @@ def test_the_schedule_rises_then_falls_between_its_bounds():
     assert cosine_lr(5000, 2e-4, 100, 1000, floor=1e-6) == pytest.approx(1e-6)
 
 
+def test_without_a_warm_up_the_first_step_has_the_whole_rate():
+    assert cosine_lr(0, 0.5, 0, 10) == 0.5  # a student that waits for its discriminator is at step 0
+    assert cosine_lr(10, 0.5, 0, 10) == 0.0
+    assert [cosine_lr(step, 0.5, 0, 10) for step in (1, 5)] == [cosine_lr(step + 1, 0.5, 1, 11) for step in (1, 5)]
+
+
 def test_the_schedule_is_torchs_after_the_warm_up():
     optimizer = torch.optim.SGD([nn.Parameter(torch.zeros(1))], lr=0.5)
     theirs = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, T_max=50, eta_min=0.1)

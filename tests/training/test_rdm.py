@@ -81,6 +81,34 @@ def test_the_published_settings():
     assert (dip.model.prefix, dip.model.frames, dip.levels, dip.text_drop, dip.ema) == (20, 40, 10, 0.1, 0.9999)
 
 
+@pytest.mark.parametrize("what", ["teacher", "lcm", "pcm"])
+def test_the_published_sentence_encoder_fits_the_published_networks(what):
+    """Sentence-T5's one projected token of 768 numbers; T5's own states are 1024 wide."""
+    assert paper.TRAINING[what]().task.text_encoder == "sentence-t5:sentence-transformers/sentence-t5-large"
+    assert paper.TRAINING["teacher"]().task.model.text_dim == 768
+
+
+def test_a_flow_that_has_nothing_to_learn_here_may_have_elsewhere(rdm7):
+    """Processes that average their gradients must all take the step, or wait for each other for ever."""
+    task, _ = rdm7
+    batch = task.data.training_batch(4, 0)
+    batch = replace(batch, index=torch.zeros_like(batch.index))
+
+    class Loop:
+        device, asked = torch.device("cpu"), []
+
+        def __init__(self, world_size):
+            self.world_size = world_size
+
+        def minimise(self, loss, optimizer):
+            self.asked.append((float(loss), optimizer, loss.requires_grad))
+
+    assert task._train_flow(batch, Loop(1)) == {}
+    assert Loop.asked == []
+    assert task._train_flow(batch, Loop(2)) == {}
+    assert Loop.asked == [(0.0, "flow", True)]
+
+
 def test_a_few_steps_change_every_network(rdm7):
     task, result = rdm7
     assert result.step == 4

@@ -95,6 +95,20 @@ def test_a_teacher_may_be_told_a_noisy_past_of_streams_alone(folder, rdm7, tmp_p
                 assert not torch.allclose(previous[row], bound.batch.previous[row], atol=1e-2)
 
 
+@pytest.mark.parametrize("settings", [("noisy_past=true",), ("noisy_own=true", "own_past=0.5")])
+def test_a_noisy_past_can_be_validated_whatever_the_batch(settings, folder, rdm7, tmp_path, monkeypatch):
+    told, init = [], BoundSegments.__init__
+    monkeypatch.setattr(BoundSegments, "__init__", lambda *given: told.append(given) or init(*given))
+    _, result = trained(folder, "rdm-student", tmp_path / "run", *settings, steps=1, validate_every=1)
+    assert result.validation["student_gap"] > 0
+    past = told[-1][-1]
+    assert len(told[-1][1].index) == 64
+    if settings == ("noisy_past=true",):
+        assert past[2].tolist() == [True] * 64
+    else:  # validation is of takes
+        assert past is None
+
+
 def test_in_lower_phases_the_past_has_the_noise_that_the_segment_began_with(folder, rdm7, tmp_path, monkeypatch):
     whites, noise_of = [], rdm_student.RDMStudentTask._past_noise
     monkeypatch.setattr(

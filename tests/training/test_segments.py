@@ -255,6 +255,13 @@ def test_the_spectrum_is_of_whole_segments(corpus):
     assert float(power[: N // 2].sum() / power.sum()) > 0.9
 
 
+def test_where_no_clip_has_a_whole_segment_there_is_no_spectrum_and_no_forecast(corpus):
+    found = numbered(corpus.cut(PLAIN, frames=196), (100, 120))
+    with pytest.raises(InputError, match="no clip has 196 frames; use fewer frames a segment"):
+        found.spectrum(64)
+    assert not found.forecast(64).any()
+
+
 def test_pieces_are_prefix_and_frames_in_a_row(corpus):
     model = DipDecoderConfig(prefix=5, frames=9)
     found = PieceSet(corpus.source, "train", corpus.store, corpus.codec, model, PLAIN, corpus.folder)

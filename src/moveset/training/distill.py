@@ -87,7 +87,6 @@ class DistillationConfig:
 
     def __post_init__(self) -> None:
         require_shares(self.sampled_share, self.mismatched, self.judged_span)
-        require_range("rows that are rehearsed", self.rehearsed, 0, self.batch)
         require_judge(self.judge_alone, self.adversarial)
         if self.model is not None:
             object.__setattr__(self, "kind", describe(self.model)[0])
@@ -112,6 +111,8 @@ class _DistillationTask(Task):
     """What LCM and PCM share: frozen teacher, student with its averaged target, one update from their distance."""
 
     def __init__(self, config: DistillationConfig, sources: Sources, loop: Loop) -> None:
+        # Not a check of the configuration: settings come one by one, in any order.
+        require_range("rows that are rehearsed", config.rehearsed, 0, config.batch)
         self.steps = loop.config.steps
         self.data = LatentData(sources, config.text_encoder, config.disturbance, loop)
         teacher = frozen.load(sources.teacher, "teacher_ema", loop.device)
@@ -187,9 +188,18 @@ class _DistillationTask(Task):
 
 
 class LCMTask(_DistillationTask):
-    """The latent consistency model of MotionLCM: every point of the trajectory maps to its origin."""
+    """The latent consistency model of MotionLCM: every point of the trajectory maps to its origin.
+
+    Raises:
+        InputError: more than one phase.
+    """
 
     name = "lcm"
+
+    def __init__(self, config: DistillationConfig, sources: Sources, loop: Loop) -> None:
+        if config.phases != 1:
+            raise InputError(f"phases={config.phases} is for pcm; an lcm student has one phase, so leave it out")
+        super().__init__(config, sources, loop)
 
     def training_step(self, step: int, loop: Loop) -> dict[str, Tensor]:
         batch = self.data.batch(self.config.batch, step)

@@ -283,15 +283,16 @@ def _train(task: Task, loop: Loop, folder: Path, start: int, signals: list[int],
             log.add(metrics)
             if saving or step % config.log_every == 0:
                 log.flush(step, **{f"lr_{name}": rate for name, rate in rates.items()})
+        # Saved first: a validation that fails must not cost the steps before it.
+        if saving:
+            saved = resume.save(task, loop, folder, step)
+            if first:
+                checkpoint.prune(folder, config.keep_last, config.keep_every)
         if validating:
             if log:
                 validation = _validate(task, loop, step)
                 log.write("val", step, validation)
             loop.fabric.barrier()
-        if saving:
-            saved = resume.save(task, loop, folder, step)
-            if first:
-                checkpoint.prune(folder, config.keep_last, config.keep_every)
         if log and (saving or validating):
             log.restart_clock()
     return TrainResult(step, saved, signal.Signals(stopped).name if stopped else None, validation)

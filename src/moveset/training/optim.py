@@ -13,10 +13,12 @@ from moveset.errors import FormatError
 def cosine_lr(step: int, base: float, warmup: int, total: int, floor: float = 0.0) -> float:
     """Learning rate of step ``step`` (1, 2, … total): linear up to ``base``, then half a cosine down to ``floor``.
 
+    Step 0 is that of a network that waits.
+
     >>> [cosine_lr(s, 1.0, 2, 6) for s in (1, 2, 4, 6)]
     [0.5, 1.0, 0.5, 0.0]
     """
-    if step <= warmup:
+    if warmup and step <= warmup:
         return base * step / warmup
     progress = min(1.0, (step - warmup) / max(1, total - warmup))
     return floor + (base - floor) * (1.0 + math.cos(math.pi * progress)) / 2.0

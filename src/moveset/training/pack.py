@@ -43,7 +43,6 @@ def pack(
     out: Path,
     averaged: bool = True,
     decoder: Path | None = None,
-    text_encoder: str = "minilm",
     differences: bool = True,
 ) -> Path:
     """Write the model folder ``out``.
@@ -56,7 +55,6 @@ def pack(
         out: the folder to write.
         averaged: ship the students' averaged weights instead of the last ones.
         decoder: a run that went on with the VAE's decoder; None ships the VAE as it is.
-        text_encoder: what the teacher was trained with.
         differences: store the students as 8-bit differences from the teacher, which they were started from.
 
     Raises:
@@ -72,6 +70,7 @@ def pack(
     )
     shipped = frozen.load(decoder, "vae_ema") if decoder else vae
     teacher = frozen.load(sources.teacher, "teacher_ema")
+    text_encoder = teacher.task["text_encoder"]
     modules: dict[str, nn.Module] = {"vae": shipped.module, "teacher": teacher.module}
     grids = set()
     for student, folder in students.items():

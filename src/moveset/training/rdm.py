@@ -214,10 +214,12 @@ class RDMTask(Task):
         return {name: float(torch.stack(values).mean()) for name, values in rows.items()}
 
     def _train_flow(self, batch: SegmentBatch, loop: Loop) -> dict[str, Tensor]:
-        later = batch.index > 0
-        if self.flow is None or not bool(later.any()):
+        rows = (batch.index > 0).nonzero()[:, 0]
+        nothing = not len(rows)
+        if self.flow is None or (nothing and loop.world_size == 1):
             return {}
-        rows = later.nonzero()[:, 0]
+        if nothing:  # other processes may have something, and wait for this one's gradient
+            rows = torch.zeros(1, dtype=torch.long, device=batch.index.device)
         pooled = self.data.pooled([batch.captions[k] for k in rows.tolist()])
         context = self.flow.context(pooled, batch.index[rows])
         noise = torch.randn(len(rows), *batch.clean.shape[1:], generator=self.draws, device=loop.device)
@@ -231,8 +233,8 @@ class RDMTask(Task):
             noise,
             self.config.isometry,
         )
-        loop.minimise(loss, "flow")
-        return {"flow": error}
+        loop.minimise(loss * 0.0 if nothing else loss, "flow")
+        return {} if nothing else {"flow": error}
 
     def _loss(
         self,

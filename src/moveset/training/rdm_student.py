@@ -294,8 +294,9 @@ class RDMStudentTask(Task):
         empty = self.data.read([""] * len(batch.index))
         past = None
         if past_noise is not None:
-            # A rehearsal's rows are the first of a batch.
-            noisy_B = self.alone[: len(batch.index)] | self.config.noisy_past
+            # A rehearsal's rows are the first of a batch; those of a validation are more, and takes.
+            every_B = torch.ones_like(batch.index, dtype=torch.bool)
+            noisy_B = every_B if self.config.noisy_past else self.alone[: len(batch.index)]
             past = (past_noise, self.data.pooled(batch.previous_captions), noisy_B)
         return BoundSegments(batch, text, empty, self.transport, self.teacher, past)
 

@@ -57,7 +57,8 @@ def save(task: "Task", loop: "Loop", folder: Path, step: int) -> Path:
 def load(task: "Task", loop: "Loop", path: Path) -> int:
     """Loads a verified checkpoint into a freshly built task; returns its number of finished steps.
 
-    Warns when the config or the number of processes has changed; in the latter case random streams start anew.
+    Warns when the config, the number of processes or the kind of device has changed; in the latter cases random streams
+    start anew.
 
     Raises:
         InputError: the checkpoint is of another task or of other sizes.
@@ -87,8 +88,10 @@ def load(task: "Task", loop: "Loop", path: Path) -> int:
     mine = {name.removeprefix(prefix): value for name, value in tensors.items() if name.startswith(prefix)}
     scalars = state["ranks"][rank]
     task.load_state({**{k.removeprefix("task/"): v for k, v in mine.items() if k.startswith("task/")}, **scalars})
-    _load_generators(loop, mine, path)
-    if not same:
+    known = _load_generators(loop, mine, path)
+    if not known:
+        warnings.warn(f"{path} was written on another kind of device: data order and noise start anew", stacklevel=3)
+    if not same or not known:
         loop.reseed(state["step"])
     return int(state["step"])
 
@@ -199,11 +202,18 @@ def _gather(tensors: dict[str, Tensor], loop: "Loop") -> list[dict[str, Tensor]]
     ]
 
 
-def _load_generators(loop: "Loop", tensors: dict[str, Tensor], path: Path) -> None:
+def _load_generators(loop: "Loop", tensors: dict[str, Tensor], path: Path) -> bool:
+    """Whether this kind of device knows all of the states; those that it does not know are left out."""
+    known = True
     for name, generator in loop.generators.items():
         if f"generator/{name}" not in tensors:
             raise FormatError(f"{path} has no state of the generator {name!r}; it was written by another version")
-        generator.set_state(tensors[f"generator/{name}"])
+        stored = tensors[f"generator/{name}"]
+        if stored.shape == generator.get_state().shape:
+            generator.set_state(stored)
+        else:
+            known = False
     torch.set_rng_state(tensors["torch"])
     if loop.device.type == "cuda" and "cuda" in tensors:
         torch.cuda.set_rng_state(tensors["cuda"], loop.device)
+    return known

@@ -217,14 +217,22 @@ class SegmentSet(ClipSet):
         self.frames = frames
 
     def spectrum(self, segments: int = 4096) -> Tensor:
-        """(n, D) spectrum of whole segments (``diffusion.coloured``)."""
+        """(n, D) spectrum of whole segments (``diffusion.coloured``).
+
+        Raises:
+            InputError: there is none.
+        """
         batch = self.batch(segments, 0, 0)
-        return temporal_spectrum(batch.clean[batch.valid.all(dim=1)])
+        whole = batch.clean[batch.valid.all(dim=1)]
+        if not len(whole):
+            raise InputError(f"no clip has {self.frames} frames; use fewer frames a segment")
+        return temporal_spectrum(whole)
 
     def forecast(self, segments: int = 8192) -> Tensor:
         """(2, n, D) least-squares weights, in each frame, of the last frame before a segment and of the step to it.
 
-        A little ridge keeps features that hardly change from large weights.
+        A little ridge keeps features that hardly change from large weights; all are zero where no segment follows
+        another.
         """
         batch = self.batch(segments, 0, 1)
         rows = batch.valid.all(dim=1) & (batch.index > 0)
@@ -232,7 +240,7 @@ class SegmentSet(ClipSet):
         step = last - batch.previous[rows, -2].double()
         told = torch.stack((last, step))  # (2, B, D)
         square = torch.einsum("ibd,jbd->dij", told, told)
-        square += 1e-3 * len(clean) * torch.eye(2, dtype=torch.float64)
+        square += 1e-3 * max(len(clean), 1) * torch.eye(2, dtype=torch.float64)
         return torch.linalg.solve(square, torch.einsum("ibd,bnd->din", told, clean)).permute(1, 2, 0).float()
 
     def batch(self, size: int, seed: int, step: int) -> SegmentBatch:

@@ -1,11 +1,12 @@
 """Training the motion VAE: reconstruction after forward kinematics, a small KL, an averaged copy that ships."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal, Protocol, cast
 
 import torch
 from torch import Tensor, nn
 
+from moveset.errors import InputError
 from moveset.evaluation.physical import jerk, skating
 from moveset.models.registry import describe
 from moveset.models.timed_vae import TimedVAEConfig
@@ -68,11 +69,20 @@ class VAETrainingConfig:
 
 
 class VAETask(Task):
-    """Trains on crops of 32 to 196 frames of all training clips, composed and mirrored ones included."""
+    """Trains on crops of 32 to 196 frames of all training clips, composed and mirrored ones included.
+
+    Raises:
+        InputError: a loss that the features have no use for.
+    """
 
     name = "vae"
 
     def __init__(self, config: VAETrainingConfig, sources: Sources, loop: Loop) -> None:
+        # Not a check of the configuration: settings come one by one, in any order.
+        if config.loss == "kinematic" and config.codec != "native":
+            raise InputError(
+                f"loss=kinematic is for native features, not for {config.codec!r} ones; set loss=published"
+            )
         self.config, self.steps = config, loop.config.steps
         source = open_clips(sources.corpus)
         self.codec = get_codec(config.codec)
@@ -140,15 +150,23 @@ class DecoderTask(VAETask):
     """Goes on with the decoder of a trained VAE while its encoder, and so every latent made with it, stays as it is.
 
     The decoder meets two kinds of latents: those of the encoder, and those of a denoiser, which are a little off. Noise
-    of a random size up to ``latent_noise`` prepares it for the second kind; undisturbed latents stay in the mix.
+    of a random size up to ``latent_noise`` prepares it for the second kind; undisturbed latents stay in the mix. Sizes
+    and codec are those of the trained VAE, whatever the configuration says.
+
+    Raises:
+        InputError: a VAE of another kind than the timed one.
     """
 
     name = "decoder"
 
     def __init__(self, config: VAETrainingConfig, sources: Sources, loop: Loop) -> None:
-        super().__init__(config, sources, loop)
-        trained = frozen.load(sources.vae, "vae_ema", loop.device).module
-        self.vae.load_state_dict(trained.state_dict())
+        trained = frozen.load(sources.vae, "vae_ema", loop.device)
+        if not isinstance(trained.module.config, TimedVAEConfig):
+            raise InputError(
+                f"{trained.path} holds a {trained.kind}; only the decoder of a timed_vae can be trained on"
+            )
+        super().__init__(replace(config, model=trained.module.config, codec=trained.task["codec"]), sources, loop)
+        self.vae.load_state_dict(trained.module.state_dict())
         self.ema = Ema(self.vae, config.ema)
         parts = (self.vae.patch_in, self.vae.length_in, self.vae.encoder, self.vae.merge, self.vae.encoder_mixer)
         for part in (*parts, self.vae.norm_latent, self.vae.to_latent):
