@@ -85,7 +85,7 @@ def train_teacher() -> Recipe:
     """MotionLCM-V2's teacher: 3000 epochs, batch 64."""
     model = teacher(text_dim=768)
     task = TeacherConfig(
-        model=model, batch=64, lr=1e-4, warmup=1000, text_encoder="t5:sentence-transformers/sentence-t5-large"
+        model=model, batch=64, lr=1e-4, warmup=1000, text_encoder="sentence-t5:sentence-transformers/sentence-t5-large"
     )
     return Recipe(task=task, engine=_engine(1_150_000))
 
