@@ -49,7 +49,7 @@ def prompts_of(
 
 
 def report(classifier: ContentClassifier, motions: list[Motion], labels: list[str], real: Tensor | None) -> dict:
-    """Accuracy over clips and over classes, medians of jerk and skating, diversity, distance to real."""
+    """Accuracy over clips and over classes, means of jerk and skating, diversity, distance to real."""
     said = []
     joints = [motion.joints for motion in motions]
     for k in range(0, len(joints), 64):

@@ -177,7 +177,7 @@ def main() -> None:
         student = network.startswith("pcm-")
         steps = int(network.removeprefix("pcm-")) if student else given.steps
         plan = {"start": given.start, "lag": given.lag} if network == "rdm" else {}
-        eta, scale = 0.0 if student else given.eta, w["pcm" if student else network]
+        eta, scale = 0.0 if student else given.eta, w[network]
         method = Method(network=network, steps=steps, eta=eta, guidance=scale, **plan)
         begun = time.perf_counter()
         features = roll(networks, method, list(lines.values()), count, given.half)

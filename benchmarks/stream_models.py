@@ -85,6 +85,7 @@ class Networks:
         self._runs, self._folders = runs, RUNS | (folders or {})
         self._bundle = StreamBundle.find(model) if model else None
         self._kept: dict[str, nn.Module] = {}
+        self._students: dict[str, frozen.Frozen] = {}
         self.cache = runs / "cache"
 
     @property
@@ -124,7 +125,7 @@ class Networks:
     def levels(self, method: Method) -> tuple[int, ...]:
         """K + 1 falling noise levels: a student's are the edges of its phases."""
         if method.network.startswith("pcm-"):
-            points = self._bundle.config.points if self._bundle else 10
+            points = self._bundle.config.points if self._bundle else self._student(method.network).task["points"]
             return PhaseGrid(points, method.steps).edges[::-1]
         return levels(method.steps)
 
@@ -135,10 +136,17 @@ class Networks:
     def _load(self, name: str) -> nn.Module:
         if name == FLOW:
             return frozen.load(self._runs / self._folders["rdm"], "flow_ema", part="coupling_flow").module
-        kind = "student_ema" if name.startswith("pcm-") else "denoiser_ema"
-        found = frozen.load(self._runs / self._folders[name], kind)
+        if name.startswith("pcm-"):
+            found = self._student(name)
+        else:
+            found = frozen.load(self._runs / self._folders[name], "denoiser_ema")
         print(name, "from", found.path, flush=True)
         return found.module
+
+    def _student(self, name: str) -> frozen.Frozen:
+        if name not in self._students:
+            self._students[name] = frozen.load(self._runs / self._folders[name], "student_ema")
+        return self._students[name]
 
     @cached_property
     def text(self) -> Remembered:

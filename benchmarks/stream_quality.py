@@ -42,6 +42,7 @@ from matplotlib import pyplot as plt
 SPREAD_CONTENTS = ("walk", "run", "wave-both-hands", "raise-up-right-hand", "salsa", "walk-turn-left")
 SPREAD_SEGMENTS = 4
 HORIZON = 7
+STUDENTS = (1, 2, 4)
 
 
 class Judge:
@@ -162,7 +163,7 @@ def methods(networks: Networks, steps: list[int], w: dict[str, float], eta: floa
             replace(rdm, start=0, lag=1),
             Method(network="md", steps=k, guidance=w["md"], eta=eta),
         ]
-    out += [Method(network=f"pcm-{k}", steps=k, guidance=w["pcm"]) for k in (1, 2, 4)]
+    out += [Method(network=f"pcm-{k}", steps=k, guidance=w[f"pcm-{k}"]) for k in STUDENTS]
     return [m for m in out if networks.has(m.network)]
 
 
@@ -199,13 +200,20 @@ def picture(path: Path, drawn: dict[str, list[tuple[float, dict]]], rows: dict[s
 
 
 def scales(given: list[str], networks: Networks) -> dict[str, float]:
-    """Guidance of "rdm", "md" and the students ("pcm"): from "W" for all and "NAME=W" for one, or else the model's own,
-    and 1.5 of runs, which have none."""
+    """Guidance by network: from "W" for all, "NAME=W" for one and "pcm=W" for all students, or else the model's own,
+    and 1.5 of runs, which have none. "pcm" is of students that are not named.
+
+    Raises:
+        InputError: there is no such network.
+    """
     own = {name.partition("-")[0]: w for name, w in networks.guidance.items()}
-    out = dict.fromkeys(("rdm", "md", "pcm"), 1.5) | own
+    out = dict.fromkeys(("rdm", "md", "pcm", *(f"pcm-{k}" for k in STUDENTS)), 1.5) | own | networks.guidance
     for item in given:
         name, equals, w = item.rpartition("=")
-        out |= {name: scale(w)} if equals else dict.fromkeys(("rdm", "md", "pcm"), scale(w))
+        meant = [one for one in out if not equals or name in (one, one.partition("-")[0])]
+        if not meant:
+            raise InputError(f"--guidance: {name!r} is none of {', '.join(out)}")
+        out |= dict.fromkeys(meant, scale(w))
     return out
 
 
