@@ -190,5 +190,6 @@ def test_flags_with_several_values_do_not_swallow_a_prompt():
     assert prepare(["a", "--seconds", "-1"]) == ["a", "--seconds", "-1"]
     assert prepare(["3", "--seed", "7", "8"]) == ["3", "--seed", "7", "8"]
     assert prepare(["-o", "my a.npz", "my b.NPZ", "walk"]) == ["-o", "my a.npz", "-o", "my b.NPZ", "walk"]
+    assert prepare(["-o", "a.bvh", "b.fbx", "walk"]) == ["-o", "a.bvh", "-o", "b.fbx", "walk"]
     for extension in WRITABLE:
         assert prepare(["-o", f"a{extension}", f"b{extension}"]).count("-o") == 2

@@ -11,6 +11,8 @@ import torch
 from moveset.data.numpy_files import npy_shape, read_npy, read_npz
 from moveset.errors import FormatError, InputError
 
+BROKEN_HEADERS = (b"{'descr': (", b"{[]: 1}", b"{" + b"-" * 40)
+
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64, np.int16, np.uint8, ">f4"])
 @pytest.mark.parametrize("order", ["C", "F"])
@@ -48,7 +50,7 @@ def test_damage_is_noticed(tmp_path):
         b"PK\x03\x04",
         data.replace(b"(10, 3)", b"(-1, 3)"),
         data.replace(b"'descr'", b"'descr\n"),
-        data[:10] + b"{'descr': (".ljust(data.index(b"\n") - 10) + data[data.index(b"\n") :],
+        *(data[:10] + head.ljust(data.index(b"\n") - 10) + data[data.index(b"\n") :] for head in BROKEN_HEADERS),
     ):
         (tmp_path / "b.npy").write_bytes(damaged)
         with pytest.raises(FormatError):

@@ -126,6 +126,7 @@ BAD_NPY = {
     "not npy": b"hello, this is no array",
     "pickle": b"\x80\x04\x95\x0b\x00\x00\x00\x00\x00\x00\x00\x8c\x07os.exit\x94.",
     "endless header": b"\x93NUMPY\x01\x00" + np.uint16(118).tobytes() + b"{'shape': (3, 22, 3".ljust(117) + b"\n",
+    "header of no keys": b"\x93NUMPY\x01\x00" + np.uint16(118).tobytes() + b"{[]: 1}".ljust(117) + b"\n",
     "header is code": b"\x93NUMPY\x01\x00" + np.uint16(118).tobytes() + b"__import__('os').getcwd()".ljust(117) + b"\n",
 }
 

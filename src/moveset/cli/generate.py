@@ -121,7 +121,8 @@ def prepare(arguments: Sequence[str]) -> list[str]:
     >>> prepare(["a person walks", "--seconds", "3", "2", "-o", "a.bvh", "b.glb", "then waves"])
     ['a person walks', '--seconds', '3', '--seconds', '2', '-o', 'a.bvh', '-o', 'b.glb', 'then waves']
     """
-    file = r"(?is).+\.(bvh|glb|npz|npy|html|mp4|gif|png)"  # io.WRITABLE, whose module takes a second to import
+    # Without blanks any extension, so that a wrong one is refused; with blanks io.WRITABLE, which is slow to import.
+    file = r"(?i)\S+\.(\w{3}|html)|[^\n]+\.(bvh|glb|npz|npy|html|mp4|gif|png)"
     more = {"--seconds": r"[\d.]+(e\d+)?", "-o": file, "--output": file}
     out: list[str] = []
     flag = ""

@@ -71,8 +71,9 @@ def write(
 
 
 def _check_length(path: Path) -> None:
-    if len(os.fsencode(path.name)) > _LONGEST:
-        raise InputError(f"the name {path.name!r} is longer than {_LONGEST} bytes; give a shorter one")
+    for name in path.parts:
+        if len(os.fsencode(name)) > _LONGEST:
+            raise InputError(f"the name {name!r} is longer than {_LONGEST} bytes; give a shorter one")
 
 
 def _named(path: Path, name: str) -> Path:

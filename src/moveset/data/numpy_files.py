@@ -1,6 +1,5 @@
 """Arrays in .npy and .npz files that came from somewhere else: the header is checked before anything is allocated."""
 
-import tokenize
 import zipfile
 import zlib
 from collections.abc import Iterable
@@ -13,6 +12,7 @@ import torch
 from torch import Tensor
 
 from moveset.errors import FormatError, InputError
+from moveset.io.limits import HEADER_ERRORS
 
 MAX_BYTES = 512 * 2**20
 
@@ -91,7 +91,7 @@ def _header(file: BinaryIO, size: int, where: str) -> tuple[tuple[int, ...], boo
             shape, fortran, dtype = np.lib.format.read_array_header_2_0(file)
         else:
             raise ValueError(f"version {version}")
-    except (ValueError, EOFError, TypeError, SyntaxError, tokenize.TokenError) as error:  # it is parsed as Python
+    except HEADER_ERRORS as error:
         raise FormatError(f"{where} is not a .npy array ({error}); copy or download it again") from None
     if dtype.kind not in "fiu" or dtype.hasobject or any(n < 0 for n in shape):
         raise FormatError(f"{where} holds {dtype} of shape {shape}; only arrays of real numbers are read")

@@ -7,7 +7,6 @@ pose, and ``metadata``, a JSON object.
 
 import json
 import math
-import tokenize
 import zipfile
 import zlib
 from collections.abc import Mapping
@@ -20,7 +19,15 @@ import roma
 import torch
 
 from moveset.errors import FormatError, InputError
-from moveset.io.limits import MAX_FRAMES, MAX_JOINTS, MAX_NUMBER, MAX_POSES, atomic_write, read_limited
+from moveset.io.limits import (
+    HEADER_ERRORS,
+    MAX_FRAMES,
+    MAX_JOINTS,
+    MAX_NUMBER,
+    MAX_POSES,
+    atomic_write,
+    read_limited,
+)  # fmt: skip
 from moveset.motion import rotations
 from moveset.motion.clip import Motion
 from moveset.motion.positions import solve_rotations
@@ -247,7 +254,7 @@ def _array(file: IO[bytes], size: int, where: str, kinds: str) -> np.ndarray:
             raise ValueError(f"npy version {version}")
         read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
         shape, fortran, dtype = read(file, max_header_size=10_000)
-    except (ValueError, EOFError, SyntaxError, tokenize.TokenError) as error:  # numpy parses a header as Python
+    except HEADER_ERRORS as error:
         raise FormatError(f"{where}: no npy header ({str(error)[:80]}); save it again with numpy") from error
     if dtype.kind not in kinds or dtype.hasobject:
         raise FormatError(f"{where}: its type is {dtype}, not numbers of the kind needed; save it as plain numbers")

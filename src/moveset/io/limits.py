@@ -2,6 +2,7 @@
 
 import os
 import tempfile
+import tokenize
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -17,6 +18,8 @@ MAX_FRAMES = 100_000
 # Frames times joints: what may be unfolded from a file whose joints need not have a channel each.
 MAX_POSES = 4_000_000
 MAX_NUMBER = 1e7
+#: What numpy raises for the header of an array, which it parses as Python.
+HEADER_ERRORS = (ValueError, TypeError, EOFError, SyntaxError, RecursionError, MemoryError, tokenize.TokenError)
 
 
 def read_limited(path: str | Path, max_bytes: int = MAX_BYTES) -> bytes:
@@ -57,7 +60,7 @@ def atomic_write(path: str | Path) -> Iterator[IO[bytes]]:
     if path.is_dir():
         raise InputError(f"cannot write {path}: it is a folder; give the path of a file")
     try:
-        handle, name = tempfile.mkstemp(prefix=f".{path.name[:64]}.", suffix=".part", dir=path.parent)
+        handle, name = tempfile.mkstemp(prefix=f".{path.name[:32]}.", suffix=".part", dir=path.parent)
     except OSError as error:
         raise InputError(
             f"cannot write {path}: {error.strerror or error}; choose a folder that exists and can be written to"

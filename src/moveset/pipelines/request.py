@@ -167,7 +167,7 @@ def check_real(name: str, value: object) -> None:
     if not isinstance(value, Real):
         raise InputError(f"{name} {value!r} is not a number; give one such as 1.5")
     if isinstance(value, int) and abs(value) > sys.float_info.max:
-        raise InputError(f"{name} has {len(str(abs(value))):,} digits; give a number such as 1.5")
+        raise InputError(f"{name} is a whole number of {value.bit_length():,} bits; give a number such as 1.5")
 
 
 def _frames(seconds: float, config: BundleConfig) -> int:
