@@ -2,9 +2,13 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from importlib.util import find_spec
 from pathlib import Path
 
 from moveset.errors import InputError
+
+#: Whether there are locks: Windows has no flock, and nobody is kept out there.
+LOCKS = find_spec("fcntl") is not None
 
 
 @contextmanager
@@ -19,11 +23,11 @@ def locked(folder: Path, busy: str | None = None) -> Iterator[None]:
         OSError: the folder cannot be made or written to.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    try:
-        import fcntl
-    except ImportError:  # Windows has no flock; there nobody is kept out
+    if not LOCKS:
         yield
         return
+    import fcntl
+
     with open(folder / ".lock", "w") as file:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | (0 if busy is None else fcntl.LOCK_NB))

@@ -4,6 +4,7 @@ Batches are a pure function of (seed, step): there is no sampler state to save, 
 uninterrupted one would have seen. Shapes: B batch, F frames, D features.
 """
 
+import glob
 import json
 import os
 import shutil
@@ -20,7 +21,7 @@ from tqdm import tqdm
 from moveset.data.augment import MAX_FRAMES
 from moveset.data.corpus import Corpus
 from moveset.errors import FormatError, InputError, MovesetError
-from moveset.io.lock import locked
+from moveset.io.lock import LOCKS, locked
 from moveset.motion.features import FeatureCodec, Normalizer
 from moveset.training.clip_source import ClipSource, as_clips
 from moveset.training.clip_source import clip_weights as clip_weights
@@ -155,10 +156,10 @@ class CropSampler:
 
 
 def _make(source: ClipSource, codec: FeatureCodec, folder: Path, progress: bool) -> None:
-    """Writes a store, which appears whole or not at all. Nobody else may be writing it."""
+    """Writes a store, which appears whole or not at all; whoever calls holds the lock, where there are any."""
     building = folder.with_name(f".{folder.name}.{os.getpid()}")
     # What a kill left takes room, and in a container the next training has the same number.
-    for left in folder.parent.glob(f".{folder.name}.*"):
+    for left in folder.parent.glob(f".{glob.escape(folder.name)}.*") if LOCKS else (building,):
         shutil.rmtree(left, ignore_errors=True)
     try:
         building.mkdir(parents=True)
