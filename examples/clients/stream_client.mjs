@@ -3,7 +3,8 @@
 //
 //   node --experimental-websocket stream_client.mjs "a person walks forward" "a person waves" [take.bvh]
 
-import { writeFile } from "node:fs/promises";
+import { access, writeFile } from "node:fs/promises";
+import { dirname } from "node:path";
 
 /** One packet: root positions and local quaternions (x y z w) of n frames, and which parts of the feet stand. */
 export function parsePacket(buffer) {
@@ -69,6 +70,7 @@ if (import.meta.filename === process.argv[1]) {
   const files = process.argv.slice(2).filter((word) => /\.\w+$/.test(word));
   const prompts = process.argv.slice(2).filter((word) => !files.includes(word));
   const server = (process.env.MOVESET_SERVER ?? "http://127.0.0.1:8765").replace(/\/$/, "");
+  for (const file of files) await access(dirname(file)); // before anything is made that could not be kept
   const packets = await record(server, prompts.length ? prompts : ["a person walks forward"], 4);
   for (const file of files) {
     const format = /(amass\.)?\w+$/i.exec(file)[0].toLowerCase();

@@ -65,13 +65,13 @@ def main() -> None:
         request = urllib.request.Request(url, data, {"Content-Type": "application/octet-stream"})
         try:
             with urllib.request.urlopen(request, timeout=120) as reply:
-                data = reply.read()
+                given.out.write_bytes(reply.read())
         except (Exception, KeyboardInterrupt) as error:  # whatever it was, a stream cannot be had a second time
             (kept := given.out.with_suffix(".mvst")).write_bytes(data)
             told = isinstance(error, urllib.error.HTTPError) and error.headers.get_content_type() == "application/json"
-            why = json.load(error)["error"]["message"] if told else f"the server gave no file ({error!r})"
+            why = json.load(error)["error"]["message"] if told else f"no file was made ({error!r})"
             raise SystemExit(f"{why}; the packets are in {kept}") from None
-    if given.out:
+    elif given.out:
         given.out.write_bytes(data)
 
 
