@@ -208,7 +208,8 @@ def scales(given: list[str], networks: Networks) -> dict[str, float]:
     """
     own = {name.partition("-")[0]: w for name, w in networks.guidance.items()}
     out = dict.fromkeys(("rdm", "md", "pcm", *(f"pcm-{k}" for k in STUDENTS)), 1.5) | own | networks.guidance
-    for item in given:
+    # What is said of all first, then of all students, then of one.
+    for item in sorted(given, key=lambda item: ("=" in item, "-" in item.partition("=")[0])):
         name, equals, w = item.rpartition("=")
         meant = [one for one in out if not equals or name in (one, one.partition("-")[0])]
         if not meant:

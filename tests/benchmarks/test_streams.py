@@ -27,6 +27,7 @@ class Packed:
         ([], {"rdm": 1.0, "md": 1.5, "pcm-1": 2.5, "pcm-2": 1.0, "pcm-4": 3.0}),
         (["2"], dict.fromkeys(("rdm", "md", "pcm-1", "pcm-2", "pcm-4"), 2.0)),
         (["pcm=2", "pcm-4=0"], {"rdm": 1.0, "md": 1.5, "pcm-1": 2.0, "pcm-2": 2.0, "pcm-4": 0.0}),
+        (["pcm-4=0", "pcm=2", "3"], {"rdm": 3.0, "md": 3.0, "pcm-1": 2.0, "pcm-2": 2.0, "pcm-4": 0.0}),
     ],
 )
 def test_every_student_has_its_own_guidance(given, expected, monkeypatch):

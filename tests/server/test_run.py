@@ -173,7 +173,7 @@ def test_who_sends_half_a_request_is_told(models):
 
 @pytest.mark.parametrize("drips", [False, True])
 def test_who_begins_a_second_request_and_does_not_end_it_is_let_go(drips, models):
-    with inside(models, patience=0.3, sockets=3) as port:
+    with inside(models, patience=1.5, sockets=3) as port:
         held = [http.client.HTTPConnection("127.0.0.1", port, timeout=10) for _ in range(3)]
         for one in held:
             one.request("GET", "/healthz")
