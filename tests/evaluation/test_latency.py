@@ -320,6 +320,20 @@ def test_quality_is_of_the_settings_that_were_timed(report, tmp_path, told):
     assert bool(judged(gone, read_results([tmp_path]))) == told
 
 
+def test_quality_is_of_the_guidance_that_the_model_has_by_now(report, tmp_path):
+    settings = report["clips"]["pcm-1"]["settings"]
+    for k, more in enumerate((0, 1)):
+        of = {**settings, "guidance": settings["guidance"] + more}
+        (tmp_path / f"{k}.json").write_text(json.dumps(result("clips", "pcm-1", 1, 0.1 + k, settings=of)))
+    (tmp_path / "2.json").write_text(json.dumps(result("clips", "teacher", 2, 0.9)))
+    expected = {row.name: row.metrics["fid"].mean for row in judged(report, read_results([tmp_path]))}
+    earlier = json.loads(json.dumps(report))
+    earlier["clips"]["pcm-1"]["settings"]["guidance"] += 1  # as it was when it was timed
+    found = {row.name: row.metrics["fid"].mean for row in judged(earlier, read_results([tmp_path]))}
+    assert found == expected
+    assert found["pcm-1"] == 0.1
+
+
 def test_the_front_is_what_no_other_beats_in_both():
     from moveset.evaluation.intervals import Interval
 
@@ -328,6 +342,8 @@ def test_the_front_is_what_no_other_beats_in_both():
 
     rows = [row("slow and best", 9, 1), row("quick", 1, 5), row("beaten", 4, 6), row("middle", 3, 2), row("late", 9, 2)]
     assert pareto(rows) == ["quick", "middle", "slow and best"]
+    # A hundredth less time is none.
+    assert pareto([row("worse", 0.866, 5), row("better", 0.870, 4)]) == ["better"]
 
 
 def test_the_page_has_every_part_and_keeps_published_numbers_apart(report, results, tmp_path):
