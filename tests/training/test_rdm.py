@@ -101,7 +101,7 @@ def test_a_flow_that_has_nothing_to_learn_here_may_have_elsewhere(rdm7):
             self.world_size = world_size
 
         def minimise(self, loss, optimizer):
-            self.asked.append((float(loss), optimizer, loss.requires_grad))
+            self.asked.append((float(loss.detach()), optimizer, loss.requires_grad))
 
     assert task._train_flow(batch, Loop(1)) == {}
     assert Loop.asked == []
