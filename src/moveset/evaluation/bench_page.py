@@ -320,7 +320,10 @@ def _front(rows: Sequence[Judged], axes: "Axes") -> None:
         half = row.metrics["fid"].half_width
         colour = COLOURS[1] if row.name.startswith("stream") else COLOURS[0]
         axes.errorbar(*points[row.name], yerr=half if half < float("inf") else None, fmt="o", ms=5, color=colour)
-        axes.annotate(row.name, points[row.name], xytext=(5, 4), textcoords="offset points", fontsize=8)
+        # Below where a neighbour lies a little above, whose name would be written over.
+        x, y = points[row.name]
+        below = any(y < other < 1.3 * y and x / 2 < time < 2 * x for time, other in points.values())
+        axes.annotate(row.name, (x, y), xytext=(5, -11 if below else 4), textcoords="offset points", fontsize=8)
     line = [points[name] for name in pareto(drawn)]
     axes.step([x for x, _ in line], [y for _, y in line], where="post", color=GREY, lw=1, ls="--")
     axes.set(title="quality against time", xlabel="ms a second of motion", ylabel="FID ↓", xscale="log", yscale="log")
