@@ -97,6 +97,15 @@ class Corpus:
     def __len__(self) -> int:
         return len(self.records)
 
+    @cached_property
+    def fingerprint(self) -> str:
+        """A hash of all motions, of what they show and of their splits, but not of their captions."""
+        records = "\n".join(repr(replace(record, captions=())) for record in self.records)
+        sha = hashlib.sha256(records.encode())
+        for stored in (self._packed, self._root, self.skeleton.offsets):
+            sha.update(stored.contiguous().numpy().data)
+        return sha.hexdigest()
+
     def motion(self, i: int, mirrored: bool = False) -> Motion:
         """Clip ``i``, starting above the origin and facing +Z.
 

@@ -175,14 +175,12 @@ def _load_bvh(path: str | Path) -> "Motion":
 
     from moveset.io.bvh import bvh_motion, likely_scale
     from moveset.io.bvh_parser import read_bvh
-    from moveset.motion.rigs import RIGS, as_skeleton
+    from moveset.motion.rigs import as_skeleton, name_after
 
     bvh = read_bvh(path)
     motion = bvh_motion(bvh, scale=likely_scale(bvh))
-    found, path = motion.skeleton, Path(path)
-    # A built-in skeleton's name would promise its joints.
-    name = path.name if path.stem in RIGS else path.stem
-    return replace(motion, skeleton=as_skeleton(name[:64], found.joints, found.parents, found.offsets))
+    found, name = motion.skeleton, name_after(Path(path))
+    return replace(motion, skeleton=as_skeleton(name, found.joints, found.parents, found.offsets))
 
 
 def _save_picture(motion: "Motion", path: Path, suffix: str, notes: dict[str, Any]) -> None:

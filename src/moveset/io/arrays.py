@@ -27,7 +27,7 @@ from moveset.io.limits import (
     MAX_POSES,
     atomic_write,
     read_limited,
-)  # fmt: skip
+)
 from moveset.motion import rotations
 from moveset.motion.clip import Motion
 from moveset.motion.positions import solve_rotations

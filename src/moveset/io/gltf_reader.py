@@ -14,7 +14,7 @@ from moveset.io.gltf_clip import Clip, read_clip, unit_quaternions
 from moveset.io.limits import MAX_FRAMES, MAX_JOINTS, MAX_POSES
 from moveset.motion import rotations
 from moveset.motion.clip import Motion
-from moveset.motion.rigs import RIGS, as_skeleton, roles
+from moveset.motion.rigs import as_skeleton, name_after, roles
 from moveset.motion.skeleton import Skeleton
 
 
@@ -279,10 +279,7 @@ def _own(glb: Glb) -> dict[str, Any]:
 
 def _name(glb: Glb, path: str | Path) -> str:
     name = _own(glb).get("skeleton")
-    if not isinstance(name, str):
-        # A built-in skeleton's name would promise its joints.
-        name = Path(path).name if Path(path).stem in RIGS else Path(path).stem
-    return name[:64]
+    return name[:64] if isinstance(name, str) else name_after(Path(path))
 
 
 def glb_metadata(path: str | Path) -> dict[str, Any]:

@@ -13,6 +13,7 @@ bone are left out, and the arms of ``ue5`` hang by exactly 45 degrees.
 import re
 from collections.abc import Mapping
 from dataclasses import replace
+from pathlib import Path
 
 import torch
 from torch import Tensor
@@ -198,6 +199,14 @@ def as_skeleton(name: str, joints: tuple[str, ...], parents: tuple[int, ...], of
         return replace(skeleton, feet=feet_by_role(roles(skeleton)))
     except InputError:
         return skeleton
+
+
+def name_after(path: Path) -> str:
+    """What the skeleton of a file is called that does not say: as the file is.
+
+    A built-in skeleton's name would promise its joints, so there the extension stays.
+    """
+    return (path.name if path.stem in RIGS else path.stem)[:64]
 
 
 _HAND, _TOE, _CROWN = 0.085, (0.0, 0.0, 0.07), (0.0, 0.17, 0.02)
