@@ -84,9 +84,8 @@ def test_a_new_sentence_takes_effect_at_the_reported_frame(studio):
 def test_what_was_made_ahead_of_a_new_sentence_is_not_played_as_that(studio):
     start(studio, "a person walks forward")
     studio.wait("__moveset.live.shown.takes[0].take.frames > 40")
-    studio.click("#live-pause")  # so that nothing is made any more
-    studio.wait("document.body.dataset.live === 'paused'")
-    at = studio.run("__moveset.live.shown.takes[0].take.frames") - 10
+    # What the server had on its way does not follow on a sentence that it never heard of: nothing more is heard of it.
+    at = studio.run("(__moveset.live.stream.socket.onmessage = null, __moveset.live.shown.takes[0].take.frames)") - 10
     stages = json.dumps([{"text": "a person waves", "takes_effect_at": at}])
     studio.run(f"__moveset.live.hear({{ type: 'prompt', stages: {stages}, warnings: [] }})")
     assert studio.run("__moveset.live.shown.takes[0].take.frames") == at
