@@ -29,23 +29,36 @@ from moveset.motion.clip import Motion
 from moveset.motion.features import get_codec
 from moveset.pipelines.bundle import Bundle
 from moveset.pipelines.request import Method, Request
+from moveset.pipelines.synonyms import as_written, in_known_words
 from moveset.pipelines.text_to_motion import TextToMotion
+from moveset.text.familiarity import KnownPrompts
+
+#: Of the sentences: of words never trained on; these with everyday words read as users' are; or trained on.
+WORDINGS = ("held-out", "read", "known")
 
 
 def prompts_of(
-    corpus: Corpus, splits: list[str], classes: set[str], copies: int, wording: str
+    corpus: Corpus, splits: list[str], classes: set[str], copies: int, wording: str, known: KnownPrompts | None = None
 ) -> list[tuple[str, str, int, str]]:
-    """(content class, sentence, frames, take) for every judged take of the splits, ``copies`` sentences each."""
+    """(content class, sentence, frames, take) for every judged take of the splits, ``copies`` sentences each.
+
+    Raises:
+        InputError: sentences that are to be read by what is not known to be anybody's words.
+    """
+    if wording == "read" and known is None:
+        raise InputError("wording 'read' needs a model's own words; give --model")
     out = []
     for split in splits:
         for k in corpus.indices(split, composed=False):
             label, frames = corpus.contents(k)[0], corpus.records[k].frames
             if content_class(label) not in classes or frames < 24:
                 continue
-            wordings = heldout_captions(label) if wording == "held-out" else train_captions(label)
+            wordings = train_captions(label) if wording == "known" else heldout_captions(label)
             take = corpus.records[k].take
             out += [(content_class(label), wordings[(k + 3 * c) % len(wordings)], frames, take) for c in range(copies)]
-    return out
+    if wording != "read" or known is None:
+        return out
+    return [(label, in_known_words(text, known).text, frames, take) for label, text, frames, take in out]
 
 
 def report(classifier: ContentClassifier, motions: list[Motion], labels: list[str], real: Tensor | None) -> dict:
@@ -98,7 +111,7 @@ def main() -> None:
     )
     parser.add_argument("--splits", nargs="+", choices=SPLITS, default=["test"])
     parser.add_argument("--copies", type=at_least(1), default=2)
-    parser.add_argument("--wording", choices=("held-out", "known"), default="held-out")
+    parser.add_argument("--wording", choices=WORDINGS, default="held-out")
     parser.add_argument("--threads", type=at_least(1), default=2)
     parser.add_argument("--out", type=report_path)
     given = parser.parse_args()
@@ -110,7 +123,9 @@ def main() -> None:
     if not clips:
         raise InputError(f"{given.corpus} shows nothing that {given.classifier} knows in {', '.join(given.splits)}")
     real_features = clip_features(classifier, [c.joints for c in clips]).double()
-    wanted = prompts_of(corpus, given.splits, set(classifier.labels), given.copies, given.wording)
+    classes = set(classifier.labels)
+    wanted = prompts_of(corpus, given.splits, classes, given.copies, given.wording, bundle.captions)
+    as_written(bundle)
     requests = [Request((text,), (frames,), seed) for seed, (_, text, frames, _) in enumerate(wanted)]
     labels, takes = [label for label, *_ in wanted], [take for *_, take in wanted]
     t2m = TextToMotion(bundle, "cpu")

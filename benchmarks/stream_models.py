@@ -29,6 +29,7 @@ from moveset.rdm.sampler import stream
 from moveset.rdm.staircase import Shape, Staircase, levels
 from moveset.rdm.transport import Transport
 from moveset.text.encoder import get_text_encoder
+from moveset.text.familiarity import KnownPrompts
 from moveset.training import frozen
 from moveset.training.clips import FeatureStore
 from moveset.training.pack_stream import RUNS
@@ -153,6 +154,11 @@ class Networks:
         """The encoder of all of them."""
         name = self._bundle.config.text_encoder if self._bundle else self._task["text_encoder"]
         return Remembered(get_text_encoder(name))
+
+    @property
+    def captions(self) -> KnownPrompts | None:
+        """What a packed model was trained on."""
+        return self._bundle.captions if self._bundle else None
 
     @cached_property
     def codec(self) -> FeatureCodec:

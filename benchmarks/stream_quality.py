@@ -25,7 +25,7 @@ import torch
 from torch import Tensor
 
 from arguments import SPLITS, Parser, at_least, between, pairs, report_path, scale, write_report
-from content import prompts_of, report
+from content import WORDINGS, prompts_of, report
 from moveset.data.captions import train_captions
 from moveset.data.corpus import Corpus
 from moveset.errors import InputError, exit_code_of
@@ -54,7 +54,8 @@ class Judge:
         if not clips:
             raise InputError(f"{given.corpus} shows nothing that {given.classifier} knows in {', '.join(given.splits)}")
         self.real_features = clip_features(classifier, [c.joints for c in clips]).double()
-        wanted = prompts_of(corpus, given.splits, set(classifier.labels), given.copies, given.wording)
+        classes = set(classifier.labels)
+        wanted = prompts_of(corpus, given.splits, classes, given.copies, given.wording, networks.captions)
         if given.items and given.items < len(wanted):
             wanted = sorted(random.Random(0).sample(wanted, given.items), key=wanted.index)
         self.said_of = [take for *_, take in wanted]
@@ -241,7 +242,7 @@ def main() -> None:
     parser.add_argument("--corpus", type=Path, default=Path("data/corpus.safetensors"))
     parser.add_argument("--classifier", type=Path, default=Path("runs/classifier"))
     parser.add_argument("--splits", nargs="+", choices=SPLITS, default=["test"])
-    parser.add_argument("--wording", choices=("held-out", "known"), default="held-out")
+    parser.add_argument("--wording", choices=WORDINGS, default="held-out")
     parser.add_argument("--copies", type=at_least(1), default=2)
     parser.add_argument("--items", type=at_least(0), default=0, help="only so many sequences, drawn at random")
     parser.add_argument(

@@ -81,7 +81,7 @@ class MotionStream(Iterator[Segment]):
     ) -> None:
         self.bundle, self.codec, self.device = bundle, bundle.config.native_codec(), pick_device(str(device))
         self.encoder = encoder or get_text_encoder(bundle.config.text_encoder, device=self.device)
-        self._texts = PromptMemory(self.encoder)
+        self._texts = PromptMemory(self.encoder, self.bundle.captions)
         normalizer = bundle.normalizer
         self._mean, self._std = (normalizer[name].to(self.device) for name in ("feature_mean", "feature_std"))
         self._seed, self._timeline = request.seed, request.timeline

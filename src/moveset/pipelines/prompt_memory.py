@@ -1,9 +1,11 @@
-"""Encoded prompts, each encoded once while it is in use."""
+"""Encoded prompts, each read (``synonyms``) and encoded once while it is in use."""
 
 import threading
 from collections import OrderedDict
 
+from moveset.pipelines.synonyms import in_known_words
 from moveset.text.encoder import TextEmbedding, TextEncoder
+from moveset.text.familiarity import KnownPrompts
 
 
 class PromptMemory:
@@ -11,11 +13,12 @@ class PromptMemory:
 
     Args:
         encoder: what encodes them, one at a time, so that none depends on another.
+        known: what the model was trained on, in whose words they are read.
         limit: how many are kept; one takes at most a tenth of a megabyte.
     """
 
-    def __init__(self, encoder: TextEncoder, limit: int = 64) -> None:
-        self._encoder, self._limit = encoder, limit
+    def __init__(self, encoder: TextEncoder, known: KnownPrompts, limit: int = 64) -> None:
+        self._encoder, self._captions, self._limit = encoder, known, limit
         self._known: OrderedDict[str, TextEmbedding] = OrderedDict()
         self._lock = threading.Lock()
 
@@ -29,7 +32,7 @@ class PromptMemory:
             if prompt in self._known:
                 self._known.move_to_end(prompt)
                 return self._known[prompt]
-        found = self._encoder.encode([prompt])
+        found = self._encoder.encode([in_known_words(prompt, self._captions).text])
         with self._lock:
             self._known[prompt] = found
             if len(self._known) > self._limit:

@@ -132,7 +132,7 @@ class StreamGroup:
         self.bundle, self.settings = bundle, settings
         self.codec, self.device = config.native_codec(), pick_device(str(device))
         self.encoder = encoder or get_text_encoder(config.text_encoder, device=self.device)
-        self._texts = PromptMemory(self.encoder)
+        self._texts = PromptMemory(self.encoder, self.bundle.captions)
         self._mean, self._std = (bundle.normalizer[name].to(self.device) for name in ("feature_mean", "feature_std"))
         self._network = bundle.module(settings.network, self.device)
         self._even = isinstance(self._network, Symmetric)

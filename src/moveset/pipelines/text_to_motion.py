@@ -26,6 +26,7 @@ from moveset.pipelines.bundle import DEFAULT_MODEL, Bundle
 from moveset.pipelines.denoise import Denoise
 from moveset.pipelines.device import Stopwatch, pick_device
 from moveset.pipelines.request import Method, Request, check_method, check_request, check_whole
+from moveset.pipelines.synonyms import in_known_words
 from moveset.pipelines.warnings import too_long, unfamiliar
 from moveset.text.ellipsis import in_full
 from moveset.text.encoder import TextEmbedding, TextEncoder, get_text_encoder, stack
@@ -181,7 +182,7 @@ class TextToMotion:
         clock = Stopwatch(self.device)
 
         prompts = [prompt for request in requests for prompt in request.prompts]
-        known = {prompt: self.encoder.encode([in_full(prompt)]) for prompt in dict.fromkeys(prompts)}
+        known = {prompt: self.encoder.encode([self._said(prompt)]) for prompt in dict.fromkeys(prompts)}
         frames = [n for request in requests for n in self._frames(request, known)]
         warnings = {request.prompts: self._warnings(request.prompts, known) for request in requests}
         clock.lap("text")
@@ -233,6 +234,10 @@ class TextToMotion:
     def encoder(self) -> TextEncoder:
         """The text encoder that the model was trained with."""
         return get_text_encoder(self.bundle.config.text_encoder, device=self.device)
+
+    def _said(self, prompt: str) -> str:
+        """A prompt as the networks are told it: in full, and in words that they know."""
+        return in_known_words(in_full(prompt), self.bundle.captions).text
 
     def _frames(self, request: Request, known: Mapping[str, TextEmbedding]) -> list[int]:
         """Frames of each clip: as asked for, or predicted from the text."""

@@ -8,6 +8,7 @@ from typing import Any
 from torch import Tensor
 
 from moveset.pipelines.model_folder import ModelFolder
+from moveset.pipelines.synonyms import in_known_words
 from moveset.text.encoder import TextEncoder
 from moveset.text.familiarity import KnownPrompts
 from moveset.text.stages import split_stages
@@ -26,7 +27,8 @@ def unfamiliar(bundle: ModelFolder[Any], prompts: tuple[str, ...], pooled: Tenso
 
     One that is far from all training captions gets one: its best cosine is below ``config.far_prompt``. The nearest
     caption may well be near and yet another motion ("a person is exercising" for riding a bicycle); then words that
-    were in no caption tell, or that there are several persons, or more than two things to do one after the other.
+    were in no caption tell, or that there are several persons, or more than two things to do one after the other. Words
+    that are read as others (``synonyms``) get one that says as which, and no other.
 
     Args:
         bundle: the model, with its captions.
@@ -38,14 +40,18 @@ def unfamiliar(bundle: ModelFolder[Any], prompts: tuple[str, ...], pooled: Tenso
     out = []
     for prompt, cosine, k in zip(prompts, best.tolist(), where.tolist(), strict=True):
         nearest = f"the nearest it knows is {known.sentences[k]!r}"
+        read = in_known_words(prompt, known)
+        if read.replaced:
+            named = ", ".join(f"{word!r} as {by!r}" for word, by in read.replaced[:MOST_WORDS])
+            out.append(f"words that this model was never trained on are read as others: {named}")
         if cosine < bundle.config.far_prompt:
             out.append(f"{prompt!r} is unlike anything this model was trained on (similarity {cosine:.2f}); {nearest}")
             continue
-        if words := known.unread(prompt):
+        if words := known.unread(read.text):
             named = ", ".join(map(repr, words[:MOST_WORDS])) + (" …" if len(words) > MOST_WORDS else "")
             them, they = ("words", "they mean") if len(words) > 1 else ("word", "it means")
             out.append(f"this model was never trained on the {them} {named} and guesses what {they}; {nearest}")
-        elif pairs := known.unpaired(prompt):
+        elif pairs := known.unpaired(read.text):
             named = " or ".join(map(repr, pairs))
             out.append(f"this model knows the words of {named} but was never trained on that; {nearest}")
         if found := _SEVERAL.search(prompt):
