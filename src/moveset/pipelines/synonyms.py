@@ -13,7 +13,7 @@ from typing import Any
 from moveset.data.english import inflect
 from moveset.pipelines.model_folder import ModelFolder
 from moveset.text.familiarity import KnownPrompts
-from moveset.text.vocabulary import unread
+from moveset.text.vocabulary import unread, words_of
 
 #: What verbs are read as; brackets mark what is inflected as they are.
 _VERBS = {
@@ -104,8 +104,8 @@ _OTHERS = {
     "polite": "respectful",
     "politely": "respectfully",
 }
-# After these a word is no verb and no direction: "with a stick", "the march", "on a leftward diagonal".
-_DETERMINERS = frozenset({"a", "an", "the", "his", "her", "their", "its", "my", "your", "this", "that", "one", "with"})
+# After these a word is no verb and no direction: "in spring", "with a stick", "the march", "on a leftward diagonal".
+_BEFORE_NOUNS = frozenset(words_of("a an the his her their its my your this that one no with in of"))
 _ARTICLE = re.compile(r"\b([Aa])n?(\s+)$")
 _WORD = re.compile(r"[^\W\d_]+(?:-[^\W\d_]+)*")
 
@@ -130,7 +130,7 @@ def in_known_words(sentence: str, known: KnownPrompts) -> Reading:
     for found in _WORD.finditer(sentence):
         word = found[0].lower()
         by, free = _table().get(word, ("", False))
-        if by and word in new and not (free and before in _DETERMINERS) and _knows(known.words, by):
+        if by and word in new and not (free and before in _BEFORE_NOUNS) and _knows(known.words, by):
             by = _without_echo(by, sentence[found.end() :])
             said = by.capitalize() if found[0][0].isupper() else by
             out += [_with_article(sentence[start : found.start()], by), said]
