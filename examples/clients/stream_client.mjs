@@ -3,9 +3,6 @@
 //
 //   node --experimental-websocket stream_client.mjs "a person walks forward" "a person waves" [take.bvh]
 
-import { access, writeFile } from "node:fs/promises";
-import { dirname } from "node:path";
-
 /** One packet: root positions and local quaternions (x y z w) of n frames, and which parts of the feet stand. */
 export function parsePacket(buffer) {
   const view = new DataView(buffer);
@@ -62,7 +59,10 @@ export function record(server, prompts, seconds, log = console.log) {
   });
 }
 
-if (import.meta.filename === process.argv[1]) {
+// In a page: import { record } from "./stream_client.mjs".
+if (typeof process !== "undefined" && import.meta.filename === process.argv[1]) {
+  const { access, writeFile } = await import("node:fs/promises");
+  const { dirname } = await import("node:path");
   process.on("uncaughtException", ({ message }) => {
     console.error(message);
     process.exit(1);

@@ -16,9 +16,9 @@ from moveset.data.captions import (
     normal_form,
     train_captions,
 )
-from moveset.data.english import inflect
 from moveset.data.labels import canonical_style, cmu_content, mirror_label
 from moveset.errors import InputError
+from moveset.text.english import inflect
 
 SIDED = ("walk-turn-left", "walk-left", "wave-left-hand", "raise-up-left-hand")
 CONTENTS = (*phrases.TRAIN, *(mirror_label(c) for c in SIDED))

@@ -6,9 +6,9 @@ import pytest
 
 from moveset.data import captions, held_out_phrases, phrases, reworded_phrases, reworded_styles, styles
 from moveset.data.captions import composed_captions, mirror_text, normal_form, train_captions
-from moveset.data.english import inflect
 from moveset.data.labels import mirror_label
 from moveset.data.rewordings import all_words, reword
+from moveset.text.english import inflect
 
 #: Words without which no English sentence is written, and those that training captions have anyway.
 FUNCTION_WORDS = set(

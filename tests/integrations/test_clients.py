@@ -107,6 +107,19 @@ def test_javascript_reads_packets_as_python_writes_them(node, tmp_path):
     assert got["contacts"] == planted.int().flatten().tolist()
 
 
+def test_a_page_can_import_the_javascript_client(node):
+    client = (CLIENTS / "stream_client.mjs").as_uri()
+    script = f"""
+        globalThis.process = undefined;
+        const found = await import({json.dumps(client)});
+        console.log(Object.keys(found).join());
+    """
+    done = run(*node, "--input-type=module", "-e", script)
+    assert done.stdout.strip() == "parsePacket,record", done.stderr
+    # Whatever is imported before anything runs has to be there in a page.
+    assert not re.search(r"^import\b", (CLIENTS / "stream_client.mjs").read_text(), re.M)
+
+
 def test_a_clip_needs_the_standard_library_alone(served, tmp_path):
     client = (sys.executable, "-I", "-S", CLIENTS / "generate_clip.py", "--server", f"{served}/", "--seed", 4)
     done = run(*client, *PROMPTS, "--seconds", 2)

@@ -26,7 +26,7 @@ def shipped(request):
 
 
 def test_every_word_is_new_to_the_shipped_models_and_all_it_is_read_as_is_known(shipped):
-    for word, (by, _) in _table().items():
+    for word, (by, *_) in _table().items():
         assert unread(word, shipped.words), word
         assert not unread(by, shipped.words), by
 
@@ -35,13 +35,21 @@ def test_every_word_is_new_to_the_shipped_models_and_all_it_is_read_as_is_known(
     ("sentence", "text"),
     [
         ("A man saunters along.", "A man strolls along."),
-        ("Sauntering, then veering  leftward!", "Strolling, then turning  to the left!"),
+        ("Sauntering, then veering  leftward!", "Strolling, then turning  left!"),
         ("she fled; he wanders (slowly)", "she ran away; he walks around (slowly)"),
         ("grandma's opponents sprang up", "grandmother's enemies leaped up"),
+        ("a person plodded on, hurrying at last", "a person trudged on, walking fast at last"),
         ("Ogres, pensioners and an infant", "Giants, old people and a baby"),
         ("wandering around, he flees away", "walking around, he runs away"),
+        ("a rightward step, at a slant", "a right step, at an angle"),
+        ("he rounds a sharp corner, round it", "he walks around a sharp corner, round it"),
         ("a drained man meets a jovial one", "an exhausted man meets a happy one"),
-        ("a person plodded on, hurrying at last", "a person trudged on, walking fast at last"),
+        ("he walks in, saunters to her, hurries away", "he walks in, strolls to her, walks fast away"),
+        ("a man that trots, no one. March!", "a man that jogs, no one. Walk!"),
+        ("they slowly retreat, then travelled on", "they slowly back away, then went on"),
+        ("throws a jab, a marching man", "throws a punch, a walking man"),
+        ("he bolts ahead, charging toward the door", "he sprints ahead, sprinting toward the door"),
+        ("doing Latin dance moves", "doing Salsa dance moves"),
     ],
 )
 def test_a_word_keeps_its_form_and_everything_else_its_place(shipped, sentence, text):
@@ -51,16 +59,14 @@ def test_a_word_keeps_its_form_and_everything_else_its_place(shipped, sentence, 
 @pytest.mark.parametrize(
     "sentence",
     [
-        "a person walks with a stick",
-        "the march of an old man",
-        "on a rightward diagonal",
-        "with her spring",
-        "",
-        "  ",
-        "?",
+        "a fully charged punch", "is charged with energy", "stands as if bolted to the floor", "charges up a punch",
+        "the camera zooms in on a man", "walks with rounded shoulders", "rounds his back", "three rounds of boxing",
+        "walks in early spring", "like a lightning bolt", "runs without hurry", "a full retreat", "space travel",
+        "advanced karate moves", "advances its left foot", "a Latin man", "takes a few hurried steps", "hurry up",
+        "drained his glass", "it annoyed him", "creeps on hands and knees", "gulps for air", "", " ", "?",
     ],
-)
-def test_nouns_and_adjectives_are_no_verbs_and_directions(shipped, sentence):
+)  # fmt: skip
+def test_what_may_mean_another_motion_is_told_as_it_is(shipped, sentence):
     assert in_known_words(sentence, shipped).text == sentence
 
 
@@ -69,6 +75,8 @@ def test_what_was_read_as_what_is_told_once_each(shipped):
     assert read.text == "He jogs, Jogs, and punches"
     assert read.replaced == (("trots", "jogs"), ("jabs", "punches"))
     assert in_known_words(read.text, shipped).replaced == ()
+    twice = in_known_words("wanders, then wanders around", shipped).replaced
+    assert twice == (("wanders", "walks around"), ("wanders", "walks"))
 
 
 def test_only_words_that_are_new_are_read_as_ones_that_are_known():

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import pytest
 import torch
 
-from moveset.pipelines.warnings import unfamiliar
+from moveset.pipelines.warnings import too_long, unfamiliar
 from moveset.text.familiarity import KnownPrompts
 
 FAR, NEAR = torch.tensor([0.0, 0.0, 1.0]), torch.tensor([0.9, 0.1, 0.0])
@@ -90,3 +90,24 @@ def test_more_than_two_stages_are_told_unless_captions_have_as_many():
     assert told("a person walks, then turns left, then bows", pooled=NEAR, words=frozenset()) == []
     long = ("a person walks", "a man bows, then runs, then jumps")
     assert told(three, pooled=NEAR, words=frozenset(), captions=long) == []
+
+
+def test_words_that_are_read_as_others_are_told_with_those_and_counted_as_read():
+    words = frozenset({"walks", "strolls", "jogs", "yells", "laughs", "chuckles", "dances", "turns"})
+    [one] = told("he saunters, trots, screams, giggles and guffaws", pooled=NEAR, words=words)
+    assert one == "words that this model was never trained on are read as others: " + (
+        "'saunters' as 'strolls', 'trots' as 'jogs', 'screams' as 'yells', 'giggles' as 'chuckles' …"
+    )
+    two, three = told("a man marches on stilts", pooled=NEAR, words=words)
+    assert "'marches' as 'walks'" in two
+    assert "the word 'stilts'" in three
+    # A turn on the way is no stage of its own, of whoever saunters as of whoever strolls.
+    [four] = told("he saunters forward, then turns left, then dances", pooled=NEAR, words=words | {"forward", "left"})
+    assert "read as others" in four
+
+
+def test_tokens_are_counted_of_what_is_read():
+    encoder = SimpleNamespace(max_tokens=4, token_count=lambda text: len(text.split()))
+    known = KnownPrompts(("a person walks",), torch.ones(1, 2), frozenset({"walks", "around", "runs", "away"}))
+    [said] = too_long(encoder, ("he walks away", "he wanders and flees"), known)  # type: ignore[arg-type]
+    assert said == "the prompt has 6 tokens, of which the text encoder reads 4; its end has no effect"

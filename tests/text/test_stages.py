@@ -35,6 +35,8 @@ ORDERED = re.compile(r"\b(then|before|after|first|afterwards|next|finally|follow
             ("a man runs and then he makes a right turn", "a man bows"),
         ),
         ("walks, then turns left, then turns right", ("walks and then turns left", "turns right")),
+        ("he saunters on, then turns left, then waves", ("he saunters on and then turns left", "he waves")),
+        ("she hurries, then turns right", ("she hurries, then turns right",)),
         ("runs, then turns right and waves", ("runs", "turns right and waves")),
         ("a person walks, then his left hand waves", ("a person walks", "a person waves with his left hand")),
         ("she runs and then her right foot is kicking", ("she runs", "she is kicking with her right foot")),

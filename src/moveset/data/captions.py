@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from functools import cache
 
 from moveset.data import held_out_phrases, phrases, styles
-from moveset.data.english import inflect
 from moveset.errors import InputError
+from moveset.text.english import inflect
 
 _SIDE = {"left": "right", "right": "left"}
 _SIDE_WORD = re.compile(r"(?<![a-z])(left|right)(?=(?:wards?|most|hand(?:ed|er)?|y)?(?![a-z]))", re.IGNORECASE)

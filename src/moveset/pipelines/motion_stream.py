@@ -187,7 +187,7 @@ class MotionStream(Iterator[Segment]):
         """What the user should know about the prompts of the timeline, or about the last one given."""
         prompts = tuple(dict.fromkeys(self._timeline.prompts))
         pooled = torch.cat([self._texts(prompt).pooled for prompt in prompts])
-        return (*too_long(self.encoder, prompts), *unfamiliar(self.bundle, prompts, pooled))
+        return (*too_long(self.encoder, prompts, self.bundle.captions), *unfamiliar(self.bundle, prompts, pooled))
 
     def state(self) -> Snapshot:
         """Everything that the next segments depend on, also those that were made ahead of the reader."""

@@ -180,7 +180,7 @@ class StreamGroup:
         """What the user should know about a lane's prompt."""
         prompts = tuple(dict.fromkeys(lane.line.prompts))
         pooled = torch.cat([self._texts(prompt).pooled for prompt in prompts])
-        return (*too_long(self.encoder, prompts), *unfamiliar(self.bundle, prompts, pooled))
+        return (*too_long(self.encoder, prompts, self.bundle.captions), *unfamiliar(self.bundle, prompts, pooled))
 
     def advance(self, lanes: Sequence[Lane]) -> list[Piece]:
         """The next segment of every lane."""

@@ -10,8 +10,8 @@ from dataclasses import dataclass, replace
 from functools import cache, lru_cache
 from typing import Any
 
-from moveset.data.english import inflect
 from moveset.pipelines.model_folder import ModelFolder
+from moveset.text.english import inflect
 from moveset.text.familiarity import KnownPrompts
 from moveset.text.vocabulary import unread, words_of
 
@@ -21,7 +21,7 @@ _VERBS = {
     "[walk]": "march advance",
     "[go]": "proceed travel",
     "[walk] slowly": "creep",
-    "[trudge]": "plod traipse lumber",
+    "[trudge]": "plod traipse",
     "[toddle]": "waddle totter",
     "[walk] fast": "hurry hasten",
     "[walk] around": "wander roam rove",
@@ -33,19 +33,15 @@ _VERBS = {
     "[scamper]": "scurry scuttle",
     "[run] away": "flee",
     "[sprint]": "bolt charge zoom hurtle",
-    "[leap]": "spring vault",
+    "[leap]": "spring",
     "[wag]": "flap",
-    "[put]": "stick",
     "[escort]": "usher",
     "[yell]": "scream shriek bellow",
     "[dance]": "groove boogie jive",
-    "[twirl]": "pirouette",
+    "[twirl] on tiptoe": "pirouette",
     "[punch]": "jab",
-    "[slash]": "slice hack",
-    "[swing]": "wield",
     "[strut]": "sashay",
     "[fence]": "duel",
-    "[pick] up": "collect",
     "[shower]": "bathe",
     "[wash]": "rinse",
     "[soap]": "lather",
@@ -56,8 +52,6 @@ _VERBS = {
 _NOUNS = {
     "sword": "katana",
     "enemy": "opponent",
-    "upper body": "torso",
-    "sky": "ceiling",
     "grandmother": "grandma",
     "grandfather": "grandpa",
     "old man": "geezer",
@@ -66,27 +60,31 @@ _NOUNS = {
     "giant": "ogre behemoth",
     "gangster": "hoodlum",
     "exercise": "workout",
+    "angle": "slant",
+    "turn": "detour",
 }
-_PLURALS = {"old man": "old men", "old person": "old people", "upper body": "upper bodies", "sky": "sky"}
-_DIRECTIONS = {
-    "leftward": "to the left",
-    "leftwards": "to the left",
-    "rightward": "to the right",
-    "rightwards": "to the right",
-}
+_PLURALS = {"old man": "old men", "old person": "old people"}
 _OTHERS = {
+    "left": "leftward leftwards",
+    "right": "rightward rightwards",
+    # "Round" itself is mostly a preposition.
+    "walks around": "rounds",
+    "walking around": "rounding",
+    "walked around": "rounded",
+    "salsa": "latin",
+    "steps": "footwork",
     "hello": "hi",
     "goodbye": "adios",
     "quick": "speedy",
     "quickly": "speedily hurriedly hastily",
-    "slow": "sluggish",
+    "slow": "sluggish unhurried",
     "slowly": "unhurriedly sluggishly lazily",
     "wildly": "frantically",
     "energetically": "enthusiastically",
     "lively": "peppy",
     "happy": "joyous elated ecstatic jolly jovial",
     "joyfully": "joyously gleefully",
-    "sad": "melancholy upset",
+    "sad": "upset",
     "sadly": "glumly",
     "angry": "enraged outraged irritated annoyed",
     "angrily": "grumpily irritably",
@@ -104,8 +102,41 @@ _OTHERS = {
     "polite": "respectful",
     "politely": "respectfully",
 }
-# After these a word is no verb and no direction: "in spring", "with a stick", "the march", "on a leftward diagonal".
-_BEFORE_NOUNS = frozenset(words_of("a an the his her their its my your this that one no with in of"))
+#: Other spellings and forms of these.
+_VARIANTS = {
+    "travelling": "traveling", "travelled": "traveled", "backpedalling": "backpedaling",
+    "backpedalled": "backpedaled", "duelling": "dueling", "duelled": "dueled", "boogying": "boogieing",
+    "sprung": "sprang",
+}  # fmt: skip
+
+_ON_ITS_WAY = r"\s+(?:ahead|forwards?|onwards?|off|away|across|along|toward|towards|past|out|into|through)\b"
+_OBJECT = r"\s+(?:his|her|him|them|the|an?|it|its|me|us|away|out|off)\b"
+# What has to follow a word, in any form or in this one, if it is to mean that motion, and what may not.
+_ONLY_BEFORE = {
+    **dict.fromkeys(("bolt", "charge", "zoom", "hurtle"), _ON_ITS_WAY),
+    "spring": r"\s+(?:ahead|forwards?|up|upwards?|high|into|off|over|to (?:his|her|their) feet)\b",
+    "advance": rf"{_ON_ITS_WAY}|\s+(?:slowly|steadily|quickly|with|a (?:little|bit|few))\b|\s*(?:$|[.,;!])",
+    "gulp": r"\s+(?:down|an?|the|some|water|it)\b",
+    **dict.fromkeys(("rounds", "rounding", "rounded"), r"\s+(?:an?|the)\s+(?:[\w-]+\s+)?(?:corner|bend|curve)\b"),
+    "latin": r"\s+(?:danc\w+|rhythms?|beats?|music|style|steps?|moves?)\b",
+}
+_NOT_BEFORE = {
+    **dict.fromkeys(("enraged", "outraged", "irritated", "annoyed", "drained", "upset"), _OBJECT),
+    "creep": r"\s+up\b|.*\b(?:knees|fours|belly)\b",
+    "hurry": r"\s+up\b",
+    "hurried": r"\s+(?:steps?|pace|walk|way|manner|strides?|looks?)\b",
+    "bathe": r"\s+in (?:sweat|light|sun\w*)\b",
+    "flap": r"\s+(?:his|her|their|its|the) (?:mouth|lips|gums)\b",
+}
+# After these a word is no verb ("the march"), but "a marching man" walks and "a jab" is a punch.
+_BEFORE_NOUNS = frozenset(
+    words_of("a an the his her their its my your our this no with without in of by from on some every each another")
+)
+_NOUNS_TOO = frozenset({"stroll", "walk", "turn", "jog", "yell", "dance", "punch", "chuckle", "laugh"})
+# A verb as it stands in a dictionary may be a noun behind an adjective ("in early spring"), but not after these.
+_BEFORE_VERBS = frozenset(
+    words_of("to and then or they we you i people men women who that can could will would must may might should not")
+) | {""}
 _ARTICLE = re.compile(r"\b([Aa])n?(\s+)$")
 _WORD = re.compile(r"[^\W\d_]+(?:-[^\W\d_]+)*")
 
@@ -126,18 +157,40 @@ def in_known_words(sentence: str, known: KnownPrompts) -> Reading:
     new = set(unread(sentence, known.words))
     if not new:
         return Reading(sentence)
-    out, replaced, start, before = [], {}, 0, ""
+    out, replaced, start, end, before = [], {}, 0, 0, ""
     for found in _WORD.finditer(sentence):
         word = found[0].lower()
-        by, free = _table().get(word, ("", False))
-        if by and word in new and not (free and before in _BEFORE_NOUNS) and _knows(known.words, by):
-            by = _without_echo(by, sentence[found.end() :])
+        if sentence[end : found.start()].strip():
+            before = ""  # another clause
+        end = found.end()
+        if word in new and (by := _means(word, before, sentence[end:])) and _knows(known.words, by):
+            by = _without_echo(by, sentence[end:])
             said = by.capitalize() if found[0][0].isupper() else by
             out += [_with_article(sentence[start : found.start()], by), said]
-            start = found.end()
-            replaced[word] = by
-        before = word
-    return Reading("".join((*out, sentence[start:])), tuple(replaced.items()))
+            start = end
+            replaced[word, by] = None
+        if not word.endswith("ly"):
+            before = word
+    return Reading("".join((*out, sentence[start:])), tuple(replaced))
+
+
+def _means(word: str, before: str, text: str) -> str:
+    """What a word is read as between these; "" where it may mean something else."""
+    by, verb, form = _table().get(word, ("", "", ""))
+    for key in (word, verb):
+        if (key in _ONLY_BEFORE and not _follows(_ONLY_BEFORE[key], text)) or (
+            key in _NOT_BEFORE and _follows(_NOT_BEFORE[key], text)
+        ):
+            return ""
+    if not verb:
+        return by
+    if before in _BEFORE_NOUNS:
+        return by if (form == "ing" and " " not in by) or by in _NOUNS_TOO else ""
+    return by if form != "base" or before in _BEFORE_VERBS or by in _NOUNS_TOO else ""
+
+
+def _follows(pattern: str, text: str) -> bool:
+    return bool(re.match(pattern, text, re.I))
 
 
 def _without_echo(phrase: str, text: str) -> str:
@@ -158,19 +211,19 @@ def as_written(model: ModelFolder[Any]) -> None:
 
 
 @cache
-def _table() -> dict[str, tuple[str, bool]]:
-    """By a word in one of its forms: what it is read as, in the same form, and whether it must stand free."""
-    table = {word: (by, True) for word, by in _DIRECTIONS.items()}
-    table |= {word: (by, False) for by, words in _OTHERS.items() for word in words.split()}
+def _table() -> dict[str, tuple[str, str, str]]:
+    """By a word in one of its forms: what it is read as, in the same form, and of verbs the verb and the form."""
+    table = {word: (by, "", "") for by, words in _OTHERS.items() for word in words.split()}
     for by, nouns in _NOUNS.items():
         for noun in nouns.split():
-            table |= {noun: (by, False), inflect(noun, "present"): (_PLURALS.get(by) or inflect(by, "present"), False)}
+            several = _PLURALS.get(by) or inflect(by, "present")
+            table |= {noun: (by, "", ""), inflect(noun, "present"): (several, "", "")}
     for phrase, verbs in _VERBS.items():
         for verb in verbs.split():
             for form in ("past", "ing", "present", "base"):
                 said = re.sub(r"\[(\w+)\]", lambda m, form=form: inflect(m[1], form), phrase)  # type: ignore[misc]
-                table[inflect(verb, form)] = (said, True)
-    return table
+                table[inflect(verb, form)] = (said, verb, form)
+    return table | {variant: table[word] for variant, word in _VARIANTS.items()}
 
 
 @lru_cache(maxsize=1024)

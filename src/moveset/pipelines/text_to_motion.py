@@ -253,7 +253,7 @@ class TextToMotion:
 
     def _warnings(self, prompts: tuple[str, ...], known: Mapping[str, TextEmbedding]) -> tuple[str, ...]:
         pooled = torch.cat([known[prompt].pooled for prompt in prompts])
-        return (*too_long(self.encoder, prompts), *unfamiliar(self.bundle, prompts, pooled))
+        return (*too_long(self.encoder, prompts, self.bundle.captions), *unfamiliar(self.bundle, prompts, pooled))
 
     def _decode(self, vae: nn.Module, z_BND: Tensor, frames: Sequence[int]) -> list[tuple[Motion, Tensor]]:
         """Motions of ``frames[k]`` frames of normalised latents (B, N, d), and their planted feet (F, 4)."""

@@ -43,7 +43,8 @@ def unfamiliar(bundle: ModelFolder[Any], prompts: tuple[str, ...], pooled: Tenso
         read = in_known_words(prompt, known)
         if read.replaced:
             named = ", ".join(f"{word!r} as {by!r}" for word, by in read.replaced[:MOST_WORDS])
-            out.append(f"words that this model was never trained on are read as others: {named}")
+            more = " …" if len(read.replaced) > MOST_WORDS else ""
+            out.append(f"words that this model was never trained on are read as others: {named}{more}")
         if cosine < bundle.config.far_prompt:
             out.append(f"{prompt!r} is unlike anything this model was trained on (similarity {cosine:.2f}); {nearest}")
             continue
@@ -56,7 +57,7 @@ def unfamiliar(bundle: ModelFolder[Any], prompts: tuple[str, ...], pooled: Tenso
             out.append(f"this model knows the words of {named} but was never trained on that; {nearest}")
         if found := _SEVERAL.search(prompt):
             out.append(f"this model moves one person alone, not {found.group()!r}; {nearest}")
-        if (count := len(split_stages(prompt))) > _STAGES and count > _most_stages(known):
+        if (count := len(split_stages(read.text))) > _STAGES and count > _most_stages(known):
             out.append(f"{prompt!r} says {count} things one after the other, more than this model learned to do at a "
                        "time; give each as a prompt of its own")  # fmt: skip
     return out
@@ -66,9 +67,9 @@ def _most_stages(known: KnownPrompts) -> int:
     return max(len(split_stages(sentence)) for sentence in known.sentences)
 
 
-def too_long(encoder: TextEncoder, prompts: tuple[str, ...]) -> list[str]:
-    """One warning for every prompt whose end the text encoder does not see."""
-    counts = [encoder.token_count(prompt) for prompt in prompts]
+def too_long(encoder: TextEncoder, prompts: tuple[str, ...], known: KnownPrompts) -> list[str]:
+    """One warning for every prompt whose end, as it is read, the text encoder does not see."""
+    counts = [encoder.token_count(in_known_words(prompt, known).text) for prompt in prompts]
     return [
         f"the prompt has {count} tokens, of which the text encoder reads {encoder.max_tokens}; its end has no effect"
         for count in counts

@@ -30,7 +30,8 @@ _AFTER = re.compile(r"\s*,?\s+after\s+(?=\w+ing\b)", re.I)
 _AFTER_FIRST = re.compile(r"after\s+(?P<first>\w+ing\b[^,;]*)[,;]\s*(?P<second>.+)", re.I | re.S)
 
 _TRAVELS = re.compile(
-    r"\b(?:(?:walk|stroll|hik|trek|tramp|parad|promenad|march|wander|strid|step|jog|sprint|scamper|gallop|hustl)\w*"
+    r"\b(?:(?:walk|stroll|hik|trek|tramp|parad|promenad|march|wander|strid|step|jog|sprint|scamper|gallop|hustl|ambl"
+    r"|saunter|mosey|plod|traips|waddl|totter|hurr(?:y|i)|hasten|roam|trot|scurr(?:y|i)|scuttl|hurtl|advanc)\w*"
     r"|tread(?:s|ing)?|trod|zip(?:s|ping|ped)?|runs?|ran|running|strode|go|goes|going|went)\b", re.I
 )  # fmt: skip
 # A limb that does something by itself, and what of it a person may be said to do with it ("waves", not "is raised").
