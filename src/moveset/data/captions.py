@@ -11,7 +11,7 @@ from functools import cache
 
 from moveset.data import held_out_phrases, phrases, styles
 from moveset.errors import InputError
-from moveset.text.english import inflect
+from moveset.text.english import inflect_marked
 
 _SIDE = {"left": "right", "right": "left"}
 _SIDE_WORD = re.compile(r"(?<![a-z])(left|right)(?=(?:wards?|most|hand(?:ed|er)?|y)?(?![a-z]))", re.IGNORECASE)
@@ -53,7 +53,7 @@ def render(phrase: str, form: str, their: str) -> str:
     >>> render("[walk] and [wave] {their} hand", "ing", "her")
     'walking and waving her hand'
     """
-    return re.sub(r"\[(\w+)\]", lambda m: inflect(m[1], form), phrase).replace("{their}", their)
+    return inflect_marked(phrase, form).replace("{their}", their)
 
 
 # -------------------------------------------------------------------------------------------------------- choosing

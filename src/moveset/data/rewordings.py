@@ -12,6 +12,7 @@ from functools import cache
 
 from moveset.data import phrases, reworded_phrases, reworded_styles, styles
 from moveset.data.captions import mirror_text, normal_form, render
+from moveset.text.english import article
 
 _FORMS = ("present", "ing", "base", "past")
 _POSSESSIVES = ("their", "his", "her", "the", "your")
@@ -53,7 +54,7 @@ def reword(caption: str, key: int) -> str:
         text += [caption[end:start], phrase.capitalize() if caption[start].isupper() else phrase]
         end = stop
     made = re.sub(r" (?=[ ,.])", "", "".join((*text, caption[end:])))
-    return _ARTICLE.sub(lambda m: f"{m[1]}{'n' if m[2] in 'aeiou' else ''} ", made).strip() if found else caption
+    return _ARTICLE.sub(lambda m: f"{article(m[1], m[2])} ", made).strip() if found else caption
 
 
 @cache

@@ -11,7 +11,7 @@ from functools import cache, lru_cache
 from typing import Any
 
 from moveset.pipelines.model_folder import ModelFolder
-from moveset.text.english import inflect
+from moveset.text.english import article, inflect, inflect_marked
 from moveset.text.familiarity import KnownPrompts
 from moveset.text.vocabulary import unread, words_of
 
@@ -202,7 +202,7 @@ def _without_echo(phrase: str, text: str) -> str:
 
 def _with_article(text: str, word: str) -> str:
     """Text that may end with "a" or "an", as it is before that word."""
-    return _ARTICLE.sub(lambda m: f"{m[1]}{'n' if word[0] in 'aeiou' else ''}{m[2]}", text)
+    return _ARTICLE.sub(lambda m: article(m[1], word) + m[2], text)
 
 
 def as_written(model: ModelFolder[Any]) -> None:
@@ -221,8 +221,7 @@ def _table() -> dict[str, tuple[str, str, str]]:
     for phrase, verbs in _VERBS.items():
         for verb in verbs.split():
             for form in ("past", "ing", "present", "base"):
-                said = re.sub(r"\[(\w+)\]", lambda m, form=form: inflect(m[1], form), phrase)  # type: ignore[misc]
-                table[inflect(verb, form)] = (said, verb, form)
+                table[inflect(verb, form)] = (inflect_marked(phrase, form), verb, form)
     return table | {variant: table[word] for variant, word in _VARIANTS.items()}
 
 

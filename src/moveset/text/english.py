@@ -1,4 +1,4 @@
-"""English verbs in the four forms that captions need."""
+"""English verbs in the four forms that sentences need, and the article that fits a word."""
 
 import re
 
@@ -50,3 +50,21 @@ def inflect(verb: str, form: str) -> str:
     if re.search(r"[^aeiou]y$", verb):
         return verb[:-1] + "ied"
     return verb + verb[-1] * _doubles(verb) + "ed"
+
+
+def inflect_marked(phrase: str, form: str) -> str:
+    """A phrase with all its verbs, which brackets mark, in a form of ``inflect``.
+
+    >>> inflect_marked("[walk] forward and [turn] left", "ing")
+    'walking forward and turning left'
+    """
+    return re.sub(r"\[(\w+)\]", lambda m: inflect(m[1], form), phrase)
+
+
+def article(a: str, word: str) -> str:
+    """The indefinite article before a word, by its first letter; ``a`` is "a" or "A".
+
+    >>> article("A", "old"), article("a", "young")
+    ('An', 'a')
+    """
+    return f"{a}n" if word[0].lower() in "aeiou" else a
