@@ -2,6 +2,8 @@
 
 import json
 from dataclasses import replace
+from functools import cache
+from shutil import copytree
 
 import pytest
 import torch
@@ -26,36 +28,48 @@ def judge(tmp_path_factory):
     return str(tiny_evaluator(tmp_path_factory.mktemp("judge") / "judge"))
 
 
-@pytest.fixture
-def built(tmp_path, monkeypatch):
+@pytest.fixture(scope="module")
+def tiny(tmp_path_factory):
+    return str(tiny_bundle(tmp_path_factory.mktemp("model") / "tiny"))
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory):
     """Builds the corpus on a processor by which roots are elsewhere on the floor, by so much of where they are."""
 
-    def build(differs=0.0, **options):
+    @cache
+    def build(differs=0.0, frames=corpora.FRAMES):
         def motion(kind, frames, seed):
             made = synthetic_motion(kind, frames, seed=seed)
             return replace(made, root=made.root * torch.tensor([1 + differs, 1.0, 1 + differs], dtype=made.root.dtype))
 
-        monkeypatch.setattr(corpora, "synthetic_motion", motion)
-        folder = tmp_path / f"built-{differs}-{len(options)}"
-        folder.mkdir()
-        return corpora.content_corpus(folder / "corpus.safetensors", **options)
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(corpora, "synthetic_motion", motion)
+            return corpora.content_corpus(tmp_path_factory.mktemp("built") / "corpus.safetensors", frames=frames)
 
     return build
 
 
-@pytest.fixture
-def out(built, judge, tmp_path):
+@pytest.fixture(scope="module")
+def measured(built, judge, tiny, tmp_path_factory):
     """Results of real motion and of a model on the corpus of one processor."""
+    folder = tmp_path_factory.mktemp("measured") / "out"
     job = Job(model=REAL, data=built(), evaluator=judge, protocol=PROTOCOL)
-    run(job, tmp_path / "out", processes=1)
-    run(replace(job, model=str(tiny_bundle(tmp_path / "tiny")), device="cpu"), tmp_path / "out", processes=1)
-    return tmp_path / "out"
+    run(job, folder, processes=1)
+    run(replace(job, model=tiny, device="cpu"), folder, processes=1)
+    return folder
 
 
-def test_another_processors_corpus_is_the_same_data(built, judge, out, tmp_path, monkeypatch, capsys):
+@pytest.fixture
+def out(measured, tmp_path):
+    """A copy of those results that a test may change."""
+    return copytree(measured, tmp_path / "out")
+
+
+def test_another_processors_corpus_is_the_same_data(built, judge, tiny, out, monkeypatch, capsys):
     there = json.loads((out / "real-test.json").read_text())
     other = built(1e-7)
-    job = Job(model=str(tmp_path / "tiny"), data=other, evaluator=judge, protocol=PROTOCOL, device="cpu")
+    job = Job(model=tiny, data=other, evaluator=judge, protocol=PROTOCOL, device="cpu")
     with pytest.raises(InputError, match="the result of another evaluation \\(data"):
         run(job, out, processes=1)
     monkeypatch.setattr("sys.argv", ["same_data", str(out), "--data", str(other), "--evaluator", judge])
@@ -69,12 +83,12 @@ def test_another_processors_corpus_is_the_same_data(built, judge, out, tmp_path,
     assert same.data("another") == "another"
 
 
-def test_a_result_is_confirmed_on_the_same_data(built, judge, out, tmp_path):
+def test_a_result_is_confirmed_on_the_same_data(built, judge, tiny, out):
     before = json.loads(next(out.glob("tiny*.json")).read_text())
     other = built(1e-7)
     same_data(out, other, judge)
     said = []
-    job = Job(model=str(tmp_path / "tiny"), data=other, evaluator=judge, protocol=PROTOCOL, device="cpu")
+    job = Job(model=tiny, data=other, evaluator=judge, protocol=PROTOCOL, device="cpu")
     after, _ = run(job, out, processes=1, confirmed=True, say=said.append)
     assert said == [f"{next(out.glob('tiny*.json')).stem}: the first repeat came out the same but for rounding, as the "
                     "data are, so all 2 are kept"]  # fmt: skip

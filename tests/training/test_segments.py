@@ -1,5 +1,6 @@
 """Segments of a corpus: what is cut, what is said to it, and that nothing of it is chance."""
 
+from collections import defaultdict
 from dataclasses import replace
 
 import numpy as np
@@ -168,19 +169,18 @@ def test_a_segment_knows_how_far_its_way_has_turned_since_its_sentence_began(cor
     normalizer = corpus.store.normalizer
     batch = found.batch(200, seed=0, step=0)
     seen = 0
+    where = defaultdict(list)  # the clips and frames that have these features
+    for row in found.rows:
+        for k, frame in enumerate(np.asarray(row.features, np.float32)):
+            where[frame.tobytes()].append((row, k))
     for clean, (behind, _), turned in zip(batch.clean, batch.place.tolist(), batch.turned.tolist(), strict=True):
-        rows = [
-            row
-            for row in found.rows
-            for start in range(len(row.features))
-            if np.array_equal(row.features[start], clean[0])
-        ]
-        if len(rows) != 1 or not behind:
+        places = where[clean[0].numpy().tobytes()]
+        if len(places) != 1 or not behind:
             assert behind or turned == 0
             continue
-        x = torch.from_numpy(np.array(rows[0].features)) * normalizer.std + normalizer.mean
+        ((row, start),) = places
+        x = torch.from_numpy(np.array(row.features)) * normalizer.std + normalizer.mean
         heading = codec.root_path(x)[0]
-        start = next(k for k in range(len(x)) if np.array_equal(rows[0].features[k], clean[0]))
         assert turned == pytest.approx(float(heading[start] - heading[start - int(behind)]), abs=1e-4)
         seen += 1
     assert seen > 20
