@@ -220,6 +220,9 @@ def test_students_keep_their_grid_and_must_fit_their_names(trained: Path, tmp_pa
     ):
         with pytest.raises(InputError, match=message):
             pack(sources(trained), students, scales, "wrong", tmp_path / "wrong")
+    other = synthetic_corpus(tmp_path / "corpus.safetensors", clips=12, seed=1)
+    with pytest.raises(InputError, match="made from other clips"):
+        pack(replace(sources(trained), corpus=other), made, scales, "wrong", tmp_path / "wrong")
     monkeypatch.setattr(sys, "argv", ["pack", "--guidance", "2", "1", "--out", str(tmp_path / "wrong")])
     with pytest.raises(InputError, match="2 guidance scales for teacher, lcm-1, pcm-1, pcm-2, pcm-4"):
         packing.main()

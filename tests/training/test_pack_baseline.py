@@ -6,6 +6,7 @@ import pytest
 import torch
 
 from moveset.data.corpus import Corpus
+from moveset.data.synthetic import synthetic_corpus
 from moveset.errors import InputError
 from moveset.evaluation.generators import Wanted
 from moveset.evaluation.job import Job, open_generator
@@ -108,3 +109,10 @@ def test_a_rollout_starts_from_a_pose_of_the_data_at_rest(trained, tmp_path, mon
 def test_a_folder_without_a_denoiser_is_refused(trained, tmp_path, monkeypatch):
     with pytest.raises(InputError, match="no usable checkpoint"):
         packed(monkeypatch, trained, "nothing", tmp_path / "x")
+
+
+def test_a_cache_of_another_corpus_is_refused(trained, tmp_path, monkeypatch):
+    other = synthetic_corpus(tmp_path / "corpus.safetensors", clips=12, seed=1)
+    with pytest.raises(InputError, match="made from other clips"):
+        packed(monkeypatch, trained, "motiondiffuse", tmp_path / "no", "--corpus", str(other))
+    assert not (tmp_path / "no").exists()

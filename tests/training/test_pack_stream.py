@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 import torch
 
+from moveset.data.synthetic import synthetic_corpus
 from moveset.errors import FormatError, InputError
 from moveset.models.flow import FlowConfig
 from moveset.models.segment_transformer import SegmentTransformerConfig
@@ -224,3 +225,12 @@ def test_a_training_that_left_no_text_cache_is_packed_alike(trained, tmp_path, m
     command(monkeypatch, copied, tmp_path / "found", "--networks", "pcm-1")
     for name in ("prompts.safetensors", "prompts.json", "pcm-1.safetensors"):
         assert (tmp_path / "found" / name).read_bytes() == (tmp_path / "wanted" / name).read_bytes(), name
+
+
+def test_a_cache_of_another_corpus_is_refused(quick, trained, tmp_path, monkeypatch):
+    """Its statistics would be packed, and every motion would be off without an error."""
+    (tmp_path / "other").mkdir()
+    other = synthetic_corpus(tmp_path / "other" / "corpus.safetensors", clips=12, seed=1)
+    with pytest.raises(InputError, match="made from other clips"):
+        command(monkeypatch, trained, tmp_path / "no", "--networks", "pcm-1", "--corpus", str(other))
+    assert not (tmp_path / "no").exists()

@@ -13,6 +13,7 @@ from moveset.data.captions import heldout_captions
 from moveset.data.corpus import Corpus
 from moveset.data.rewordings import all_words, reword
 from moveset.errors import InputError, exit_code_of
+from moveset.motion.features import get_codec
 from moveset.pipelines.bundle import BundleConfig, save_folder
 from moveset.text.encoder import get_text_encoder
 from moveset.text.familiarity import calibrate
@@ -58,13 +59,13 @@ def pack(
         differences: store the students as 8-bit differences from the teacher, which they were started from.
 
     Raises:
-        InputError: no checkpoint where one should be, a name that is no student's, or students of other phases than
-            their names say or of different grids.
+        InputError: no checkpoint where one should be, a name that is no student's, students of other phases than
+            their names say or of different grids, or a cache of another corpus.
     """
     phases = {student: student_phases(student) for student in students}
     corpus = Corpus.open(sources.corpus)
     vae = frozen.load(sources.vae, "vae_ema")
-    store = FeatureStore(sources.cache / f"features-{vae.task['codec']}")
+    store = FeatureStore.of(corpus, get_codec(vae.task["codec"]), sources.cache / f"features-{vae.task['codec']}")
     latents = LatentSet.of(
         corpus, "train", store, vae.module, sources.cache / f"latents-{vae.digest[:12]}-train.safetensors"
     )

@@ -32,7 +32,7 @@ def pack_baseline(
         steps: K of models of whole clips, 50 if None; DiP takes all of its schedule.
 
     Raises:
-        InputError: no checkpoint there, one of something else, or steps for DiP.
+        InputError: no checkpoint there, one of something else, steps for DiP, or a cache of another corpus.
     """
     found = frozen.load(run, "denoiser_ema")
     task = found.task
@@ -43,7 +43,7 @@ def pack_baseline(
         raise InputError(f"{run} takes all {task['levels']} steps of its schedule; leave --steps out")
     steps = 50 if steps is None else steps
     corpus, codec = Corpus.open(corpus_path), get_codec(task["codec"])
-    store = FeatureStore(cache / f"features-{codec.name}")
+    store = FeatureStore.of(corpus, codec, cache / f"features-{codec.name}")
     known = known_captions(corpus)
     pooled = embedded(cache, task["text_encoder"], known).pooled_of(known)
     statistics = {"feature_mean": store.normalizer.mean, "feature_std": store.normalizer.std}

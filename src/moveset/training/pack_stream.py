@@ -10,6 +10,7 @@ from torch import nn
 
 from moveset.data.corpus import Corpus
 from moveset.errors import InputError, exit_code_of
+from moveset.motion.features import get_codec
 from moveset.pipelines.stream_bundle import DEFAULT_STREAM, FLOW, StreamConfig, save_stream_bundle
 from moveset.text.vocabulary import words_of
 from moveset.training import frozen
@@ -66,8 +67,8 @@ def pack_stream(
         smoothing: of a network's output by its name, instead of that of its training; guidance makes it tremble.
 
     Raises:
-        InputError: no "rdm", networks for other features, other segments or another number of steps, or guidance or
-            smoothing of a network that is not there.
+        InputError: no "rdm", networks for other features, other segments or another number of steps, guidance or
+            smoothing of a network that is not there, or a cache of another corpus.
     """
     if RDM not in runs:
         raise InputError(f"a stream needs the network {RDM!r}, got {', '.join(runs) or 'none'}; give its run folder")
@@ -94,7 +95,7 @@ def pack_stream(
     if len(points) > 1:
         raise InputError(f"the students were distilled on grids of {sorted(points)} points; pack those of one grid")
     corpus, encoder = Corpus.open(corpus_path), rdm.task["text_encoder"]
-    store = FeatureStore(cache / f"features-{rdm.task['codec']}")
+    store = FeatureStore.of(corpus, get_codec(rdm.task["codec"]), cache / f"features-{rdm.task['codec']}")
     known, words = known_captions(corpus), trained_words(corpus, rdm.task)
     if rdm.task["cutting"].get("stills"):
         known = sorted({*known, *SENTENCES})
