@@ -31,8 +31,9 @@ def test_hinge_values():
 
 
 def test_mismatched_text_counts_as_fake_and_shares_its_weight():
-    real, fake, misread = torch.tensor([2.0, 0.0]), torch.tensor([-3.0, 1.0]), torch.tensor([0.5, -0.5])
-    assert hinge_discriminator(real, fake, misread, 0.25) == (0 + 1) / 2 + 0.75 * (0 + 2) / 2 + 0.25 * (1.5 + 0.5) / 2
+    real, fake, misread = torch.tensor([2.0, 0.0]), torch.tensor([-3.0, 1.0]), torch.tensor([2.5, -0.5])
+    assert hinge_discriminator(real, fake, misread, 0.25) == (0 + 1) / 2 + 0.75 * (0 + 2) / 2 + 0.25 * (3.5 + 0.5) / 2
+    assert hinge_discriminator(real, fake, misread) == hinge_discriminator(real, fake, misread, 0.5)
     # Where nothing can be told, no verdict is better than another: fakes of two kinds do not outvote real ones.
     same = [torch.full((3,), verdict) for verdict in (-0.9, 0.0, 0.9)]
     assert {round(float(hinge_discriminator(x, x, x, 0.5)), 5) for x in same} == {2.0}

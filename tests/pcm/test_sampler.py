@@ -9,6 +9,7 @@ from moveset.diffusion.phases import PhaseGrid
 from moveset.diffusion.schedule import scaled_linear
 from moveset.diffusion.steps import ddim_step, ddim_timesteps, predict_z0
 from moveset.errors import InputError
+from moveset.pcm.consistency import lcm_scalings
 from moveset.pcm.sampler import item_noise, lcm_timesteps, sample_ddim_cfg, sample_lcm, sample_phased
 
 SCHEDULE = scaled_linear()
@@ -99,6 +100,15 @@ def test_lcm_equals_diffusers(count):
         z = oracle.step(model(z, t.expand(2)), t, z, generator=generator).prev_sample
     ours = sample_lcm(Recorder(), SCHEDULE, lcm_timesteps(count), [noise[0], *drawn])
     torch.testing.assert_close(ours, z, atol=1e-3, rtol=1e-4)
+
+
+def test_the_boundary_condition_equals_diffusers():
+    """From t = 99 on, where samplers evaluate, it shows no more; near 0, where targets are taken, it does."""
+    diffusers = pytest.importorskip("diffusers")
+    oracle = diffusers.LCMScheduler(1000, timestep_scaling=10.0)
+    for t in (0, 1, 2, 10, 99, 999):
+        expected = torch.tensor(oracle.get_scalings_for_boundary_condition_discrete(t), dtype=torch.float64)
+        torch.testing.assert_close(torch.stack(lcm_scalings(torch.tensor(t), torch.float64)), expected)
 
 
 def test_lcm_starts_where_it_is_told_and_wants_one_noise_a_time(noise):
