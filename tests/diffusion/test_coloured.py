@@ -33,6 +33,7 @@ def test_noise_has_the_spectrum_of_the_segments_it_was_fitted_to():
     torch.testing.assert_close(temporal_spectrum(made), spectrum, atol=0.02, rtol=0.08)
     torch.testing.assert_close(made.diff(dim=1).std(), slow.diff(dim=1).std(), atol=0.02, rtol=0.05)
     torch.testing.assert_close(spectrum.square().mean(0), torch.ones(2), atol=0.01, rtol=0)
+    torch.testing.assert_close(temporal_spectrum(slow * torch.tensor([3.0, 0.2])), spectrum)  # of the shape alone
 
 
 def test_a_feature_that_never_changes_still_gets_noise():

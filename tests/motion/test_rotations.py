@@ -164,3 +164,5 @@ def test_quaternions_of_six_numbers_equal_those_of_the_matrix():
 def test_a_yaw_before_a_rotation():
     angle, q = vectors(40)[:, 0] * 4, quaternions(40)
     torch.testing.assert_close(rotations.yawed(q, angle), rotations.mul(rotations.yaw(angle), q))
+    many = quaternions(2, 3, 5)
+    torch.testing.assert_close(rotations.yawed(many, angle[:5]), rotations.mul(rotations.yaw(angle[:5]), many))
