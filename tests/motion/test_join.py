@@ -1,5 +1,6 @@
 """Seams and loops: nothing lost, nothing jumps, poses and speeds continue."""
 
+import math
 from dataclasses import replace
 from itertools import pairwise
 
@@ -82,6 +83,45 @@ def test_a_longer_blend_is_gentler():
     a, b = wander(80, 30), wander(80, 31)
     peaks = [jerk(join([a, b], seconds))[60:100].max().item() for seconds in (0.0, 0.1, 0.2, 0.4)]
     assert peaks == sorted(peaks, reverse=True)
+
+
+OMEGA, SWING = math.pi / 10, 0.3  # of bobbing: radians a frame, metres
+STEP = 2 * SWING * math.sin(OMEGA / 2)  # the fastest it gets, metres a frame
+USUAL = STEP * (2 * math.sin(OMEGA / 2)) ** 2 * 2 / math.pi  # its mean jerk, metres a frame³
+
+
+def bobbing(phases: torch.Tensor, height: float = 0.0) -> Motion:
+    """A stiff body that goes up and down."""
+    root = torch.zeros(len(phases), 3)
+    root[:, 1] = 1.0 + height + SWING * torch.sin(phases)
+    return Motion(rotations.identity(len(phases), len(HML22)), root, 20.0)
+
+
+@pytest.mark.parametrize(
+    ("gap", "kink", "frames"),
+    [
+        (8.5**3 * USUAL / 30, 0.0, 8),  # half of the way, in time T: 60 / T³ times half of it
+        (10.5**3 * USUAL / 30, 0.0, 10),
+        (0.0, 9.5**2 * USUAL / 18, 9),  # half of the speed: 36 / T² times half of it
+        (0.0, 7.5**2 * USUAL / 18, 7),
+        (0.0, 0.0, 0),  # goes on as it is
+        (14**3 * USUAL / 30, 0.0, 12),  # not more than twice what was asked for
+    ],
+)
+def test_a_blend_is_as_long_as_it_must_be_to_jerk_like_its_clips(gap, kink, frames):
+    """Asked for six frames."""
+    before = OMEGA * (torch.arange(-80, 0) + 0.5)
+    if kink:
+        # Down as it came up, from a phase before which it is that slow: no gap, and twice the speed to be lost.
+        turned = math.acos(kink / (2 * STEP)) + OMEGA
+        a = bobbing(turned + before)
+        b = Motion(a.rotations, a.root.flip(0), a.fps)
+    else:
+        # On its way at its fastest: it would go on by a step of its own.
+        a, b = bobbing(before), bobbing(-before.flip(0), height=gap - STEP if gap else 0.0)
+    changed = (join([a, b], 0.3).root[:, 1] - torch.cat((a.root, b.root))[:, 1]).abs() > 1e-6
+    assert changed[:80].sum() == changed[80:].sum() == frames
+    assert changed[80 - frames : 80 + frames].all()
 
 
 def test_short_clips_give_way_by_half_of_themselves():
