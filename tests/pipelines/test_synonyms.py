@@ -50,6 +50,10 @@ def test_every_word_is_new_to_the_shipped_models_and_all_it_is_read_as_is_known(
         ("throws a jab, a marching man", "throws a punch, a walking man"),
         ("he bolts ahead, charging toward the door", "he sprints ahead, sprinting toward the door"),
         ("doing Latin dance moves", "doing Salsa dance moves"),
+        ("he turns clockwise, sneaking off", "he turns to the right, walking slowly off"),
+        ("turned anticlockwise, she walks clockwise", "turned to the left, she walks turning right"),
+        ("runs in a counter-clockwise circle", "runs in a left circle"),
+        ("rotates ninety degrees clockwise", "rotates ninety degrees to the right"),
     ],
 )
 def test_a_word_keeps_its_form_and_everything_else_its_place(shipped, sentence, text):
@@ -63,7 +67,9 @@ def test_a_word_keeps_its_form_and_everything_else_its_place(shipped, sentence, 
         "the camera zooms in on a man", "walks with rounded shoulders", "rounds his back", "three rounds of boxing",
         "walks in early spring", "like a lightning bolt", "runs without hurry", "a full retreat", "space travel",
         "advanced karate moves", "advances its left foot", "a Latin man", "takes a few hurried steps", "hurry up",
-        "drained his glass", "it annoyed him", "creeps on hands and knees", "gulps for air", "", " ", "?",
+        "drained his glass", "it annoyed him", "creeps on hands and knees", "gulps for air",
+        "moves both arms clockwise", "turns counter clockwise", "turns clockwise to the right",
+        "sneaks a quick look", "", " ", "?",
     ],
 )  # fmt: skip
 def test_what_may_mean_another_motion_is_told_as_it_is(shipped, sentence):
@@ -99,6 +105,10 @@ def test_left_and_right_are_read_alike(shipped):
         for sentence in heldout_captions(content):
             mirrored = in_known_words(mirror_text(sentence), shipped).text
             assert mirrored == mirror_text(in_known_words(sentence, shipped).text)
+    for sentence in ("turns clockwise", "walks around counterclockwise", "runs in a clockwise loop"):
+        read = in_known_words(sentence, shipped).text
+        assert "right" in read or "left" in read
+        assert in_known_words(mirror_text(sentence), shipped).text == mirror_text(read)
 
 
 def test_a_clip_of_another_word_is_the_clip_of_the_known_one():

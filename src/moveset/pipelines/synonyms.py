@@ -1,8 +1,9 @@
 """Everyday words that a model was never trained on, read as words that it was: whoever saunters strolls.
 
 Words of the held-out phrases are kept from every training caption, so that what unknown words do can be measured
-(``data.held_out_phrases``), and some of them are said every day. Only what means the same *motion* is here: nobody who
-crawls should walk. A word is read otherwise only by a model that does not know it and knows the other.
+(``data.held_out_phrases``), and some of them are said every day; a few others never were in any phrase ("clockwise").
+Only what means the same *motion* is here: nobody who crawls should walk. A word is read otherwise only by a model that
+does not know it and knows the other.
 """
 
 import re
@@ -20,7 +21,7 @@ _VERBS = {
     "[stroll]": "amble saunter mosey",
     "[walk]": "march advance",
     "[go]": "proceed travel",
-    "[walk] slowly": "creep",
+    "[walk] slowly": "creep sneak",
     "[trudge]": "plod traipse",
     "[toddle]": "waddle totter",
     "[walk] fast": "hurry hasten",
@@ -109,6 +110,15 @@ _VARIANTS = {
     "sprung": "sprang",
 }  # fmt: skip
 
+_FORMS = ("past", "ing", "present", "base")
+# Of a path, seen from above; what turns so is said right before or after it.
+_CLOCKWISE = {
+    "clockwise": "right",
+    **dict.fromkeys(("counterclockwise", "counter-clockwise", "anticlockwise", "anti-clockwise"), "left"),
+}
+_TURN = {"degrees", *(inflect(verb, form) for verb in ("turn", "rotate", "pivot") for form in _FORMS)}
+_TRAVEL = {"around", *(inflect(verb, form) for verb in ("walk", "run", "jog", "go", "move") for form in _FORMS)}
+_TURNS = r"\s+(?:circle|turn|path|loop|arc|curve|direction)s?\b"
 _ON_ITS_WAY = r"\s+(?:ahead|forwards?|onwards?|off|away|across|along|toward|towards|past|out|into|through)\b"
 _OBJECT = r"\s+(?:his|her|him|them|the|an?|it|its|me|us|away|out|off)\b"
 # What has to follow a word, in any form or in this one, if it is to mean that motion, and what may not.
@@ -123,6 +133,7 @@ _ONLY_BEFORE = {
 _NOT_BEFORE = {
     **dict.fromkeys(("enraged", "outraged", "irritated", "annoyed", "drained", "upset"), _OBJECT),
     "creep": r"\s+up\b|.*\b(?:knees|fours|belly)\b",
+    "sneak": r"\s+an? (?:\w+ )?(?:look|peek|glance)\b",
     "hurry": r"\s+up\b",
     "hurried": r"\s+(?:steps?|pace|walk|way|manner|strides?|looks?)\b",
     "bathe": r"\s+in (?:sweat|light|sun\w*)\b",
@@ -176,6 +187,8 @@ def in_known_words(sentence: str, known: KnownPrompts) -> Reading:
 
 def _means(word: str, before: str, text: str) -> str:
     """What a word is read as between these; "" where it may mean something else."""
+    if word in _CLOCKWISE:
+        return _sided(_CLOCKWISE[word], before, text)
     by, verb, form = _table().get(word, ("", "", ""))
     for key in (word, verb):
         if (key in _ONLY_BEFORE and not _follows(_ONLY_BEFORE[key], text)) or (
@@ -187,6 +200,15 @@ def _means(word: str, before: str, text: str) -> str:
     if before in _BEFORE_NOUNS:
         return by if (form == "ing" and " " not in by) or by in _NOUNS_TOO else ""
     return by if form != "base" or before in _BEFORE_VERBS or by in _NOUNS_TOO else ""
+
+
+def _sided(side: str, before: str, text: str) -> str:
+    """What "clockwise" is read as; whoever walks so does not walk "to the right", which may be sideways."""
+    if _follows(_TURNS, text):
+        return side
+    if _follows(r"\s+to\b", text):
+        return ""
+    return f"to the {side}" if before in _TURN else f"turning {side}" if before in _TRAVEL else ""
 
 
 def _follows(pattern: str, text: str) -> bool:
@@ -220,7 +242,7 @@ def _table() -> dict[str, tuple[str, str, str]]:
             table |= {noun: (by, "", ""), inflect(noun, "present"): (several, "", "")}
     for phrase, verbs in _VERBS.items():
         for verb in verbs.split():
-            for form in ("past", "ing", "present", "base"):
+            for form in _FORMS:
                 table[inflect(verb, form)] = (inflect_marked(phrase, form), verb, form)
     return table | {variant: table[word] for variant, word in _VARIANTS.items()}
 
