@@ -20,6 +20,8 @@ from moveset.text.vocabulary import unread, words_of
 _VERBS = {
     "[stroll]": "amble saunter mosey",
     "[walk]": "march advance",
+    "[walk] toward": "approach",
+    "[walk] into": "enter",
     "[go]": "proceed travel",
     "[walk] slowly": "creep sneak",
     "[trudge]": "plod traipse",
@@ -128,6 +130,9 @@ _ONLY_BEFORE = {
     "advance": rf"{_ON_ITS_WAY}|\s+(?:slowly|steadily|quickly|with|a (?:little|bit|few))\b|\s*(?:$|[.,;!])",
     "gulp": r"\s+(?:down|an?|the|some|water|it)\b",
     **dict.fromkeys(("rounds", "rounding", "rounded"), r"\s+(?:an?|the)\s+(?:[\w-]+\s+)?(?:corner|bend|curve)\b"),
+    **dict.fromkeys(
+        ("approach", "enter"), r"\s+(?:the|an?|his|her|their|its|my|our|your|me|us|you|him|them|some\w+)\b"
+    ),
     "latin": r"\s+(?:danc\w+|rhythms?|beats?|music|style|steps?|moves?)\b",
 }
 _NOT_BEFORE = {
