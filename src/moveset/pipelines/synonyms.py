@@ -118,9 +118,9 @@ _CLOCKWISE = {
     "clockwise": "right",
     **dict.fromkeys(("counterclockwise", "counter-clockwise", "anticlockwise", "anti-clockwise"), "left"),
 }
-_TURN = {"degrees", *(inflect(verb, form) for verb in ("turn", "rotate", "pivot") for form in _FORMS)}
-_TRAVEL = {"around", *(inflect(verb, form) for verb in ("walk", "run", "jog", "go", "move") for form in _FORMS)}
-_TURNS = r"\s+(?:circle|turn|path|loop|arc|curve|direction)s?\b"
+_WHO_TURNS = {"degrees", *(inflect(verb, form) for verb in ("turn", "rotate", "pivot") for form in _FORMS)}
+_WHO_TRAVELS = {"around", *(inflect(verb, form) for verb in ("walk", "run", "jog", "go", "move") for form in _FORMS)}
+_ROUND = r"\s+(?:circle|turn|path|loop|arc|curve|direction)s?\b"
 _ON_ITS_WAY = r"\s+(?:ahead|forwards?|onwards?|off|away|across|along|toward|towards|past|out|into|through)\b"
 _OBJECT = r"\s+(?:his|her|him|them|the|an?|it|its|me|us|away|out|off)\b"
 # What has to follow a word, in any form or in this one, if it is to mean that motion, and what may not.
@@ -209,11 +209,11 @@ def _means(word: str, before: str, text: str) -> str:
 
 def _sided(side: str, before: str, text: str) -> str:
     """What "clockwise" is read as; whoever walks so does not walk "to the right", which may be sideways."""
-    if _follows(_TURNS, text):
+    if _follows(_ROUND, text):
         return side
     if _follows(r"\s+to\b", text):
         return ""
-    return f"to the {side}" if before in _TURN else f"turning {side}" if before in _TRAVEL else ""
+    return f"to the {side}" if before in _WHO_TURNS else f"turning {side}" if before in _WHO_TRAVELS else ""
 
 
 def _follows(pattern: str, text: str) -> bool:
