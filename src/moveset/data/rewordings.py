@@ -12,9 +12,8 @@ from functools import cache
 
 from moveset.data import phrases, reworded_phrases, reworded_styles, styles
 from moveset.data.captions import mirror_text, normal_form, render
-from moveset.text.english import article
+from moveset.text.english import FORMS, article
 
-_FORMS = ("present", "ing", "base", "past")
 _POSSESSIVES = ("their", "his", "her", "the", "your")
 _WORD = re.compile(r"[A-Za-z'-]+")
 _CHOICE = re.compile(r"\(([^()]*)\)")
@@ -61,7 +60,7 @@ def reword(caption: str, key: int) -> str:
 def all_words() -> frozenset[str]:
     """Every word that a rewording may bring in, in lower case."""
     written = [p for options in reworded_phrases.PHRASES.values() for p in options]
-    said = [render(p, form, their) for p in written for form in _FORMS for their in _POSSESSIVES]
+    said = [render(p, form, their) for p in written for form in FORMS for their in _POSSESSIVES]
     said += [text for ways in reworded_styles.STYLES.values() for options in ways.values() for text in options]
     return frozenset(word for text in said for word in normal_form(text.replace("{they}", "they")).split())
 
@@ -92,7 +91,7 @@ def _known() -> tuple[dict[str, _Found], int]:
     for content, written in phrases.TRAIN.items():
         options = reworded_phrases.PHRASES[content]
         for phrase in written:
-            for form in _FORMS:
+            for form in FORMS:
                 for their in _POSSESSIVES if "{their}" in phrase else _POSSESSIVES[:1]:
                     text = render(phrase, form, their)
                     for mirrored in {False, mirror_text(text) != text}:

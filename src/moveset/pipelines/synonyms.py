@@ -12,7 +12,7 @@ from functools import cache, lru_cache
 from typing import Any
 
 from moveset.pipelines.model_folder import ModelFolder
-from moveset.text.english import article, inflect, inflect_marked
+from moveset.text.english import FORMS, article, inflect, inflect_marked
 from moveset.text.familiarity import KnownPrompts
 from moveset.text.vocabulary import unread, words_of
 
@@ -112,14 +112,13 @@ _VARIANTS = {
     "sprung": "sprang",
 }  # fmt: skip
 
-_FORMS = ("past", "ing", "present", "base")
 # Of a path, seen from above; what turns so is said right before or after it.
 _CLOCKWISE = {
     "clockwise": "right",
     **dict.fromkeys(("counterclockwise", "counter-clockwise", "anticlockwise", "anti-clockwise"), "left"),
 }
-_WHO_TURNS = {"degrees", *(inflect(verb, form) for verb in ("turn", "rotate", "pivot") for form in _FORMS)}
-_WHO_TRAVELS = {"around", *(inflect(verb, form) for verb in ("walk", "run", "jog", "go", "move") for form in _FORMS)}
+_WHO_TURNS = {"degrees", *(inflect(verb, form) for verb in ("turn", "rotate", "pivot") for form in FORMS)}
+_WHO_TRAVELS = {"around", *(inflect(verb, form) for verb in ("walk", "run", "jog", "go", "move") for form in FORMS)}
 _ROUND = r"\s+(?:circle|turn|path|loop|arc|curve|direction)s?\b"
 _ON_ITS_WAY = r"\s+(?:ahead|forwards?|onwards?|off|away|across|along|toward|towards|past|out|into|through)\b"
 _OBJECT = r"\s+(?:his|her|him|them|the|an?|it|its|me|us|away|out|off)\b"
@@ -247,7 +246,7 @@ def _table() -> dict[str, tuple[str, str, str]]:
             table |= {noun: (by, "", ""), inflect(noun, "present"): (several, "", "")}
     for phrase, verbs in _VERBS.items():
         for verb in verbs.split():
-            for form in _FORMS:
+            for form in FORMS:
                 table[inflect(verb, form)] = (inflect_marked(phrase, form), verb, form)
     return table | {variant: table[word] for variant, word in _VARIANTS.items()}
 

@@ -2,6 +2,8 @@
 
 import re
 
+FORMS = ("present", "ing", "base", "past")
+
 #: verb: (past tense, -ing form); all others are regular.
 _IRREGULAR = {
     "bear": ("bore", "bearing"), "begin": ("began", "beginning"), "bend": ("bent", "bending"),
@@ -28,7 +30,7 @@ def _doubles(verb: str) -> bool:
 
 
 def inflect(verb: str, form: str) -> str:
-    """A verb in one of the forms "base", "present" (he walks), "past", "ing".
+    """A verb in one of ``FORMS``; "present" is that of "he walks".
 
     >>> [inflect("jog", f) for f in ("base", "present", "past", "ing")], inflect("go", "present")
     (['jog', 'jogs', 'jogged', 'jogging'], 'goes')
