@@ -312,7 +312,7 @@ class MotionStream(Iterator[Segment]):
             self._network,
             guided=bool(config.models[settings.network].config.get("guided")),
             guidance=settings.guidance,
-            encode=self._texts,
+            texts=self._texts,
             clean_left=settings.clean_left,
             seeded=given > 0,
             course=Course(self.codec.groups["root_yaw"], self._mean, self._std, settings.steps),
@@ -342,8 +342,10 @@ class MotionStream(Iterator[Segment]):
                 features = next(self._sampler)[0] * self._std + self._mean
             # Outside, so that what users get are ordinary tensors.
             features = features.cpu().clone()
-            motion = self._decoder(features)
             finished = self._sampler.progress.finished - 1
+            if steering := self._texts.steering(self._prompts[finished]):
+                features = steering.piece(features, self.codec, self._turned(finished))
+            motion = self._decoder(features)
             self._denoise.leave(finished)
             self._places.pop(finished)
             number, frames = finished - self._given, len(features)
@@ -352,6 +354,10 @@ class MotionStream(Iterator[Segment]):
             return Segment(
                 number, number * frames, frames, self._prompts.pop(finished), motion, round(spent * 1e3, 3), evaluations
             )
+
+    def _turned(self, segment: int) -> float:
+        """Radians from where the sentence of a segment in work begins to where the segment does."""
+        return float(self._denoise.course.turned(segment, torch.tensor([self._places[segment][2]])))
 
     def _enter(self, segment: int) -> Tensor | None:
         """Called by the sampler when a segment enters: its prompt, which stays."""

@@ -1,15 +1,17 @@
-"""Encoded prompts, each read (``synonyms``) and encoded once while it is in use."""
+"""Encoded prompts, each read (``said_turns``) and encoded once while it is in use."""
 
 import threading
 from collections import OrderedDict
 
-from moveset.pipelines.synonyms import in_known_words
+from moveset.data.captions import mirror_text
+from moveset.motion.steering import Steering
+from moveset.pipelines.said_turns import plain_turn, read
 from moveset.text.encoder import TextEmbedding, TextEncoder
 from moveset.text.familiarity import KnownPrompts
 
 
 class PromptMemory:
-    """Prompts by text, the last ``limit`` that were asked for; may be used by several threads.
+    """Texts as networks are told them, the last ``limit`` that were asked for; may be used by several threads.
 
     Args:
         encoder: what encodes them, one at a time, so that none depends on another.
@@ -28,13 +30,31 @@ class PromptMemory:
         Raises:
             InputError: text that is not valid Unicode.
         """
+        return self._encoded(read(prompt, self._captions).text)
+
+    def mirrored(self, prompt: str) -> TextEmbedding:
+        """What a sentence says of the mirror image, encoded: of how it is read, which may have a side that it lacks.
+
+        Raises:
+            InputError: text that is not valid Unicode.
+        """
+        return self._encoded(mirror_text(read(prompt, self._captions).text))
+
+    def steering(self, prompt: str) -> Steering | None:
+        """How the way of a sentence is bent, which nothing encoded tells."""
+        reading = read(prompt, self._captions)
+        if reading.bent:
+            return reading.bent.steering
+        return plain_turn(reading.text) if self._captions.words else None
+
+    def _encoded(self, text: str) -> TextEmbedding:
         with self._lock:
-            if prompt in self._known:
-                self._known.move_to_end(prompt)
-                return self._known[prompt]
-        found = self._encoder.encode([in_known_words(prompt, self._captions).text])
+            if text in self._known:
+                self._known.move_to_end(text)
+                return self._known[text]
+        found = self._encoder.encode([text])
         with self._lock:
-            self._known[prompt] = found
+            self._known[text] = found
             if len(self._known) > self._limit:
                 self._known.popitem(last=False)
         return found

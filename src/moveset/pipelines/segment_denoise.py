@@ -3,17 +3,17 @@
 Shapes: B rows (one a segment in work), n frames of a segment, D features, L text tokens, C text width.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Protocol, cast, runtime_checkable
 
 import torch
 from torch import Tensor, nn
 
-from moveset.data.captions import mirror_text
 from moveset.diffusion.guidance import cfg
 from moveset.models.segment_transformer import told_of
 from moveset.models.symmetric import Symmetric
 from moveset.pipelines.course import Course
+from moveset.pipelines.prompt_memory import PromptMemory
 from moveset.text.encoder import TextEmbedding, stack
 
 
@@ -35,7 +35,7 @@ class SegmentDenoise:
         network: the denoiser.
         guided: whether it takes the guidance scale as an input; the others are evaluated with and without text.
         guidance: scale w.
-        encode: a prompt's embedding; the empty one is for guidance by two evaluations.
+        texts: encoded prompts; the empty one is for guidance by two evaluations.
         clean_left: every segment is told its finished predecessor, so text and predecessor are read once for all steps.
         seeded: segment 0 is a given motion, so the one after it is told a clean predecessor at every step.
         course: how far the stream has turned, which is kept here.
@@ -48,7 +48,7 @@ class SegmentDenoise:
         *,
         guided: bool,
         guidance: float,
-        encode: Callable[[str], TextEmbedding],
+        texts: PromptMemory,
         clean_left: bool,
         seeded: bool,
         course: Course,
@@ -56,8 +56,8 @@ class SegmentDenoise:
     ) -> None:
         self._network, self._guided, self._guidance = network, guided, guidance
         self._twice = bool(guidance) and not guided
-        self._encode, self._seeded, self._device = encode, seeded, device
-        self._empty = encode("").to(device)
+        self._memory, self._seeded, self._device = texts, seeded, device
+        self._empty = texts("").to(device)
         self._once = clean_left and isinstance(network, Reader)
         self._even = isinstance(network, Symmetric)
         self._texts: dict[int, TextEmbedding] = {}
@@ -72,9 +72,9 @@ class SegmentDenoise:
         """Bind the prompt of a segment, where in its time the segment lies (``Timeline.place``), and how many before it
         are told the same; the sentence embedding (1, C)."""
         self._places[segment], self._behind[segment] = place[:2], torch.tensor([place[2]], device=self._device)
-        self._texts[segment] = self._encode(prompt).to(self._device)
+        self._texts[segment] = self._memory(prompt).to(self._device)
         if self._even:
-            self._mirrored[segment] = self._encode(mirror_text(prompt)).to(self._device)
+            self._mirrored[segment] = self._memory.mirrored(prompt).to(self._device)
         return self._texts[segment].pooled
 
     def leave(self, segment: int) -> None:

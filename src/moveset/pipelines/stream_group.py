@@ -15,7 +15,6 @@ from typing import cast
 import torch
 from torch import Tensor
 
-from moveset.data.captions import mirror_text
 from moveset.diffusion.guidance import cfg
 from moveset.diffusion.steps import add_noise, denoise_step
 from moveset.errors import InputError
@@ -202,10 +201,12 @@ class StreamGroup:
         if prompt != lane.prompt or (self._even and lane.mirrored is None):
             start = time.perf_counter()
             lane.text, lane.prompt = self._texts(prompt).to(self.device), prompt
-            lane.mirrored = self._texts(mirror_text(prompt)).to(self.device) if self._even else None
+            lane.mirrored = self._texts.mirrored(prompt).to(self.device) if self._even else None
             lane.reading_ms += (time.perf_counter() - start) * 1e3
 
     def _decoded(self, lane: Lane, features: Tensor) -> tuple[Motion, Tensor]:
+        if steering := self._texts.steering(lane.prompt):
+            features = steering.piece(features, self.codec, lane.turned if lane.behind else 0.0)
         return lane.decoder(features), lane.decoder.planted(features)
 
     def _piece(self, lane: Lane, clean: Tensor, decoded: tuple[Motion, Tensor], spent: float) -> Piece:

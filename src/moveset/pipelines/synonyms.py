@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from functools import cache, lru_cache
 from typing import Any
 
+from moveset.motion.steering import Steering
 from moveset.pipelines.model_folder import ModelFolder
 from moveset.text.english import FORMS, article, inflect, inflect_marked
 from moveset.text.familiarity import KnownPrompts
@@ -112,13 +113,21 @@ _VARIANTS = {
     "sprung": "sprang",
 }  # fmt: skip
 
-# Of a path, seen from above; what turns so is said right before or after it.
-_CLOCKWISE = {
+#: The side to which a path bends, seen from above; what turns so is said right before or after it.
+CLOCKWISE = {
     "clockwise": "right",
     **dict.fromkeys(("counterclockwise", "counter-clockwise", "anticlockwise", "anti-clockwise"), "left"),
 }
 _WHO_TURNS = {"degrees", *(inflect(verb, form) for verb in ("turn", "rotate", "pivot") for form in FORMS)}
-_WHO_TRAVELS = {"around", *(inflect(verb, form) for verb in ("walk", "run", "jog", "go", "move") for form in FORMS)}
+#: In every form, what people do who are on their way somewhere.
+TRAVELLING = frozenset(
+    inflect(verb, form)
+    for verb in words_of(
+        "walk run jog go move stroll stride pace hike tramp trudge toddle strut sprint dash scamper tiptoe step"
+    )
+    for form in FORMS
+)
+_WHO_TRAVELS = {"around", *TRAVELLING}
 _ROUND = r"\s+(?:circle|turn|path|loop|arc|curve|direction)s?\b"
 _ON_ITS_WAY = r"\s+(?:ahead|forwards?|onwards?|off|away|across|along|toward|towards|past|out|into|through)\b"
 _OBJECT = r"\s+(?:his|her|him|them|the|an?|it|its|me|us|away|out|off)\b"
@@ -157,11 +166,26 @@ _WORD = re.compile(r"[^\W\d_]+(?:-[^\W\d_]+)*")
 
 
 @dataclass(frozen=True, slots=True)
+class Bend:
+    """What a sentence says of a way that the model is not told of, and how the way is bent then."""
+
+    said: str
+    steering: Steering
+
+
+@dataclass(frozen=True, slots=True)
 class Reading:
-    """A sentence as a model is told it, and every word that was read otherwise with what it was read as."""
+    """A sentence as a model is told it, and every word that was read otherwise with what it was read as.
+
+    Args:
+        text: what the model is told.
+        replaced: words, and what they were read as.
+        bent: a turn that the model is not told of (``said_turns``).
+    """
 
     text: str
     replaced: tuple[tuple[str, str], ...] = ()
+    bent: Bend | None = None
 
 
 def in_known_words(sentence: str, known: KnownPrompts) -> Reading:
@@ -191,8 +215,8 @@ def in_known_words(sentence: str, known: KnownPrompts) -> Reading:
 
 def _means(word: str, before: str, text: str) -> str:
     """What a word is read as between these; "" where it may mean something else."""
-    if word in _CLOCKWISE:
-        return _sided(_CLOCKWISE[word], before, text)
+    if word in CLOCKWISE:
+        return _sided(CLOCKWISE[word], before, text)
     by, verb, form = _table().get(word, ("", "", ""))
     for key in (word, verb):
         if (key in _ONLY_BEFORE and not _follows(_ONLY_BEFORE[key], text)) or (

@@ -26,7 +26,8 @@ from moveset.pipelines.bundle import DEFAULT_MODEL, Bundle
 from moveset.pipelines.denoise import Denoise
 from moveset.pipelines.device import Stopwatch, pick_device
 from moveset.pipelines.request import Method, Request, check_method, check_request, check_whole
-from moveset.pipelines.synonyms import in_known_words
+from moveset.pipelines.said_turns import read
+from moveset.pipelines.synonyms import Bend, Reading
 from moveset.pipelines.warnings import too_long, unfamiliar
 from moveset.text.ellipsis import in_full
 from moveset.text.encoder import TextEmbedding, TextEncoder, get_text_encoder, stack
@@ -182,7 +183,8 @@ class TextToMotion:
         clock = Stopwatch(self.device)
 
         prompts = [prompt for request in requests for prompt in request.prompts]
-        known = {prompt: self.encoder.encode([self._said(prompt)]) for prompt in dict.fromkeys(prompts)}
+        readings = {prompt: self._read(prompt) for prompt in prompts}
+        known = {prompt: self.encoder.encode([reading.text]) for prompt, reading in readings.items()}
         frames = [n for request in requests for n in self._frames(request, known)]
         warnings = {request.prompts: self._warnings(request.prompts, known) for request in requests}
         clock.lap("text")
@@ -201,7 +203,8 @@ class TextToMotion:
         decoded = []
         for z, part in zip(latents, rows, strict=True):
             pause()
-            decoded.append(self._decode(vae, z, frames[part]))
+            bends = [readings[prompt].bent for prompt in prompts[part]]
+            decoded.append(self._decode(vae, z, frames[part], bends))
             done += 1
         clips = iter([clip for batch_of_clips in decoded for clip in batch_of_clips])
         clock.lap("decode")
@@ -235,9 +238,9 @@ class TextToMotion:
         """The text encoder that the model was trained with."""
         return get_text_encoder(self.bundle.config.text_encoder, device=self.device)
 
-    def _said(self, prompt: str) -> str:
+    def _read(self, prompt: str) -> Reading:
         """A prompt as the networks are told it: in full, and in words that they know."""
-        return in_known_words(in_full(prompt), self.bundle.captions).text
+        return read(in_full(prompt), self.bundle.captions)
 
     def _frames(self, request: Request, known: Mapping[str, TextEmbedding]) -> list[int]:
         """Frames of each clip: as asked for, or predicted from the text."""
@@ -255,7 +258,9 @@ class TextToMotion:
         pooled = torch.cat([known[prompt].pooled for prompt in prompts])
         return (*too_long(self.encoder, prompts, self.bundle.captions), *unfamiliar(self.bundle, prompts, pooled))
 
-    def _decode(self, vae: nn.Module, z_BND: Tensor, frames: Sequence[int]) -> list[tuple[Motion, Tensor]]:
+    def _decode(
+        self, vae: nn.Module, z_BND: Tensor, frames: Sequence[int], bends: Sequence[Bend | None]
+    ) -> list[tuple[Motion, Tensor]]:
         """Motions of ``frames[k]`` frames of normalised latents (B, N, d), and their planted feet (F, 4)."""
         n = {name: value.to(self.device) for name, value in self.bundle.normalizer.items()}
         lengths = torch.tensor(frames, device=self.device)
@@ -263,5 +268,8 @@ class TextToMotion:
         x_BFD = torch.addcmul(n["feature_mean"], x_BFD, n["feature_std"]).cpu()
         codec = get_codec(self.bundle.config.codec)
         planted_BF4 = x_BFD[..., codec.groups["contacts"]] > PLANTED
-        rows = zip(x_BFD, planted_BF4, frames, strict=True)
-        return [(codec.decode(x[:length]), planted[:length]) for x, planted, length in rows]
+        out = []
+        for x, planted, length, bend in zip(x_BFD, planted_BF4, frames, bends, strict=True):
+            features = x[:length] if bend is None else bend.steering.clip(x[:length], codec)
+            out.append((codec.decode(features), planted[:length]))
+        return out

@@ -8,7 +8,7 @@ from typing import Any
 from torch import Tensor
 
 from moveset.pipelines.model_folder import ModelFolder
-from moveset.pipelines.synonyms import in_known_words
+from moveset.pipelines.said_turns import read
 from moveset.text.encoder import TextEncoder
 from moveset.text.familiarity import KnownPrompts
 from moveset.text.stages import split_stages
@@ -40,24 +40,28 @@ def unfamiliar(bundle: ModelFolder[Any], prompts: tuple[str, ...], pooled: Tenso
     out = []
     for prompt, cosine, k in zip(prompts, best.tolist(), where.tolist(), strict=True):
         nearest = f"the nearest it knows is {known.sentences[k]!r}"
-        read = in_known_words(prompt, known)
-        if read.replaced:
-            named = ", ".join(f"{word!r} as {by!r}" for word, by in read.replaced[:MOST_WORDS])
-            more = " …" if len(read.replaced) > MOST_WORDS else ""
+        read_as = read(prompt, known)
+        if read_as.replaced:
+            named = ", ".join(f"{word!r} as {by!r}" for word, by in read_as.replaced[:MOST_WORDS])
+            more = " …" if len(read_as.replaced) > MOST_WORDS else ""
             out.append(f"words that this model was never trained on are read as others: {named}{more}")
+        if read_as.bent:
+            out.append(
+                f"this model was never trained on {read_as.bent.said!r}: the way is bent {read_as.bent.steering.says}"
+            )
         if cosine < bundle.config.far_prompt:
             out.append(f"{prompt!r} is unlike anything this model was trained on (similarity {cosine:.2f}); {nearest}")
             continue
-        if words := known.unread(read.text):
+        if words := known.unread(read_as.text):
             named = ", ".join(map(repr, words[:MOST_WORDS])) + (" …" if len(words) > MOST_WORDS else "")
             them, they = ("words", "they mean") if len(words) > 1 else ("word", "it means")
             out.append(f"this model was never trained on the {them} {named} and guesses what {they}; {nearest}")
-        elif pairs := known.unpaired(read.text):
+        elif pairs := known.unpaired(read_as.text):
             named = " or ".join(map(repr, pairs))
             out.append(f"this model knows the words of {named} but was never trained on that; {nearest}")
         if found := _SEVERAL.search(prompt):
             out.append(f"this model moves one person alone, not {found.group()!r}; {nearest}")
-        if (count := len(split_stages(read.text))) > _STAGES and count > _most_stages(known):
+        if (count := len(split_stages(read_as.text))) > _STAGES and count > _most_stages(known):
             out.append(f"{prompt!r} says {count} things one after the other, more than this model learned to do at a "
                        "time; give each as a prompt of its own")  # fmt: skip
     return out
@@ -69,7 +73,7 @@ def _most_stages(known: KnownPrompts) -> int:
 
 def too_long(encoder: TextEncoder, prompts: tuple[str, ...], known: KnownPrompts) -> list[str]:
     """One warning for every prompt whose end, as it is read, the text encoder does not see."""
-    counts = [encoder.token_count(in_known_words(prompt, known).text) for prompt in prompts]
+    counts = [encoder.token_count(read(prompt, known).text) for prompt in prompts]
     return [
         f"the prompt has {count} tokens, of which the text encoder reads {encoder.max_tokens}; its end has no effect"
         for count in counts

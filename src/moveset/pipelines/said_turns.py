@@ -1,0 +1,171 @@
+"""Circles, about-turns and degrees: how far a sentence says that somebody turns, where a model was never told of that.
+
+Captions of the shipped models turn left, turn right, and know no angle. So "walks in a circle" is told as "walks" and
+"turns around" as "turns to the left", and the way is bent (``motion.steering``). What does not say its side goes left.
+A model that has a caption of such words is told every sentence of the kind as it is.
+"""
+
+import math
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from functools import lru_cache
+
+from moveset.motion.steering import Circle, Steering, Turn
+from moveset.pipelines.synonyms import CLOCKWISE, TRAVELLING, Bend, Reading, in_known_words
+from moveset.text.english import FORMS, inflect
+from moveset.text.familiarity import KnownPrompts
+from moveset.text.vocabulary import words_of
+
+_THE = r"(?:the|his|her|their|its|my|your|our)"
+_CLOCK = "|".join(CLOCKWISE)
+_LIMB = r"\s+(?:hand|arm|leg|foot|knee|elbow|shoulder|hip|side)s?\b"
+
+
+def _side(name: str) -> str:
+    """A pattern of "to the left", "clockwise" and the like, which may be missing."""
+    to = rf"(?:(?:to|towards?)\s+(?:{_THE}\s+)?|turning\s+)?"
+    return rf"(?:\s+(?P<{name}>{to}(?:left|right)(?:wards?)?|{_CLOCK})\b(?!{_LIMB}))?"
+
+
+def _forms(*verbs: str) -> dict[str, str]:
+    return {inflect(verb, form): form for verb in verbs for form in FORMS}
+
+
+_TURNS = _forms("turn", "rotate", "pivot", "swivel")
+_MAKES = _forms("make", "do", "take", "perform", "execute")
+_SIZES = {"small": 0.8, "tight": 0.8, "little": 0.8, "big": 2.5, "large": 2.5, "wide": 2.5, "huge": 4.0}  # metres
+_WORDS = {
+    "forty-five": 45, "ninety": 90, "one hundred eighty": 180, "one hundred and eighty": 180,
+    "a hundred and eighty": 180, "two hundred seventy": 270, "two hundred and seventy": 270,
+    "three hundred sixty": 360, "three hundred and sixty": 360,
+}  # fmt: skip
+_KINDS = {
+    "u-turn": 180, "u turn": 180, "about-face": 180, "about face": 180, "about-turn": 180, "about turn": 180,
+    "half turn": 180, "half-turn": 180, "quarter turn": 90, "quarter-turn": 90, "full turn": 360,
+}  # fmt: skip
+_DEGREES = rf"(?P<degrees>\d{{1,3}}|{'|'.join(_WORDS)})(?:\s*°|[\s-]*degrees?\b)"
+_ADJECTIVES = rf"an?|one|the|full|complete|whole|perfect|slow|left|right|{_CLOCK}|{'|'.join(_SIZES)}"
+
+_CIRCLE = re.compile(
+    rf"{_side('before')}\s+(?P<where>(?:(?:around|round|about)\s+)?(?:in|on|along)\s+)?(?P<adjectives>(?:(?:{_ADJECTIVES})\s+)*)"
+    rf"circle(?P<several>s)?\b(?!\s+of\b){_side('after')}",
+    re.I,
+)
+# What an angle or "around" belongs to; "turns around the corner" and "turns around his hand" are other things.
+_AROUND = re.compile(
+    rf"\b(?P<verb>{'|'.join(_TURNS)})(?:\s+(?:all\s+the\s+way|completely|fully|quickly|slowly|right))?\s+a?round\b"
+    rf"(?!\s+(?:{_THE}|an?|in|and\s+a?round|this|that)\b){_side('after')}",
+    re.I,
+)
+_BY_DEGREES = re.compile(
+    rf"\b(?P<verb>{'|'.join(_TURNS)}){_side('before')}(?:\s+by)?\s+{_DEGREES}(?:\s+around)?{_side('after')}", re.I
+)
+_MADE = re.compile(
+    rf"\b(?P<verb>{'|'.join(_MAKES)})\s+an?\s+(?:(?P<before>left|right)\s+)?"
+    rf"(?:(?P<kind>{'|'.join(_KINDS)})|{_DEGREES}\s+(?:(?P<between>left|right)\s+)?turn)\b{_side('after')}",
+    re.I,
+)
+_PLAIN = re.compile(
+    rf"\b(?:(?:{'|'.join(_forms('turn', 'veer', 'swerve', 'curve', 'pivot', 'rotate', 'swivel'))})"
+    rf"\s+(?:(?:to|towards?)\s+(?:{_THE}\s+)?)?|(?:{'|'.join(_MAKES)})\s+an?\s+)(?P<side>left|right)\b(?!{_LIMB})",
+    re.I,
+)
+_ON_AND_ON = re.compile(r"\b(?:keep\w*|kept|continu\w*|again|over|times|constantly|forever|always)\b", re.I)
+_GOES_BACK = re.compile(rf"\b(?P<goes>{'|'.join(sorted(TRAVELLING))})\s+back\b(?!\s+and\s+forth)", re.I)
+_CLAUSE = re.compile(r"[,.;:!?]|\b(?:then|while|before|after)\b", re.I)
+_LIMBS = frozenset(words_of(
+    "hand hands arm arms leg legs foot feet knee knees elbow elbows head hips hip wrist wrists shoulder shoulders"
+))  # fmt: skip
+_USUAL = 95  # degrees of a plain turn, of which streams do most; takes of them end at 91
+_MOST = 720  # degrees: nobody turns further in a clip
+_Plain = tuple[str, Steering]  # a sentence without its turn, and the turn
+
+
+def read(sentence: str, known: KnownPrompts) -> Reading:
+    """A sentence as a model is told it: in words that it knows, and without turns of which it was never told.
+
+    Args:
+        sentence: what a person does.
+        known: what the model was trained on; if nobody wrote its words down, every sentence is told as it is.
+    """
+    if known.words:
+        for pattern, said in _PATTERNS.items():
+            for found in pattern.finditer(sentence):
+                if (plain := said(found, sentence, known)) and not _says(known, pattern):
+                    text, steering = plain
+                    return replace(in_known_words(text, known), bent=Bend(found[0].strip(), steering))
+    return in_known_words(sentence, known)
+
+
+def plain_turn(sentence: str) -> Turn | None:
+    """How far a sentence turns that names nothing but the side, in a motion that ends nowhere; None of others.
+
+    A stream that is told to turn does so, but ends at twice the angle of takes as often as not.
+    """
+    found = list(_PLAIN.finditer(sentence))
+    if len(found) != 1 or _ON_AND_ON.search(sentence):
+        return None
+    return Turn(_sign(found[0]["side"]) * math.radians(_USUAL))
+
+
+def _in_a_circle(found: re.Match[str], text: str, known: KnownPrompts) -> _Plain | None:
+    clause = words_of(in_known_words(_CLAUSE.split(text[: found.start()])[-1], known).text)
+    goes = TRAVELLING.intersection(clause) if found["where"] else TRAVELLING.intersection(clause[-1:])
+    if not goes or _LIMBS.intersection(clause):
+        return None
+    adjectives = words_of(found["adjectives"])
+    side = _sign(found["before"], found["after"], *adjectives)
+    sizes = [_SIZES[word] for word in adjectives if word in _SIZES]
+    circle = Circle(side, None if found["several"] else 1.0, *sizes[:1])
+    return text[: found.start()] + text[found.end() :], circle
+
+
+def _around(found: re.Match[str], text: str, _: KnownPrompts) -> _Plain:
+    return _turned(found, text, _TURNS, 180, found["after"])
+
+
+def _by_degrees(found: re.Match[str], text: str, _: KnownPrompts) -> _Plain | None:
+    degrees = _count(found["degrees"])
+    return _turned(found, text, _TURNS, degrees, found["before"], found["after"]) if 1 <= degrees <= _MOST else None
+
+
+def _made(found: re.Match[str], text: str, _: KnownPrompts) -> _Plain | None:
+    degrees = _KINDS[found["kind"].lower()] if found["kind"] else _count(found["degrees"])
+    sides = found["before"], found["between"], found["after"]
+    return _turned(found, text, _MAKES, degrees, *sides) if 1 <= degrees <= _MOST else None
+
+
+def _turned(found: re.Match[str], text: str, verbs: dict[str, str], degrees: int, *sides: str | None) -> _Plain:
+    """The sentence with a plain turn, and by how much it turns."""
+    sign = _sign(*sides)
+    verb = inflect("turn", verbs[found["verb"].lower()])
+    verb = verb.capitalize() if found["verb"][0].isupper() else verb
+    after = text[found.end() :]
+    if degrees >= 135:  # whoever turned around and walks back walks forward
+        after = _GOES_BACK.sub(lambda m: m["goes"], after)
+    turn = f"{verb} to the {'left' if sign > 0 else 'right'}"
+    return text[: found.start()] + turn + after, Turn(sign * math.radians(degrees))
+
+
+def _sign(*said: str | None) -> int:
+    words = [word for side in said if side for word in words_of(side)]
+    return -1 if any(CLOCKWISE.get(word, word) in ("right", "rightward", "rightwards") for word in words) else 1
+
+
+def _count(degrees: str) -> int:
+    return int(degrees) if degrees.isdigit() else _WORDS[" ".join(degrees.lower().split())]
+
+
+_PATTERNS: dict[re.Pattern[str], Callable[[re.Match[str], str, KnownPrompts], _Plain | None]] = {
+    _BY_DEGREES: _by_degrees,
+    _MADE: _made,
+    _AROUND: _around,
+    _CIRCLE: _in_a_circle,
+}
+
+
+@lru_cache(maxsize=64)
+def _says(known: KnownPrompts, pattern: re.Pattern[str]) -> bool:
+    """Whether a caption of the training says something of the kind."""
+    return any(pattern.search(sentence) for sentence in known.sentences)

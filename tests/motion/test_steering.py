@@ -1,0 +1,140 @@
+"""Ways that are bent: they end where they should, and nothing but the way is another."""
+
+import math
+
+import pytest
+import torch
+
+from moveset.data.synthetic import synthetic_motion
+from moveset.motion import rotations
+from moveset.motion.features import get_codec
+from moveset.motion.native import NativeCodec
+from moveset.motion.retarget import retarget
+from moveset.motion.steering import Circle, Turn
+
+NATIVE = NativeCodec()
+
+
+def features(kind="walk", frames=120, codec=NATIVE):
+    motion = synthetic_motion(kind, frames, fps=codec.fps)
+    if codec.name == "kit":
+        motion = retarget(motion, codec.skeleton)
+    return codec.encode(motion)
+
+
+def turned(x, codec=NATIVE):
+    """Degrees from the first frame to the last, to the left, of the decoded motion."""
+    heading = rotations.heading_angle(codec.decode(x).rotations[:, 0].double())
+    return math.degrees(float((torch.remainder(heading.diff() + math.pi, 2 * math.pi) - math.pi).sum()))
+
+
+def in_pieces(steering, x, sizes):
+    """What a stream makes of features that are bent piece by piece."""
+    out, before = [], 0.0
+    for piece in x.split(sizes):
+        out.append(steering.piece(piece, NATIVE, before))
+        before += float(piece[:, NATIVE.groups["root_yaw"]].double().sum())
+    return torch.cat(out)
+
+
+@pytest.mark.parametrize("name", ["native", "hml", "kit"])
+@pytest.mark.parametrize("side", [1, -1])
+def test_a_circle_ends_where_it_began_whatever_the_features(name, side):
+    codec = get_codec(name)
+    x = Circle(side).clip(features(codec=codec), codec)
+    assert turned(x, codec) == pytest.approx(side * 360.0, abs=2.0)
+    root = codec.decode(x).root[:, [0, 2]]
+    way = root.diff(dim=0).norm(dim=1).sum()
+    assert (root[-1] - root[0]).norm() < 0.02 * way
+    centre = root.mean(dim=0)
+    radii = (root - centre).norm(dim=1)
+    assert float(radii.min()) > 0.9 * float(radii.max())
+    assert float(radii.mean()) == pytest.approx(float(way) / (2 * math.pi), rel=0.05)
+    to_left = torch.linalg.det(torch.stack((root[10] - centre, root[0] - centre)))  # seen from above, z runs down
+    assert to_left * side > 0
+
+
+@pytest.mark.parametrize("name", ["native", "hml", "kit"])
+@pytest.mark.parametrize("degrees", [45, 135, 180, 300, -90])
+@pytest.mark.parametrize("kind", ["walk", "walk-turn-left", "run"])
+def test_a_turn_ends_at_its_angle_whatever_was_made(name, degrees, kind):
+    codec = get_codec(name)
+    x = features(kind, codec=codec)
+    bent = Turn(math.radians(degrees)).clip(x, codec)
+    # A pelvis that is decoded from positions is not quite where the features look.
+    assert turned(bent, codec) == pytest.approx(degrees, abs=2.0 if name == "native" else 8.0)
+    rest = torch.arange(x.shape[1]) != codec.groups["root_yaw"].start
+    assert torch.equal(bent[:, rest], x[:, rest])
+
+
+def test_a_turn_that_is_there_stays_where_it_is():
+    x = torch.cat((features("walk", 60), features("walk-turn-left", 60), features("walk", 60)))
+    bent = Turn(math.radians(150)).clip(x, NATIVE)
+    yaw = bent[:, NATIVE.groups["root_yaw"]][:, 0]
+    assert math.degrees(float(yaw[60:120].sum())) == pytest.approx(150, abs=5)
+    assert float(yaw[:60].abs().sum() + yaw[120:].abs().sum()) < math.radians(5)
+
+
+def test_who_stands_does_not_spin_and_who_runs_does_not_trip():
+    for steering in (Circle(1), Circle(1, None), Turn(math.pi)):
+        still = features("wave-left-hand")
+        assert turned(steering.clip(still, NATIVE)) == pytest.approx(turned(still), abs=1.0)
+        assert turned(steering.piece(still, NATIVE, 0.0)) == pytest.approx(turned(still), abs=1.0)
+    x = Circle(-1, 5.0).clip(features("run"), NATIVE)
+    assert float(x[:, NATIVE.groups["root_yaw"]].abs().max()) * NATIVE.fps <= math.radians(120.0) + 1e-6
+    small = Circle(1).clip(features("walk", 20), NATIVE)  # a metre, too little to go round
+    assert 90 < turned(small) < 180
+
+
+@pytest.mark.parametrize("radius", [0.8, 1.5, 4.0])
+def test_a_stream_goes_round_on_its_radius_however_it_is_cut(radius):
+    x = features("walk", 560)
+    steering = Circle(1, radius=radius)
+    whole, pieces = in_pieces(steering, x, 560), in_pieces(steering, x, 28)
+    assert torch.equal(whole, pieces)
+    root = NATIVE.decode(pieces).root.double()[:, [0, 2]]
+    way = root.diff(dim=0).norm(dim=1).sum()
+    assert math.radians(turned(pieces)) == pytest.approx(float(way) / radius, rel=0.02)
+    once = root[: int(560 * 2 * math.pi * radius / float(way))]
+    assert float((once - once.mean(dim=0)).norm(dim=1).mean()) == pytest.approx(radius, rel=0.05)
+
+
+@pytest.mark.parametrize("degrees", [90, 180, -180])
+@pytest.mark.parametrize("own", [100, 160, 250])
+def test_a_stream_ends_at_the_angle_however_far_it_turns_by_itself(degrees, own):
+    x = features("walk", 280)
+    yaw = x[:, NATIVE.groups["root_yaw"]]
+    yaw[20:160] += math.copysign(math.radians(own) / 140, degrees)
+    bent = in_pieces(Turn(math.radians(degrees)), x, 28)
+    assert 0.82 < turned(bent) / degrees <= 1.001
+    late = turned(bent) - turned(bent[:200])
+    assert abs(late) < 0.05 * abs(degrees)  # nor does it turn back
+    if own > 150:
+        assert turned(bent) == pytest.approx(degrees, rel=0.05)
+
+
+def test_hips_sway_as_they_did():
+    x = features("walk", 280)
+    x[:, NATIVE.groups["root_yaw"]] += 0.03 * torch.sin(torch.arange(280) * 0.6)[:, None]
+    bent = in_pieces(Turn(math.pi / 2), x, 28)
+    added = (bent - x)[:, NATIVE.groups["root_yaw"]][:, 0]
+    for piece in added.split(28):  # along the way, which this body goes at a steady pace
+        assert float(piece.std()) < 0.02 * 0.03
+
+
+@pytest.mark.parametrize("steering", [Circle(1), Circle(1, None, 0.8), Turn(2.0)])
+def test_the_mirror_image_is_bent_to_the_other_side(steering):
+    order, signs = NATIVE.mirror()
+    other = Turn(-2.0) if isinstance(steering, Turn) else Circle(-1, steering.times, steering.radius)
+    x = features("walk-turn-left")
+    mirrored = x[:, order] * signs
+    assert torch.allclose(steering.clip(x, NATIVE)[:, order] * signs, other.clip(mirrored, NATIVE), atol=1e-6)
+    assert torch.allclose(
+        steering.piece(x, NATIVE, 0.3)[:, order] * signs, other.piece(mirrored, NATIVE, -0.3), atol=1e-6
+    )
+
+
+def test_what_is_bent_is_told():
+    assert Circle(-1).says == "to the right, onto a circle"
+    assert Turn(math.pi).says == "to the left, by 180 degrees in all"
+    assert Turn(-math.pi / 2).says == "to the right, by 90 degrees in all"

@@ -1,0 +1,210 @@
+"""Turns that a model was never told of: what sentences mean by them, and where the motions that are made end."""
+
+import itertools
+import math
+
+import pytest
+import torch
+
+from moveset import MotionStream, TextToMotion
+from moveset.data import phrases
+from moveset.data.captions import heldout_captions, mirror_text, train_captions
+from moveset.motion import rotations
+from moveset.motion.steering import Circle, Turn
+from moveset.pipelines.bundle import Bundle
+from moveset.pipelines.said_turns import plain_turn, read
+from moveset.pipelines.stream_group import StreamGroup
+from moveset.pipelines.stream_settings import check_stream
+from moveset.pipelines.synonyms import as_written
+from moveset.text.familiarity import KnownPrompts
+
+
+@pytest.fixture(scope="module")
+def shipped():
+    """What the shipped clips were trained on; streams share the captions that count here."""
+    return Bundle.find("motionpcm-small").captions
+
+
+def known(*sentences, words=("walks", "turns")):
+    return KnownPrompts(sentences or ("a person walks",), torch.ones(max(len(sentences), 1), 2), frozenset(words))
+
+
+def turn(degrees):
+    return Turn(math.radians(degrees))
+
+
+@pytest.mark.parametrize(
+    ("sentence", "text", "steering"),
+    [
+        ("a person walks in a circle", "a person walks", Circle(1)),
+        ("A man walks around in a big circle to the right.", "A man walks.", Circle(-1, radius=2.5)),
+        ("he walks clockwise in a circle, waving", "he walks, waving", Circle(-1)),
+        ("jogging in a slow counter-clockwise circle", "jogging", Circle(1)),
+        ("she runs in circles", "she runs", Circle(1, None)),
+        ("a man saunters in tight circles", "a man strolls", Circle(1, None, 0.8)),
+        ("he walked a full circle turning right", "he walked", Circle(-1)),
+        ("bows, then walks in a circle, then waves", "bows, then walks, then waves", Circle(1)),
+        ("a person turns around", "a person turns to the left", turn(180)),
+        ("Turn around to the right!", "Turn to the right!", turn(-180)),
+        ("walks, turns around and walks back", "walks, turns to the left and walks", turn(180)),
+        ("turned round clockwise, goes back and forth", "turned to the right, goes back and forth", turn(-180)),
+        ("he makes a U-turn", "he turns to the left", turn(180)),
+        ("doing an about-face to the right", "turning to the right", turn(-180)),
+        ("takes a quarter turn to the right", "turns to the right", turn(-90)),
+        ("she turns 45 degrees to the right", "she turns to the right", turn(-45)),
+        ("turns left by 270° while waving", "turns to the left while waving", turn(270)),
+        ("rotates ninety degrees clockwise", "turns to the right", turn(-90)),
+        ("made a 90-degree left turn", "turned to the left", turn(90)),
+        ("take a 120 degree turn to the right", "turn to the right", turn(-120)),
+        ("turns three hundred and sixty degrees", "turns to the left", turn(360)),
+    ],
+)
+def test_the_turn_is_taken_out_of_the_sentence(shipped, sentence, text, steering):
+    reading = read(sentence, shipped)
+    assert reading.text == text
+    assert reading.bent.steering == steering
+    assert reading.bent.said in sentence
+    assert read(text, shipped).bent is None
+
+
+@pytest.mark.parametrize(
+    "sentence",
+    [
+        "waves both arms in circles", "walks while drawing a circle with the left hand", "sits in a circle of friends",
+        "walks and swings the arms in big circles", "a person walks, moving the head in a circle", "a circle",
+        "turns around the corner", "turns the wheel around", "turns around and around", "turns a page around",
+        "turns 0 degrees", "turns 900 degrees", "turns to the left", "turns 3 times", "stands in a full circle",
+        "raises the left arm by 90 degrees", "makes a left turn", "walks back", "spins around", "", " ", "?",
+    ],
+)  # fmt: skip
+def test_what_is_another_turn_or_none_is_told_as_it_is(shipped, sentence):
+    reading = read(sentence, shipped)
+    assert (reading.text, reading.bent) == (sentence, None)
+
+
+def test_captions_of_the_training_and_held_out_ones_keep_their_turns(shipped):
+    for content in phrases.TRAIN:
+        for caption in (*train_captions(content, None), *heldout_captions(content)):
+            assert read(caption, shipped).bent is None, caption
+
+
+def test_the_mirrored_sentence_is_bent_to_the_other_side(shipped):
+    for sentence in (
+        "walks in a circle to the left", "turns 90 degrees to the right", "turns left by 30 degrees",
+        "makes a 45 degree right turn", "runs clockwise in a big circle", "turns around counterclockwise",
+    ):  # fmt: skip
+        one, other = read(sentence, shipped), read(mirror_text(sentence), shipped)
+        assert other.text == mirror_text(one.text)
+        assert one.bent.steering.says.replace("left", "right") == other.bent.steering.says.replace("left", "right")
+        assert one.bent.steering != other.bent.steering
+
+
+@pytest.mark.parametrize(
+    ("sentence", "caption"),
+    [
+        ("walks in a circle", "someone walked in circles"),
+        ("he turns around", "a person turns around and waves"),
+        ("turns 90 degrees", "a person turns 180 degrees"),
+        ("makes a u-turn", "a man made a U-turn"),
+    ],
+)
+def test_a_model_that_was_told_of_such_turns_is_told_of_them(sentence, caption):
+    assert read(sentence, known()).bent
+    assert read(sentence, known("a person walks", caption)).text == sentence
+    assert read(sentence, known(words=())).text == sentence  # nobody knows what it was told
+
+
+def headings(motions):
+    """Degrees, to the left, from the first to the last frame of motions that follow one another."""
+    heading = rotations.heading_angle(torch.cat([m.rotations[:, 0] for m in motions]).double())
+    return math.degrees(float((torch.remainder(heading.diff() + math.pi, 2 * math.pi) - math.pi).sum()))
+
+
+@pytest.fixture(scope="module")
+def t2m():
+    return TextToMotion.from_pretrained(device="cpu")
+
+
+def test_clips_end_at_their_angle_and_say_so(t2m):
+    prompts = ["a person turns around", "a person turns 45 degrees to the right", "a man walks in a circle"]
+    for prompt, degrees in zip(prompts, (180, -45, 360), strict=True):
+        made = t2m(prompt, seed=4, seconds=5.0)
+        assert headings([made.motion]) == pytest.approx(degrees, abs=15)
+        [warning] = made.warnings
+        assert warning.startswith(f"this model was never trained on {prompt.split(' ', 2)[2].removeprefix('walks ')!r}")
+    root = made.motion.root[:, [0, 2]]
+    assert (root[-1] - root[0]).norm() < 0.1 * root.diff(dim=0).norm(dim=1).sum()
+
+
+def test_each_clip_of_a_batch_is_bent_as_its_own_prompt_says(t2m):
+    timeline = t2m(["a person walks", "a person walks in a circle", "a person walks"], seed=4, seconds=5.0, batch=3)
+    apart = [t2m.bundle.config.fps * k * 5.0 for k in range(4)]
+    parts = [timeline.motion[int(a) : int(b)] for a, b in itertools.pairwise(apart)]
+    turned = [headings([part]) for part in parts]
+    assert turned == pytest.approx([0, 355, 0], abs=25)
+
+
+def test_networks_that_are_judged_are_told_what_is_written():
+    t2m = TextToMotion.from_pretrained(device="cpu")
+    as_written(t2m.bundle)
+    made = t2m("a person walks in a circle", seed=4, seconds=5.0)
+    assert abs(headings([made.motion])) < 90
+    assert not made.warnings
+
+
+def test_a_stream_turns_around_and_its_mirror_image_to_the_other_side():
+    for side, degrees in (("left", 180), ("right", -180)):
+        stream = MotionStream.from_pretrained(prompt=f"a person turns around to the {side}", seed=5, device="cpu")
+        assert headings([next(stream).motion for _ in range(9)]) == pytest.approx(degrees, abs=35)
+
+
+def test_a_stream_goes_in_circles_until_it_is_told_otherwise():
+    stream = MotionStream.from_pretrained(prompt="a person walks in a circle", seed=5, device="cpu")
+    round_and_round = headings([next(stream).motion for _ in range(8)])
+    assert 300 < round_and_round < 650  # 13 m at a radius of 1.5 m
+    stream.prompt("a person walks")
+    next(stream)
+    assert abs(headings([next(stream).motion for _ in range(8)])) < 60
+    assert "in a circle" in MotionStream.from_pretrained(prompt="a person walks in a circle", device="cpu").warnings[0]
+
+
+@pytest.mark.parametrize(
+    ("sentence", "side"),
+    [
+        ("a person turns left", 1), ("walks and turns to the right", -1), ("turning to their left, waves", 1),
+        ("a man takes a right turn", -1), ("she made a left", 1), ("veers right", -1),
+        ("turns to the left hand", 0), ("keeps turning left", 0), ("turns left again and again", 0),
+        ("turns left, then turns right", 0), ("turns", 0), ("waves with the left hand", 0), ("turns the page left", 0),
+    ],
+)  # fmt: skip
+def test_plain_turns_are_those_that_name_a_side_once(sentence, side):
+    turn = plain_turn(sentence)
+    assert (0 if turn is None else math.copysign(1, turn.angle)) == side
+
+
+def test_plain_turns_of_streams_end_at_those_of_takes():
+    """Unbent, these end at -96 to -218 degrees, takes at -91."""
+    for seed in range(3):
+        stream = MotionStream.from_pretrained(prompt="a person turns right", seed=seed, device="cpu")
+        assert headings([next(stream).motion for _ in range(10)]) == pytest.approx(-90, abs=12)
+        assert not stream.warnings
+
+
+@pytest.mark.parametrize("prompt", ["a person walks in a circle", "a person turns around", "walks, then turns around"])
+def test_a_stream_that_is_restored_or_grouped_is_bent_as_it_is_alone(bundle, encoder, prompt):
+    def opened():
+        request = check_stream(bundle.config, prompt, seed=3, network="pcm-1")
+        return MotionStream(bundle, request, device="cpu", encoder=encoder)
+
+    alone = opened()
+    want = [next(alone).motion.joints for _ in range(5)]
+    first = opened()
+    next(first), next(first)
+    again = opened().restore(first.state())
+    assert all(torch.equal(next(again).motion.joints, joints) for joints in want[2:])
+    settings = check_stream(bundle.config, network="pcm-1").settings
+    group = StreamGroup(bundle, settings, device="cpu", encoder=encoder)
+    lane = group.open(prompt, 3)
+    for joints in want:
+        [piece] = group.advance([lane])
+        assert float((piece.segment.motion.joints - joints).norm(dim=-1).max()) < 1e-4
