@@ -106,11 +106,9 @@ def test_a_stream_ends_at_the_angle_however_far_it_turns_by_itself(degrees, own)
     yaw = x[:, NATIVE.groups["root_yaw"]]
     yaw[20:160] += math.copysign(math.radians(own) / 140, degrees)
     bent = in_pieces(Turn(math.radians(degrees)), x, 28)
-    assert 0.82 < turned(bent) / degrees <= 1.001
+    assert 0.9 < turned(bent) / degrees < 1.06
     late = turned(bent) - turned(bent[:200])
     assert abs(late) < 0.05 * abs(degrees)  # nor does it turn back
-    if own > 150:
-        assert turned(bent) == pytest.approx(degrees, rel=0.05)
 
 
 def test_hips_sway_as_they_did():

@@ -57,6 +57,12 @@ def turn(degrees):
         ("made a 90-degree left turn", "turned to the left", turn(90)),
         ("take a 120 degree turn to the right", "turn to the right", turn(-120)),
         ("turns three hundred and sixty degrees", "turns to the left", turn(360)),
+        (
+            "a man walks a little, then heads off to the right",
+            "a man walks a little, then turns to the right",
+            turn(-90),
+        ),
+        ("Head left!", "Turn to the left!", turn(90)),
     ],
 )
 def test_the_turn_is_taken_out_of_the_sentence(shipped, sentence, text, steering):
@@ -74,6 +80,7 @@ def test_the_turn_is_taken_out_of_the_sentence(shipped, sentence, text, steering
         "walks and swings the arms in big circles", "a person walks, moving the head in a circle", "a circle",
         "turns around the corner", "turns the wheel around", "turns around and around", "turns a page around",
         "turns 0 degrees", "turns 900 degrees", "turns to the left", "turns 3 times", "stands in a full circle",
+        "turns the head left", "his head turns left", "nods the head to the left", "heads toward the door",
         "raises the left arm by 90 degrees", "makes a left turn", "walks back", "spins around", "", " ", "?",
     ],
 )  # fmt: skip
@@ -82,10 +89,12 @@ def test_what_is_another_turn_or_none_is_told_as_it_is(shipped, sentence):
     assert (reading.text, reading.bent) == (sentence, None)
 
 
-def test_captions_of_the_training_and_held_out_ones_keep_their_turns(shipped):
+def test_captions_keep_their_turns(shipped):
     for content in phrases.TRAIN:
-        for caption in (*train_captions(content, None), *heldout_captions(content)):
+        for caption in train_captions(content, None):
             assert read(caption, shipped).bent is None, caption
+        for caption in heldout_captions(content):
+            assert (read(caption, shipped).bent is not None) == (" off to the " in caption), caption
 
 
 def test_the_mirrored_sentence_is_bent_to_the_other_side(shipped):

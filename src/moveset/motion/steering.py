@@ -17,6 +17,7 @@ from moveset.motion.features import FeatureCodec
 
 RADIUS = 1.5  # metres, of a circle in a motion without an end
 _SURELY = math.radians(75.0)  # within which most of a turn is done; whoever turns in a stream turns by 95 at least
+_TO_THE_END = 1.05  # so that those who turn as far as most do end at the angle, not short of it
 _FASTEST = math.radians(120.0)  # a second, on a circle: a run leans into it, a walk trips
 # What 1 is in a codec's features: radians to the left (T2M's half-angles turn the world, KIT-ML's in a mirror); metres.
 _YAW = {"native": 1.0, "hml": -2.0, "kit": 2.0}
@@ -106,7 +107,7 @@ class Turn:
     def piece(self, features: Tensor, codec: FeatureCodec, turned: float) -> Tensor:
         """Features (F, D) of a piece of an endless motion, which comes nearer to the angle and stays there.
 
-        However far the network turns by itself, the way ends at it: what a turn of ``turned`` is bent to has no more
+        However far the network turns by itself, the way ends there: whatever it has turned by is bent to hardly more
         than the angle (``_bent``). Within a piece that is spread along the way, so that hips sway as they did.
         """
         way = float(_steps(features, codec).sum())
@@ -116,7 +117,7 @@ class Turn:
 
     def _bent(self, turned: float) -> float:
         """The angle to which one is bent that was turned by."""
-        return abs(self.angle) * math.tanh(turned / _SURELY)
+        return _TO_THE_END * abs(self.angle) * math.tanh(turned / _SURELY)
 
 
 def _side(side: float) -> str:

@@ -34,6 +34,7 @@ def _forms(*verbs: str) -> dict[str, str]:
 
 _TURNS = _forms("turn", "rotate", "pivot", "swivel")
 _MAKES = _forms("make", "do", "take", "perform", "execute")
+_LEAVES = _forms("head")
 _SIZES = {"small": 0.8, "tight": 0.8, "little": 0.8, "big": 2.5, "large": 2.5, "wide": 2.5, "huge": 4.0}  # metres
 _WORDS = {
     "forty-five": 45, "ninety": 90, "one hundred eighty": 180, "one hundred and eighty": 180,
@@ -52,6 +53,7 @@ _CIRCLE = re.compile(
     rf"circle(?P<several>s)?\b(?!\s+of\b){_side('after')}",
     re.I,
 )
+_HEADS = re.compile(rf"\b(?P<verb>{'|'.join(_LEAVES)})(?:\s+(?:off|out|over|away))?{_side('after')[:-1]}", re.I)
 # What an angle or "around" belongs to; "turns around the corner" and "turns around his hand" are other things.
 _AROUND = re.compile(
     rf"\b(?P<verb>{'|'.join(_TURNS)})(?:\s+(?:all\s+the\s+way|completely|fully|quickly|slowly|right))?\s+a?round\b"
@@ -74,10 +76,11 @@ _PLAIN = re.compile(
 _ON_AND_ON = re.compile(r"\b(?:keep\w*|kept|continu\w*|again|over|times|constantly|forever|always)\b", re.I)
 _GOES_BACK = re.compile(rf"\b(?P<goes>{'|'.join(sorted(TRAVELLING))})\s+back\b(?!\s+and\s+forth)", re.I)
 _CLAUSE = re.compile(r"[,.;:!?]|\b(?:then|while|before|after)\b", re.I)
+_BEFORE_VERBS = ("to", "and", "they", "we", "you", "i")
 _LIMBS = frozenset(words_of(
     "hand hands arm arms leg legs foot feet knee knees elbow elbows head hips hip wrist wrists shoulder shoulders"
 ))  # fmt: skip
-_USUAL = 95  # degrees of a plain turn, of which streams do most; takes of them end at 91
+_USUAL = 90  # degrees of a plain turn; takes of them end at 91
 _MOST = 720  # degrees: nobody turns further in a clip
 _Plain = tuple[str, Steering]  # a sentence without its turn, and the turn
 
@@ -125,6 +128,13 @@ def _around(found: re.Match[str], text: str, _: KnownPrompts) -> _Plain:
     return _turned(found, text, _TURNS, 180, found["after"])
 
 
+def _heads(found: re.Match[str], text: str, _: KnownPrompts) -> _Plain | None:
+    before = _CLAUSE.split(text[: found.start()])[-1].split()[-1:]
+    if found["verb"].lower() == "head" and before and before[0].lower() not in _BEFORE_VERBS:
+        return None  # what a body has on its neck
+    return _turned(found, text, _LEAVES, _USUAL, found["after"])
+
+
 def _by_degrees(found: re.Match[str], text: str, _: KnownPrompts) -> _Plain | None:
     degrees = _count(found["degrees"])
     return _turned(found, text, _TURNS, degrees, found["before"], found["after"]) if 1 <= degrees <= _MOST else None
@@ -162,6 +172,7 @@ _PATTERNS: dict[re.Pattern[str], Callable[[re.Match[str], str, KnownPrompts], _P
     _MADE: _made,
     _AROUND: _around,
     _CIRCLE: _in_a_circle,
+    _HEADS: _heads,
 }
 
 
