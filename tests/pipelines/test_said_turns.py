@@ -10,7 +10,7 @@ from moveset import MotionStream, TextToMotion
 from moveset.data import phrases
 from moveset.data.captions import heldout_captions, mirror_text, train_captions
 from moveset.motion import rotations
-from moveset.motion.steering import Circle, Turn
+from moveset.motion.steering import Circle, Stay, Turn
 from moveset.pipelines.bundle import Bundle
 from moveset.pipelines.said_turns import plain_turn, read
 from moveset.pipelines.stream_group import StreamGroup
@@ -63,6 +63,8 @@ def turn(degrees):
             turn(-90),
         ),
         ("Head left!", "Turn to the left!", turn(90)),
+        ("a person jogs in place", "a person jogs", Stay()),
+        ("marching on the spot, she waves", "walking, she waves", Stay()),
     ],
 )
 def test_the_turn_is_taken_out_of_the_sentence(shipped, sentence, text, steering):
@@ -81,7 +83,8 @@ def test_the_turn_is_taken_out_of_the_sentence(shipped, sentence, text, steering
         "turns around the corner", "turns the wheel around", "turns around and around", "turns a page around",
         "turns 0 degrees", "turns 900 degrees", "turns to the left", "turns 3 times", "stands in a full circle",
         "turns the head left", "his head turns left", "nods the head to the left", "heads toward the door",
-        "raises the left arm by 90 degrees", "makes a left turn", "walks back", "spins around", "", " ", "?",
+        "raises the left arm by 90 degrees", "makes a left turn", "walks back", "spins around", "puts it in place",
+        "jumps in place", "dances on the spot", "walks and moves the arms in place", "", " ", "?",
     ],
 )  # fmt: skip
 def test_what_is_another_turn_or_none_is_told_as_it_is(shipped, sentence):
@@ -143,6 +146,16 @@ def test_clips_end_at_their_angle_and_say_so(t2m):
         assert warning.startswith(f"this model was never trained on {prompt.split(' ', 2)[2].removeprefix('walks ')!r}")
     root = made.motion.root[:, [0, 2]]
     assert (root[-1] - root[0]).norm() < 0.1 * root.diff(dim=0).norm(dim=1).sum()
+
+
+def test_who_is_told_to_stay_steps_on_the_spot(t2m):
+    made = t2m("a person jogs in place", seed=4, seconds=5.0)
+    assert (made.motion.root[:, [0, 2]] == 0).all()
+    assert made.motion.joints[:, made.motion.skeleton.index("left_ankle"), 1].std() > 0.03
+    assert made.warnings == ("this model was never trained on 'in place': feet step on the spot",)
+    stream = MotionStream.from_pretrained(prompt="a person walks on the spot", seed=5, device="cpu")
+    way = torch.cat([next(stream).motion.root for _ in range(6)])[:, [0, 2]]
+    assert float(way.norm(dim=1).max()) < 0.3  # a body that stands drifts as much
 
 
 def test_each_clip_of_a_batch_is_bent_as_its_own_prompt_says(t2m):

@@ -1,4 +1,4 @@
-"""Where a way goes that a sentence bends: onto a circle, or by so many degrees in all.
+"""Where a way goes that a sentence bends: onto a circle, by so many degrees in all, or nowhere.
 
 A network that was never told of circles walks straight on, and turns as far as its takes did. Features of every codec
 are seen from their own heading, so adding to their yaw step bends the way and leaves everything else as it was
@@ -11,17 +11,22 @@ import math
 from dataclasses import dataclass
 from typing import Protocol
 
+import torch
 from torch import Tensor
 
+from moveset.motion import rotations
+from moveset.motion.cleanup import move_feet
 from moveset.motion.features import FeatureCodec
 
 RADIUS = 1.5  # metres, of a circle in a motion without an end
 _SURELY = math.radians(75.0)  # within which most of a turn is done; whoever turns in a stream turns by 95 at least
-_TO_THE_END = 1.05  # so that those who turn as far as most do end at the angle, not short of it
+_TO_THE_END = 1.1  # so that those who turn as far as most do end at the angle, not short of it
 _FASTEST = math.radians(120.0)  # a second, on a circle: a run leans into it, a walk trips
 # What 1 is in a codec's features: radians to the left (T2M's half-angles turn the world, KIT-ML's in a mirror); metres.
 _YAW = {"native": 1.0, "hml": -2.0, "kit": 2.0}
 _METRES = {"native": 1.0, "hml": 1.0, "kit": 0.001}
+_ENDS = ("hip", "ankle")  # of legs
+_AHEAD = torch.tensor((0.0, 0.0, 1.0), dtype=torch.float64)
 _TIGHTEST = 0.4  # metres, radius of a way; who stands and sways does not spin
 _TURNING = math.radians(30.0)  # in all; whoever turns by less does not turn
 _MOST = 2.0  # times as fast as it was made a turn is made
@@ -32,7 +37,7 @@ class Steering(Protocol):
 
     @property
     def says(self) -> str:
-        """Which way, for users: "to the left, onto a circle"."""
+        """What is done, for users: "the way is bent to the left, onto a circle"."""
 
     def clip(self, features: Tensor, codec: FeatureCodec) -> Tensor:
         """Features (F, D) of a whole motion, bent."""
@@ -63,8 +68,8 @@ class Circle:
 
     @property
     def says(self) -> str:
-        """Which way, for users."""
-        return f"to the {_side(self.side)}, onto a circle"
+        """What is done, for users."""
+        return f"the way is bent to the {_side(self.side)}, onto a circle"
 
     def clip(self, features: Tensor, codec: FeatureCodec) -> Tensor:
         """Features (F, D) of a whole motion, bent in proportion to the way that is gone.
@@ -89,8 +94,8 @@ class Turn:
 
     @property
     def says(self) -> str:
-        """Which way, for users."""
-        return f"to the {_side(self.angle)}, by {math.degrees(abs(self.angle)):.0f} degrees in all"
+        """What is done, for users."""
+        return f"the way is bent to the {_side(self.angle)}, by {math.degrees(abs(self.angle)):.0f} degrees in all"
 
     def clip(self, features: Tensor, codec: FeatureCodec) -> Tensor:
         """Features (F, D) of a whole motion that ends at this angle to where it began.
@@ -118,6 +123,36 @@ class Turn:
     def _bent(self, turned: float) -> float:
         """The angle to which one is bent that was turned by."""
         return _TO_THE_END * abs(self.angle) * math.tanh(turned / _SURELY)
+
+
+@dataclass(frozen=True)
+class Stay:
+    """Whoever goes steps on the spot: no way, and feet that rise and come down below the hips."""
+
+    @property
+    def says(self) -> str:
+        """What is done, for users."""
+        return "feet step on the spot"
+
+    def clip(self, features: Tensor, codec: FeatureCodec) -> Tensor:
+        """Features (F, D) of a whole motion, on the spot. Legs follow in the features that decode by rotations."""
+        still = features.clone()
+        still[:, codec.groups["root_velocity"]] = 0.0
+        if codec.name != "native":
+            return still
+        motion = codec.decode(still)
+        joints = motion.joints.double()
+        hips, ankles = ([motion.skeleton.index(f"{side}_{joint}") for side in ("left", "right")] for joint in _ENDS)
+        ahead = rotations.rotate(rotations.heading(motion.rotations[:, :1].double()), _AHEAD)
+        swing = ((joints[:, ankles] - joints[:, hips]) * ahead).sum(dim=-1, keepdim=True)
+        moved = rotations.to_6d(move_feet(motion, -swing * ahead).rotations[:, 1:])
+        turned = codec.groups["rotations"]
+        still[:, turned.start + 6 : turned.stop] = moved.flatten(1).to(still.dtype)
+        return still
+
+    def piece(self, features: Tensor, codec: FeatureCodec, turned: float) -> Tensor:
+        """Features (F, D) of a piece of an endless motion, on the spot."""
+        return self.clip(features, codec)
 
 
 def _side(side: float) -> str:

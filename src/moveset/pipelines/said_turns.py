@@ -1,8 +1,8 @@
-"""Circles, about-turns and degrees: how far a sentence says that somebody turns, where a model was never told of that.
+"""Circles, about-turns, degrees, no way at all: what sentences say of the way where a model was never told of that.
 
-Captions of the shipped models turn left, turn right, and know no angle. So "walks in a circle" is told as "walks" and
-"turns around" as "turns to the left", and the way is bent (``motion.steering``). What does not say its side goes left.
-A model that has a caption of such words is told every sentence of the kind as it is.
+Captions of the shipped models turn left, turn right, and know no angle. So "walks in a circle" is told as "walks",
+"turns around" as "turns to the left", "jogs in place" as "jogs", and the features are bent (``motion.steering``). What
+does not say its side goes left. A model that has a caption of such words is told every sentence of the kind as it is.
 """
 
 import math
@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import lru_cache
 
-from moveset.motion.steering import Circle, Steering, Turn
+from moveset.motion.steering import Circle, Stay, Steering, Turn
 from moveset.pipelines.synonyms import CLOCKWISE, TRAVELLING, Bend, Reading, in_known_words
 from moveset.text.english import FORMS, inflect
 from moveset.text.familiarity import KnownPrompts
@@ -53,6 +53,7 @@ _CIRCLE = re.compile(
     rf"circle(?P<several>s)?\b(?!\s+of\b){_side('after')}",
     re.I,
 )
+_IN_PLACE = re.compile(r"\s+(?:in\s+(?:one\s+)?place|on\s+the\s+spot)\b", re.I)
 _HEADS = re.compile(rf"\b(?P<verb>{'|'.join(_LEAVES)})(?:\s+(?:off|out|over|away))?{_side('after')[:-1]}", re.I)
 # What an angle or "around" belongs to; "turns around the corner" and "turns around his hand" are other things.
 _AROUND = re.compile(
@@ -112,10 +113,18 @@ def plain_turn(sentence: str) -> Turn | None:
     return Turn(_sign(found[0]["side"]) * math.radians(_USUAL))
 
 
+def _goes(text: str, known: KnownPrompts, at_once: bool = False) -> bool:
+    """Whether the last clause of this is about somebody on his way, or just this his last word."""
+    clause = words_of(in_known_words(_CLAUSE.split(text)[-1], known).text)
+    return bool(TRAVELLING.intersection(clause[-1:] if at_once else clause)) and not _LIMBS.intersection(clause)
+
+
+def _in_place(found: re.Match[str], text: str, known: KnownPrompts) -> _Plain | None:
+    return (text[: found.start()] + text[found.end() :], Stay()) if _goes(text[: found.start()], known) else None
+
+
 def _in_a_circle(found: re.Match[str], text: str, known: KnownPrompts) -> _Plain | None:
-    clause = words_of(in_known_words(_CLAUSE.split(text[: found.start()])[-1], known).text)
-    goes = TRAVELLING.intersection(clause) if found["where"] else TRAVELLING.intersection(clause[-1:])
-    if not goes or _LIMBS.intersection(clause):
+    if not _goes(text[: found.start()], known, at_once=not found["where"]):
         return None
     adjectives = words_of(found["adjectives"])
     side = _sign(found["before"], found["after"], *adjectives)
@@ -173,10 +182,12 @@ _PATTERNS: dict[re.Pattern[str], Callable[[re.Match[str], str, KnownPrompts], _P
     _AROUND: _around,
     _CIRCLE: _in_a_circle,
     _HEADS: _heads,
+    _IN_PLACE: _in_place,
 }
 
 
 @lru_cache(maxsize=64)
 def _says(known: KnownPrompts, pattern: re.Pattern[str]) -> bool:
     """Whether a caption of the training says something of the kind."""
-    return any(pattern.search(sentence) for sentence in known.sentences)
+    said = _PATTERNS[pattern]
+    return any(said(found, sentence, known) for sentence in known.sentences for found in pattern.finditer(sentence))

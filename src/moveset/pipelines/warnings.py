@@ -46,9 +46,7 @@ def unfamiliar(bundle: ModelFolder[Any], prompts: tuple[str, ...], pooled: Tenso
             more = " …" if len(read_as.replaced) > MOST_WORDS else ""
             out.append(f"words that this model was never trained on are read as others: {named}{more}")
         if read_as.bent:
-            out.append(
-                f"this model was never trained on {read_as.bent.said!r}: the way is bent {read_as.bent.steering.says}"
-            )
+            out.append(f"this model was never trained on {read_as.bent.said!r}: {read_as.bent.steering.says}")
         if cosine < bundle.config.far_prompt:
             out.append(f"{prompt!r} is unlike anything this model was trained on (similarity {cosine:.2f}); {nearest}")
             continue
