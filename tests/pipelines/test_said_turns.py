@@ -63,6 +63,8 @@ def turn(degrees):
             turn(-90),
         ),
         ("Head left!", "Turn to the left!", turn(90)),
+        ("walks around the room in circles", "walks around the room", Circle(1, None)),
+        ("he walks slowly and proudly in a circle", "he walks slowly and proudly", Circle(1)),
         ("a person jogs in place", "a person jogs", Stay()),
         ("marching on the spot, she waves", "walking, she waves", Stay()),
     ],
@@ -84,7 +86,9 @@ def test_the_turn_is_taken_out_of_the_sentence(shipped, sentence, text, steering
         "turns 0 degrees", "turns 900 degrees", "turns to the left", "turns 3 times", "stands in a full circle",
         "turns the head left", "his head turns left", "nods the head to the left", "heads toward the door",
         "raises the left arm by 90 degrees", "makes a left turn", "walks back", "spins around", "puts it in place",
-        "jumps in place", "dances on the spot", "walks and moves the arms in place", "", " ", "?",
+        "jumps in place", "turns around himself", "turns around three times", "turns around again",
+        "moves the ball in a circle", "runs a finger in circles", "walks to a chair and puts it in place",
+        "dances on the spot", "walks and moves the arms in place", "", " ", "?",
     ],
 )  # fmt: skip
 def test_what_is_another_turn_or_none_is_told_as_it_is(shipped, sentence):

@@ -58,7 +58,7 @@ _HEADS = re.compile(rf"\b(?P<verb>{'|'.join(_LEAVES)})(?:\s+(?:off|out|over|away
 # What an angle or "around" belongs to; "turns around the corner" and "turns around his hand" are other things.
 _AROUND = re.compile(
     rf"\b(?P<verb>{'|'.join(_TURNS)})(?:\s+(?:all\s+the\s+way|completely|fully|quickly|slowly|right))?\s+a?round\b"
-    rf"(?!\s+(?:{_THE}|an?|in|and\s+a?round|this|that)\b){_side('after')}",
+    rf"(?!\s+(?:{_THE}|an?|in|and\s+a?round|this|that|\w+sel(?:f|ves)|again|twice|\w+\s+times)\b){_side('after')}",
     re.I,
 )
 _BY_DEGREES = re.compile(
@@ -77,6 +77,7 @@ _PLAIN = re.compile(
 _ON_AND_ON = re.compile(r"\b(?:keep\w*|kept|continu\w*|again|over|times|constantly|forever|always)\b", re.I)
 _GOES_BACK = re.compile(rf"\b(?P<goes>{'|'.join(sorted(TRAVELLING))})\s+back\b(?!\s+and\s+forth)", re.I)
 _CLAUSE = re.compile(r"[,.;:!?]|\b(?:then|while|before|after)\b", re.I)
+_OBJECTS = frozenset(words_of("a an the his her their its my your our it him them"))
 _BEFORE_VERBS = ("to", "and", "they", "we", "you", "i")
 _LIMBS = frozenset(words_of(
     "hand hands arm arms leg legs foot feet knee knees elbow elbows head hips hip wrist wrists shoulder shoulders"
@@ -113,18 +114,29 @@ def plain_turn(sentence: str) -> Turn | None:
     return Turn(_sign(found[0]["side"]) * math.radians(_USUAL))
 
 
-def _goes(text: str, known: KnownPrompts, at_once: bool = False) -> bool:
-    """Whether the last clause of this is about somebody on his way, or just this his last word."""
+def _since_going(text: str, known: KnownPrompts) -> list[str] | None:
+    """The words after the one that says that somebody is on his way, in the last clause of this; None if none does.
+
+    Whoever moves a hand, or runs a finger, goes nowhere by that.
+    """
     clause = words_of(in_known_words(_CLAUSE.split(text)[-1], known).text)
-    return bool(TRAVELLING.intersection(clause[-1:] if at_once else clause)) and not _LIMBS.intersection(clause)
+    verbs = [k for k, word in enumerate(clause) if word in TRAVELLING]
+    if not verbs or _LIMBS.intersection(clause):
+        return None
+    since = clause[verbs[-1] + 1 :]
+    return None if _OBJECTS.intersection(since[:1]) else since
 
 
 def _in_place(found: re.Match[str], text: str, known: KnownPrompts) -> _Plain | None:
-    return (text[: found.start()] + text[found.end() :], Stay()) if _goes(text[: found.start()], known) else None
+    since = _since_going(text[: found.start()], known)
+    if since is None or _OBJECTS.intersection(since):  # which may be what is put in its place
+        return None
+    return text[: found.start()] + text[found.end() :], Stay()
 
 
 def _in_a_circle(found: re.Match[str], text: str, known: KnownPrompts) -> _Plain | None:
-    if not _goes(text[: found.start()], known, at_once=not found["where"]):
+    since = _since_going(text[: found.start()], known)
+    if since is None or (since and not found["where"]):
         return None
     adjectives = words_of(found["adjectives"])
     side = _sign(found["before"], found["after"], *adjectives)
