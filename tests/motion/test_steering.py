@@ -77,14 +77,23 @@ def test_a_turn_that_is_there_stays_where_it_is():
 
 
 def test_who_stands_does_not_spin_and_who_runs_does_not_trip():
-    for steering in (Circle(1), Circle(1, None), Turn(math.pi)):
+    for steering in (Circle(1), Circle(1, once=False), Turn(math.pi), Turn(-math.pi)):
         still = features("wave-left-hand")
         assert turned(steering.clip(still, NATIVE)) == pytest.approx(turned(still), abs=1.0)
         assert turned(steering.piece(still, NATIVE, 0.0)) == pytest.approx(turned(still), abs=1.0)
-    x = Circle(-1, 5.0).clip(features("run"), NATIVE)
+    x = Circle(-1, once=False, radius=0.5).clip(features("run"), NATIVE)
     assert float(x[:, NATIVE.groups["root_yaw"]].abs().max()) * NATIVE.fps <= math.radians(120.0) + 1e-6
     small = Circle(1).clip(features("walk", 20), NATIVE)  # a metre, too little to go round
     assert 90 < turned(small) < 180
+
+
+def test_circles_of_a_radius_have_it_in_every_codec():
+    for name in ("native", "hml", "kit"):
+        codec = get_codec(name)
+        root = codec.decode(Circle(1, once=False, radius=2.0).clip(features(codec=codec), codec)).root[:, [0, 2]]
+        way = float(root.diff(dim=0).norm(dim=1).sum())
+        chord = float((root[-1] - root[0]).norm())
+        assert chord == pytest.approx(4.0 * abs(math.sin(way / 4.0)), abs=0.1)
 
 
 @pytest.mark.parametrize("radius", [0.8, 1.5, 4.0])
@@ -121,7 +130,7 @@ def test_hips_sway_as_they_did():
         assert float(piece.std()) < 0.02 * 0.03
 
 
-@pytest.mark.parametrize("steering", [Circle(1), Circle(1, None, 0.8), Turn(2.0), Stay()])
+@pytest.mark.parametrize("steering", [Circle(1), Circle(1, once=False, radius=0.8), Turn(2.0), Stay()])
 def test_the_mirror_image_is_bent_to_the_other_side(steering):
     order, signs = NATIVE.mirror()
     other = {Turn: Turn(-2.0), Stay: Stay()}.get(type(steering)) or replace(steering, side=-1)

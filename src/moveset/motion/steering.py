@@ -58,12 +58,12 @@ class Circle:
 
     Args:
         side: 1 to the left, -1 to the right.
-        times: circles in a clip, one by default; None for as many as its way is long enough for.
-        radius: metres, where the number of circles is not given by the clip.
+        once: a whole clip is one circle, however long its way; else as many as its way is long enough for.
+        radius: metres, of others.
     """
 
     side: int
-    times: float | None = 1.0
+    once: bool = True
     radius: float = RADIUS
 
     @property
@@ -76,10 +76,10 @@ class Circle:
 
         A way too short for its circle is bent as far as feet can follow.
         """
-        if self.times is None:
+        if not self.once:
             return self.piece(features, codec, 0.0)
         way = _gone(features, codec)
-        return _arc(features, codec, self.side * 2.0 * math.pi * self.times / way) if way > 0 else features
+        return _arc(features, codec, self.side * 2.0 * math.pi / way) if way > 0 else features
 
     def piece(self, features: Tensor, codec: FeatureCodec, turned: float) -> Tensor:
         """Features (F, D) of a piece of an endless motion, bent onto a circle of the radius."""

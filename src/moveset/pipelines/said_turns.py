@@ -141,7 +141,7 @@ def _in_a_circle(found: re.Match[str], text: str, known: KnownPrompts) -> _Plain
     adjectives = words_of(found["adjectives"])
     side = _sign(found["before"], found["after"], *adjectives)
     sizes = [_SIZES[word] for word in adjectives if word in _SIZES]
-    circle = Circle(side, None if found["several"] else 1.0, *sizes[:1])
+    circle = Circle(side, not found["several"], *sizes[:1])
     return text[: found.start()] + text[found.end() :], circle
 
 
