@@ -164,6 +164,11 @@ def test_text_asks_and_motions_answer():
     assert metrics.matching_score(text, motion, [[0, 1]]) == pytest.approx(0.3)
 
 
+def test_the_last_of_a_group_is_found_for_certain():
+    groups = [[0, 1, 2]]
+    assert metrics.r_precision(normal(3, 2), normal(3, 2, seed=1), groups, top=3)[-1] == 1.0
+
+
 @pytest.mark.parametrize(
     ("text", "motion", "groups", "message"),
     [
@@ -173,6 +178,7 @@ def test_text_asks_and_motions_answer():
         (normal(40, 4), normal(40, 4), [], "groups must be of one size"),
         (normal(40, 4), normal(40, 4), [[0, 1, 2], [3, 4]], r"\[2, 3\]"),
         (normal(40, 4), normal(40, 4), [[0, 1, 40]], "item 40"),
+        (normal(40, 4), normal(40, 4), [[0, 1, -1]], "a group names item"),
         (normal(40, 4), normal(40, 4), [[0, 1]], "top 3"),
         (normal(40), normal(40), [[0, 1, 2]], "2-dimensional"),
     ],
@@ -208,6 +214,11 @@ def test_multimodality_uses_the_same_samples_for_all_texts():
     mixed = torch.cat((one, 10 * one))
     assert metrics.multimodality(mixed, seeded(5)) == pytest.approx(5.5 * alone)
     assert metrics.multimodality(one[:, :1].expand(1, 30, 4), seeded(5)) == 0.0
+
+
+def test_one_pair_is_a_distance():
+    x = torch.tensor([[0.0], [3.0]])
+    assert {metrics.diversity(x, seeded(s), pairs=1) for s in range(20)} == {0.0, 3.0}
 
 
 def test_as_many_pairs_as_motions_at_most():
