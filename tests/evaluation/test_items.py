@@ -6,7 +6,7 @@ import torch
 from moveset.data.captions import heldout_captions, mirror_text, train_captions
 from moveset.data.humanml3d import HUMANML3D, KIT, HumanML3D
 from moveset.errors import FormatError, InputError
-from moveset.evaluation.items import LONGEST, open_items, text_of
+from moveset.evaluation.items import LONGEST, Draw, open_items, text_of
 from moveset.motion.features import get_codec
 from tests.evaluation.corpora import content_corpus
 from tests.training.hml_folder import write_folder
@@ -42,6 +42,13 @@ def test_lengths_are_honest(items):
     for item in items.items[:4]:
         assert len(item.features()) == item.rows == len(item.joints()) - 1
         assert item.motion().joints.shape == item.joints().shape
+
+
+def test_a_crop_has_the_joints_of_its_features(items):
+    item = max(items.items, key=lambda item: item.rows)
+    draw = Draw(item, item.captions[0], item.prompts[0], start=7, rows=12)
+    assert torch.equal(draw.joints(), item.joints()[7:20])
+    assert torch.equal(draw.features(), item.features()[7:19])
 
 
 def test_a_mirror_image_is_told_and_labelled_as_one(items):

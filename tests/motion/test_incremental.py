@@ -123,6 +123,22 @@ def test_a_step_at_a_seam_pops_only_without_blending():
     assert jerk(blended).max() < 0.4 * jerk(raw).max()
 
 
+@pytest.mark.parametrize(("before", "after"), [(0.1, 0.1), (0.1, -0.1), (0.0, 0.1), (-0.1, 0.0)])
+def test_a_limb_that_swings_swings_on_across_a_seam(before, after):
+    """An elbow at these speeds (radians a frame), with a jump in between: neither its angle nor its speed jumps."""
+    still, elbow = gait(56).rotations[:1].double().repeat(56, 1, 1), CODEC.skeleton.index("left_elbow")
+    angle = torch.cat((before * torch.arange(-28, 0), 0.2 + after * torch.arange(28))).double()
+    swung = still.clone()
+    swung[:, elbow] = rotations.about("y", torch.rad2deg(angle))
+    motion = Motion(swung, torch.tensor((0.0, 0.9, 0.0)).double().repeat(56, 1), CODEC.fps, CODEC.skeleton)
+    blended = decoded(CODEC.encode(motion).double().split(28), blend_seconds=0.3).rotations[:, elbow]
+    turned = rotations.mul(blended[1:], rotations.inv(blended[:-1]))
+    speed = 2.0 * torch.atan(turned[:, 1] / turned[:, 3])
+    assert float(speed.diff()[25:34].abs().max()) < 0.09  # the jump alone is .2 there and back
+    assert speed[:26].sub(before).abs().max() < 1e-5
+    assert speed[34:].sub(after).abs().max() < 1e-5
+
+
 def test_the_blend_ends_after_its_time_and_the_path_is_the_same():
     segments = stepped(6, 0.1)
     raw, blended = decoded(segments), decoded(segments, blend_seconds=0.3)

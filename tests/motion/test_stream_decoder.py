@@ -74,3 +74,20 @@ def test_who_goes_on_from_a_given_motion_starts_where_it_ends():
     x, z = here.root[:, :1], here.root[:, 2:]
     expected = torch.cat((x * turned.cos() + z * turned.sin() + 3.0, z * turned.cos() - x * turned.sin() - 2.0), dim=1)
     torch.testing.assert_close(there.root[:, [0, 2]], expected, atol=1e-9, rtol=0)
+
+
+def test_who_goes_on_from_a_given_motion_has_the_feet_that_it_ends_on():
+    given, rest = features()[: 2 * N], features()[2 * N :]
+    made = StreamDecoder(CODEC, 0.3)
+    made.go_on_from(given, heading=0.0, x=0.0, z=0.0)
+    decoder, feet = IncrementalDecoder(CODEC, 0.3), FootLock(CODEC.skeleton, CODEC.fps)
+    feet(decoder(given), made.planted(given))
+    for piece in rest.split(N):
+        planted = made.planted(piece)
+        assert same(made(piece), feet(decoder(hold_root(piece, planted, CODEC, 1.0)), planted))
+    unlocked = FootLock(CODEC.skeleton, CODEC.fps)
+    decoder = IncrementalDecoder(CODEC, 0.3)
+    decoder(given)
+    planted = made.planted(rest[:N])
+    made.go_on_from(given, heading=0.0, x=0.0, z=0.0)
+    assert not same(made(rest[:N]), unlocked(decoder(hold_root(rest[:N], planted, CODEC, 1.0)), planted))
