@@ -78,6 +78,28 @@ def test_what_may_mean_another_motion_is_told_as_it_is(shipped, sentence):
     assert in_known_words(sentence, shipped).text == sentence
 
 
+@pytest.mark.parametrize(
+    ("sentence", "text"),
+    [
+        ("a person stops walking", "a person stands still"),
+        ("Stop running!", "Stand still!"),
+        ("he stopped jogging and waves", "he stood still and waves"),
+        ("walks, then comes to a sudden halt", "walks, then stands still"),
+        ("stops moving his arms", "stops moving his arms"),
+        ("a person stops", "a person stops"),
+        ("stops walking the dog", "stops walking the dog"),
+    ],
+)
+def test_who_stops_walking_stands_still_where_that_is_known(sentence, text):
+    streams, clips = (SHIPPED[name].find(name).captions for name in ("rdm-small", "motionpcm-small"))
+    read = in_known_words(sentence, streams)
+    assert read.text == text
+    assert bool(read.replaced) == (text != sentence)
+    assert in_known_words(sentence, clips).text == sentence
+    told = KnownPrompts(("he stops walking",), torch.ones(1, 2), frozenset({"stands", "still", "walking", "stops"}))
+    assert in_known_words(sentence, told).text == sentence
+
+
 def test_what_was_read_as_what_is_told_once_each(shipped):
     read = in_known_words("He trots, Trots, and jabs", shipped)
     assert read.text == "He jogs, Jogs, and punches"

@@ -113,12 +113,6 @@ _VARIANTS = {
     "sprung": "sprang",
 }  # fmt: skip
 
-#: The side to which a path bends, seen from above; what turns so is said right before or after it.
-CLOCKWISE = {
-    "clockwise": "right",
-    **dict.fromkeys(("counterclockwise", "counter-clockwise", "anticlockwise", "anti-clockwise"), "left"),
-}
-_WHO_TURNS = {"degrees", *(inflect(verb, form) for verb in ("turn", "rotate", "pivot") for form in FORMS)}
 #: In every form, what people do who are on their way somewhere.
 TRAVELLING = frozenset(
     inflect(verb, form)
@@ -127,6 +121,21 @@ TRAVELLING = frozenset(
     )
     for form in FORMS
 )
+# "Stops" alone is known to who stands, but who was told "stops walking" walked on.
+_STOP = {inflect(verb, form): form for verb in ("stop", "cease", "quit", "finish") for form in FORMS}
+_COME = {inflect("come", form): form for form in FORMS}
+_STOPPING = re.compile(
+    rf"\b(?:(?P<stop>{'|'.join(_STOP)})\s+(?:{'|'.join(sorted(word for word in TRAVELLING if word.endswith('ing')))})"
+    rf"|(?P<come>{'|'.join(_COME)})\s+to\s+an?\s+(?:\w+\s+)?(?:stop|halt|standstill))\b"
+    r"(?!\s+(?:the|his|her|their|its|my|your|an?|it|him|them|around|backwards?)\b)",
+    re.I,
+)
+#: The side to which a path bends, seen from above; what turns so is said right before or after it.
+CLOCKWISE = {
+    "clockwise": "right",
+    **dict.fromkeys(("counterclockwise", "counter-clockwise", "anticlockwise", "anti-clockwise"), "left"),
+}
+_WHO_TURNS = {"degrees", *(inflect(verb, form) for verb in ("turn", "rotate", "pivot") for form in FORMS)}
 _WHO_TRAVELS = {"around", *TRAVELLING}
 _ROUND = r"\s+(?:circle|turn|path|loop|arc|curve|direction)s?\b"
 _ON_ITS_WAY = r"\s+(?:ahead|forwards?|onwards?|off|away|across|along|toward|towards|past|out|into|through)\b"
@@ -193,10 +202,13 @@ def in_known_words(sentence: str, known: KnownPrompts) -> Reading:
 
     A model of whose words there is no list is told every sentence as it is.
     """
+    replaced: dict[tuple[str, str], None] = {}
+    if known.words and _knows(known.words, "stands still") and not _says_stopping(known):
+        sentence = _STOPPING.sub(lambda found: _stands(found, replaced), sentence)
     new = set(unread(sentence, known.words))
     if not new:
-        return Reading(sentence)
-    out, replaced, start, end, before = [], {}, 0, 0, ""
+        return Reading(sentence, tuple(replaced))
+    out, start, end, before = [], 0, 0, ""
     for found in _WORD.finditer(sentence):
         word = found[0].lower()
         if sentence[end : found.start()].strip():
@@ -211,6 +223,19 @@ def in_known_words(sentence: str, known: KnownPrompts) -> Reading:
         if not word.endswith("ly"):
             before = word
     return Reading("".join((*out, sentence[start:])), tuple(replaced))
+
+
+def _stands(found: re.Match[str], replaced: dict[tuple[str, str], None]) -> str:
+    """What somebody does who stops what he does; noted in ``replaced``."""
+    form = _STOP[found["stop"].lower()] if found["stop"] else _COME[found["come"].lower()]
+    by = inflect_marked("[stand] still", form)
+    replaced[found[0].lower(), by] = None
+    return by.capitalize() if found[0][0].isupper() else by
+
+
+@lru_cache(maxsize=16)
+def _says_stopping(known: KnownPrompts) -> bool:
+    return any(map(_STOPPING.search, known.sentences))
 
 
 def _means(word: str, before: str, text: str) -> str:
