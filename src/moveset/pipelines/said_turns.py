@@ -70,8 +70,9 @@ _MADE = re.compile(
     re.I,
 )
 _PLAIN = re.compile(
-    rf"\b(?:(?:{'|'.join(_forms('turn', 'veer', 'swerve', 'curve', 'pivot', 'rotate', 'swivel'))})"
-    rf"\s+(?:(?:to|towards?)\s+(?:{_THE}\s+)?)?|(?:{'|'.join(_MAKES)})\s+an?\s+)(?P<side>left|right)\b(?!{_LIMB})",
+    rf"\b(?:(?:{'|'.join(_forms('turn', 'veer', 'swerve', 'curve', 'pivot', 'rotate', 'swivel', 'go'))})"
+    rf"\s+(?:(?:to|towards?)\s+(?:{_THE}\s+)?)?|(?:{'|'.join(_MAKES)})\s+an?\s+)(?P<side>left|right)\b(?!{_LIMB})"
+    r"(?!\s+(?:ahead|to|up|down|back|through|on|into|away|by|over)\b)",  # which "right" may belong to
     re.I,
 )
 _ON_AND_ON = re.compile(r"\b(?:keep\w*|kept|continu\w*|again|over|times|constantly|forever|always)\b", re.I)
