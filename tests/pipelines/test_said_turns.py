@@ -198,7 +198,8 @@ def test_a_stream_goes_in_circles_until_it_is_told_otherwise():
     ("sentence", "side"),
     [
         ("a person turns left", 1), ("walks and turns to the right", -1), ("turning to their left, waves", 1),
-        ("go left", 1), ("goes right ahead", 0), ("goes right through the door", 0), ("a man takes a right turn", -1), ("she made a left", 1), ("veers right", -1),
+        ("go left", 1), ("goes right ahead", 0), ("goes right through the door", 0),
+        ("a man takes a right turn", -1), ("she made a left", 1), ("veers right", -1),
         ("turns to the left hand", 0), ("keeps turning left", 0), ("turns left again and again", 0),
         ("turns left, then turns right", 0), ("turns", 0), ("waves with the left hand", 0), ("turns the page left", 0),
     ],
