@@ -168,6 +168,8 @@ def test_jerk_at_seams_is_of_the_seams():
     before, after = physical([smooth], codec, 1.4), physical([torn], codec, 1.4)
     assert after["boundary_jerk"] > 2 * before["boundary_jerk"]
     assert after["boundary_jerk"] > 2 * after["jerk"]
+    both = physical([smooth, torn], codec, 1.4)
+    assert both == pytest.approx({name: (before[name] + after[name]) / 2 for name in before})
     assert "boundary_jerk" not in physical([smooth], codec)
     assert "boundary_jerk" not in physical([smooth[:29]], codec, 1.4)
     assert before["jerk"] == pytest.approx(float(jerk(smooth, 20.0)))
