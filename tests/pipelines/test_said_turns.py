@@ -205,7 +205,9 @@ def test_a_stream_goes_in_circles_until_it_is_told_otherwise():
     ],
 )  # fmt: skip
 def test_plain_turns_are_those_that_name_a_side_once(sentence, side):
-    turn = plain_turn(sentence)
+    turn = plain_turn(sentence, known())
+    assert plain_turn(sentence, known(words=())) is None
+    assert plain_turn(sentence, known("he turns around")) is None
     assert (0 if turn is None else math.copysign(1, turn.angle)) == side
 
 

@@ -45,7 +45,7 @@ class PromptMemory:
         reading = read(prompt, self._captions)
         if reading.bent:
             return reading.bent.steering
-        return plain_turn(reading.text) if self._captions.words else None
+        return plain_turn(reading.text, self._captions)
 
     def _encoded(self, text: str) -> TextEmbedding:
         with self._lock:

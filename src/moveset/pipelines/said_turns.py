@@ -104,13 +104,20 @@ def read(sentence: str, known: KnownPrompts) -> Reading:
     return in_known_words(sentence, known)
 
 
-def plain_turn(sentence: str) -> Turn | None:
+def plain_turn(sentence: str, known: KnownPrompts) -> Turn | None:
     """How far a sentence turns that names nothing but the side, in a motion that ends nowhere; None of others.
 
-    A stream that is told to turn does so, but ends at twice the angle of takes as often as not.
+    A stream that is told to turn does so, but ends at twice the angle of takes as often as not. One that was told of
+    angles is left alone.
+
+    Args:
+        sentence: as the model is told it.
+        known: what the model was trained on.
     """
     found = list(_PLAIN.finditer(sentence))
-    if len(found) != 1 or _ON_AND_ON.search(sentence):
+    if len(found) != 1 or _ON_AND_ON.search(sentence) or not known.words:
+        return None
+    if _says(known, _BY_DEGREES) or _says(known, _AROUND):
         return None
     return Turn(_sign(found[0]["side"]) * math.radians(_USUAL))
 
