@@ -224,6 +224,16 @@ def test_what_is_at_the_limit_is_read_and_what_is_over_it_is_not(tmp_path):
         load(tmp_path, header(129, depth=129).encode())
 
 
+@pytest.mark.parametrize("parents", [[-1] + [0] * 512, list(range(-1, 128))], ids=["wide", "deep"])
+def test_what_would_not_be_read_back_is_not_written(tmp_path, parents):
+    count, path = len(parents), tmp_path / "far.bvh"
+    skeleton = Skeleton("far", tuple(f"j{k}" for k in range(count)), tuple(parents), torch.ones(count, 3))
+    motion = Motion(rotations.identity(1, count), torch.zeros(1, 3), 20.0, skeleton)
+    with pytest.raises(InputError, match="exceed what is read back"):
+        write_bvh(motion, path)
+    assert not path.exists()
+
+
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
