@@ -12,8 +12,8 @@ from dataclasses import replace
 from functools import lru_cache
 
 from moveset.motion.steering import Circle, Stay, Steering, Turn
-from moveset.pipelines.synonyms import CLOCKWISE, TRAVELLING, Bend, Reading, in_known_words
-from moveset.text.english import FORMS, inflect
+from moveset.pipelines.synonyms import BEFORE_VERBS, CLOCKWISE, TRAVELLING, Bend, Reading, in_known_words
+from moveset.text.english import inflect, inflections
 from moveset.text.familiarity import KnownPrompts
 from moveset.text.vocabulary import words_of
 
@@ -28,13 +28,9 @@ def _side(name: str) -> str:
     return rf"(?:\s+(?P<{name}>{to}(?:left|right)(?:wards?)?|{_CLOCK})\b(?!{_LIMB}))?"
 
 
-def _forms(*verbs: str) -> dict[str, str]:
-    return {inflect(verb, form): form for verb in verbs for form in FORMS}
-
-
-_TURNS = _forms("turn", "rotate", "pivot", "swivel")
-_MAKES = _forms("make", "do", "take", "perform", "execute")
-_LEAVES = _forms("head")
+_TURNS = inflections("turn", "rotate", "pivot", "swivel")
+_MAKES = inflections("make", "do", "take", "perform", "execute")
+_LEAVES = inflections("head")
 _SIZES = {"small": 0.8, "tight": 0.8, "little": 0.8, "big": 2.5, "large": 2.5, "wide": 2.5, "huge": 4.0}  # metres
 _WORDS = {
     "forty-five": 45, "ninety": 90, "one hundred eighty": 180, "one hundred and eighty": 180,
@@ -70,7 +66,7 @@ _MADE = re.compile(
     re.I,
 )
 _PLAIN = re.compile(
-    rf"\b(?:(?:{'|'.join(_forms('turn', 'veer', 'swerve', 'curve', 'pivot', 'rotate', 'swivel', 'go'))})"
+    rf"\b(?:(?:{'|'.join(inflections('turn', 'veer', 'swerve', 'curve', 'pivot', 'rotate', 'swivel', 'go'))})"
     rf"\s+(?:(?:to|towards?)\s+(?:{_THE}\s+)?)?|(?:{'|'.join(_MAKES)})\s+an?\s+)(?P<side>left|right)\b(?!{_LIMB})"
     r"(?!\s+(?:ahead|to|up|down|back|through|on|into|away|by|over)\b)",  # which "right" may belong to
     re.I,
@@ -79,7 +75,6 @@ _ON_AND_ON = re.compile(r"\b(?:keep\w*|kept|continu\w*|again|over|times|constant
 _GOES_BACK = re.compile(rf"\b(?P<goes>{'|'.join(sorted(TRAVELLING))})\s+back\b(?!\s+and\s+forth)", re.I)
 _CLAUSE = re.compile(r"[,.;:!?]|\b(?:then|while|before|after)\b", re.I)
 _OBJECTS = frozenset(words_of("a an the his her their its my your our it him them"))
-_BEFORE_VERBS = ("to", "and", "they", "we", "you", "i")
 _LIMBS = frozenset(words_of(
     "hand hands arm arms leg legs foot feet knee knees elbow elbows head hips hip wrist wrists shoulder shoulders"
 ))  # fmt: skip
@@ -158,8 +153,8 @@ def _around(found: re.Match[str], text: str, _: KnownPrompts) -> _Plain:
 
 
 def _heads(found: re.Match[str], text: str, _: KnownPrompts) -> _Plain | None:
-    before = _CLAUSE.split(text[: found.start()])[-1].split()[-1:]
-    if found["verb"].lower() == "head" and before and before[0].lower() not in _BEFORE_VERBS:
+    *_, before = "", *words_of(_CLAUSE.split(text[: found.start()])[-1])
+    if found["verb"].lower() == "head" and before not in BEFORE_VERBS:
         return None  # what a body has on its neck
     return _turned(found, text, _LEAVES, _USUAL, found["after"])
 

@@ -13,7 +13,7 @@ from typing import Any
 
 from moveset.motion.steering import Steering
 from moveset.pipelines.model_folder import ModelFolder
-from moveset.text.english import FORMS, article, inflect, inflect_marked
+from moveset.text.english import FORMS, article, inflect, inflect_marked, inflections
 from moveset.text.familiarity import KnownPrompts
 from moveset.text.vocabulary import unread, words_of
 
@@ -115,15 +115,13 @@ _VARIANTS = {
 
 #: In every form, what people do who are on their way somewhere.
 TRAVELLING = frozenset(
-    inflect(verb, form)
-    for verb in words_of(
-        "walk run jog go move stroll stride pace hike tramp trudge toddle strut sprint dash scamper tiptoe step"
+    inflections(
+        "walk", "run", "jog", "go", "move", "stroll", "stride", "pace", "hike", "tramp", "trudge", "toddle", "strut",
+        "sprint", "dash", "scamper", "tiptoe", "step",
     )
-    for form in FORMS
-)
+)  # fmt: skip
 # "Stops" alone is known to who stands, but who was told "stops walking" walked on.
-_STOP = {inflect(verb, form): form for verb in ("stop", "cease", "quit", "finish") for form in FORMS}
-_COME = {inflect("come", form): form for form in FORMS}
+_STOP, _COME = inflections("stop", "cease", "quit", "finish"), inflections("come")
 _STOPPING = re.compile(
     rf"\b(?:(?P<stop>{'|'.join(_STOP)})\s+(?:{'|'.join(sorted(word for word in TRAVELLING if word.endswith('ing')))})"
     rf"|(?P<come>{'|'.join(_COME)})\s+to\s+an?\s+(?:\w+\s+)?(?:stop|halt|standstill))\b"
@@ -135,7 +133,7 @@ CLOCKWISE = {
     "clockwise": "right",
     **dict.fromkeys(("counterclockwise", "counter-clockwise", "anticlockwise", "anti-clockwise"), "left"),
 }
-_WHO_TURNS = {"degrees", *(inflect(verb, form) for verb in ("turn", "rotate", "pivot") for form in FORMS)}
+_WHO_TURNS = {"degrees", *inflections("turn", "rotate", "pivot")}
 _WHO_TRAVELS = {"around", *TRAVELLING}
 _ROUND = r"\s+(?:circle|turn|path|loop|arc|curve|direction)s?\b"
 _ON_ITS_WAY = r"\s+(?:ahead|forwards?|onwards?|off|away|across|along|toward|towards|past|out|into|through)\b"
@@ -166,8 +164,8 @@ _BEFORE_NOUNS = frozenset(
     words_of("a an the his her their its my your our this no with without in of by from on some every each another")
 )
 _NOUNS_TOO = frozenset({"stroll", "walk", "turn", "jog", "yell", "dance", "punch", "chuckle", "laugh"})
-# A verb as it stands in a dictionary may be a noun behind an adjective ("in early spring"), but not after these.
-_BEFORE_VERBS = frozenset(
+#: A verb as it stands in a dictionary may be a noun behind an adjective ("in early spring"), but not after these.
+BEFORE_VERBS = frozenset(
     words_of("to and then or they we you i people men women who that can could will would must may might should not")
 ) | {""}
 _ARTICLE = re.compile(r"\b([Aa])n?(\s+)$")
@@ -252,7 +250,7 @@ def _means(word: str, before: str, text: str) -> str:
         return by
     if before in _BEFORE_NOUNS:
         return by if (form == "ing" and " " not in by) or by in _NOUNS_TOO else ""
-    return by if form != "base" or before in _BEFORE_VERBS or by in _NOUNS_TOO else ""
+    return by if form != "base" or before in BEFORE_VERBS or by in _NOUNS_TOO else ""
 
 
 def _sided(side: str, before: str, text: str) -> str:

@@ -183,7 +183,7 @@ class TextToMotion:
         clock = Stopwatch(self.device)
 
         prompts = [prompt for request in requests for prompt in request.prompts]
-        readings = {prompt: self._read(prompt) for prompt in prompts}
+        readings = {prompt: self._read(prompt) for prompt in dict.fromkeys(prompts)}
         known = {prompt: self.encoder.encode([reading.text]) for prompt, reading in readings.items()}
         frames = [n for request in requests for n in self._frames(request, known)]
         warnings = {request.prompts: self._warnings(request.prompts, known) for request in requests}
