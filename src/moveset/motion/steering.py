@@ -1,8 +1,7 @@
 """Where a way goes that a sentence bends: onto a circle, by so many degrees in all, or nowhere.
 
-A network that was never told of circles walks straight on, and turns as far as its takes did. Features of every codec
-are seen from their own heading, so adding to their yaw step bends the way and leaves everything else as it was
-made: steps, pace, and which feet stand (``cleanup.lock_feet`` and ``StreamDecoder`` hold those afterwards).
+A network that was never told of circles walks straight on, and turns as far as its takes did. So its features are bent
+(``way``); ``cleanup.lock_feet`` and ``StreamDecoder`` hold the feet that stand afterwards.
 
 Angles are radians, to the left above zero. F frames, D features.
 """
@@ -17,17 +16,13 @@ from torch import Tensor
 from moveset.motion import rotations
 from moveset.motion.cleanup import move_feet
 from moveset.motion.features import FeatureCodec
+from moveset.motion.way import GOES, YAW, arc, side_of, steps, turned_by, way_of
 
 RADIUS = 1.5  # metres, of a circle in a motion without an end
 _SURELY = math.radians(75.0)  # within which most of a turn is done; whoever turns in a stream turns by 95 at least
 _TO_THE_END = 1.1  # so that those who turn as far as most do end at the angle, not short of it
-_FASTEST = math.radians(120.0)  # a second, on a circle: a run leans into it, a walk trips
-# What 1 is in a codec's features: radians to the left (T2M's half-angles turn the world, KIT-ML's in a mirror); metres.
-_YAW = {"native": 1.0, "hml": -2.0, "kit": 2.0}
-_METRES = {"native": 1.0, "hml": 1.0, "kit": 0.001}
 _ENDS = ("hip", "ankle")  # of legs
 _AHEAD = torch.tensor((0.0, 0.0, 1.0), dtype=torch.float64)
-_TIGHTEST = 0.4  # metres, radius of a way; who stands and sways does not spin
 _TURNING = math.radians(30.0)  # in all; whoever turns by less does not turn
 _MOST = 2.0  # times as fast as it was made a turn is made
 
@@ -42,13 +37,14 @@ class Steering(Protocol):
     def clip(self, features: Tensor, codec: FeatureCodec) -> Tensor:
         """Features (F, D) of a whole motion, bent."""
 
-    def piece(self, features: Tensor, codec: FeatureCodec, turned: float) -> Tensor:
+    def piece(self, features: Tensor, codec: FeatureCodec, turned: float, gone: float = 0.0) -> Tensor:
         """Features (F, D) of a piece of an endless motion, bent.
 
         Args:
             features: as they were made.
             codec: what they mean.
             turned: radians from where the sentence begins to where the piece does, in features as they were made.
+            gone: metres from there to there along the way (``way_of``).
         """
 
 
@@ -69,7 +65,7 @@ class Circle:
     @property
     def says(self) -> str:
         """What is done, for users."""
-        return f"the way is bent to the {_side(self.side)}, onto a circle"
+        return f"the way is bent to the {side_of(self.side)}, onto a circle"
 
     def clip(self, features: Tensor, codec: FeatureCodec) -> Tensor:
         """Features (F, D) of a whole motion, bent in proportion to the way that is gone.
@@ -78,12 +74,12 @@ class Circle:
         """
         if not self.once:
             return self.piece(features, codec, 0.0)
-        way = _gone(features, codec)
-        return _arc(features, codec, self.side * 2.0 * math.pi / way) if way > 0 else features
+        way = way_of(features[:-1], codec)
+        return arc(features, codec, self.side * 2.0 * math.pi / way) if way > 0 else features
 
-    def piece(self, features: Tensor, codec: FeatureCodec, turned: float) -> Tensor:
+    def piece(self, features: Tensor, codec: FeatureCodec, turned: float, gone: float = 0.0) -> Tensor:
         """Features (F, D) of a piece of an endless motion, bent onto a circle of the radius."""
-        return _arc(features, codec, self.side / self.radius)
+        return arc(features, codec, self.side / self.radius)
 
 
 @dataclass(frozen=True)
@@ -95,7 +91,7 @@ class Turn:
     @property
     def says(self) -> str:
         """What is done, for users."""
-        return f"the way is bent to the {_side(self.angle)}, by {math.degrees(abs(self.angle)):.0f} degrees in all"
+        return f"the way is bent to the {side_of(self.angle)}, by {math.degrees(abs(self.angle)):.0f} degrees in all"
 
     def clip(self, features: Tensor, codec: FeatureCodec) -> Tensor:
         """Features (F, D) of a whole motion that ends at this angle to where it began.
@@ -103,22 +99,22 @@ class Turn:
         The turn that is there is made so much sharper, or wider; what that does not bring is added all along the way.
         Whoever stands turns no further.
         """
-        turned = _turned(features, codec)
+        turned = turned_by(features, codec)
         share = self.angle / turned if turned * self.angle > 0 and abs(turned) >= _TURNING else 1.0
         features = _scaled(features, codec, min(share, _MOST))
-        rest, way = self.angle - _turned(features, codec), _gone(features, codec)
-        return _arc(features, codec, rest / way) if way > 0 else features
+        rest, way = self.angle - turned_by(features, codec), way_of(features[:-1], codec)
+        return arc(features, codec, rest / way) if way > 0 else features
 
-    def piece(self, features: Tensor, codec: FeatureCodec, turned: float) -> Tensor:
+    def piece(self, features: Tensor, codec: FeatureCodec, turned: float, gone: float = 0.0) -> Tensor:
         """Features (F, D) of a piece of an endless motion, which comes nearer to the angle and stays there.
 
         However far the network turns by itself, the way ends there: whatever it has turned by is bent to hardly more
         than the angle (``_bent``). Within a piece that is spread along the way, so that hips sway as they did.
         """
-        way = float(_steps(features, codec).sum())
-        after = turned + _YAW[codec.name] * float(features[:, codec.groups["root_yaw"]].double().sum())
+        way = way_of(features, codec)
+        after = turned + YAW[codec.name] * float(features[:, codec.groups["root_yaw"]].double().sum())
         added = (self._bent(after) - after) - (self._bent(turned) - turned)
-        return _arc(features, codec, added / way) if way > 0 else features
+        return arc(features, codec, added / way) if way > 0 else features
 
     def _bent(self, turned: float) -> float:
         """The angle to which one is bent that was turned by."""
@@ -150,41 +146,71 @@ class Stay:
         still[:, turned.start + 6 : turned.stop] = moved.flatten(1).to(still.dtype)
         return still
 
-    def piece(self, features: Tensor, codec: FeatureCodec, turned: float) -> Tensor:
+    def piece(self, features: Tensor, codec: FeatureCodec, turned: float, gone: float = 0.0) -> Tensor:
         """Features (F, D) of a piece of an endless motion, on the spot."""
         return self.clip(features, codec)
 
 
-def _side(side: float) -> str:
-    return "left" if side > 0 else "right"
+@dataclass(frozen=True)
+class During:
+    """One of several things that are done on the way, one after the other, is bent.
+
+    Args:
+        steering: bends it.
+        begin, end: its share of the time that a body is on its way.
+    """
+
+    steering: Steering
+    begin: float
+    end: float
+
+    @property
+    def says(self) -> str:
+        """What is done, for users."""
+        return self.steering.says
+
+    def clip(self, features: Tensor, codec: FeatureCodec) -> Tensor:
+        """Features (F, D) of a whole motion."""
+        goes = (steps(features, codec) * codec.fps > GOES).double()
+        time = goes.cumsum(0) / goes.sum().clamp_min(1.0)
+        here = (time > self.begin) & (time <= self.end)
+        if int(here.sum()) < 2:
+            return features
+        bent = features.clone()
+        begin, end = int(here.nonzero()[0]), int(here.nonzero()[-1]) + 1
+        bent[begin:end] = self.steering.clip(features[begin:end], codec)
+        return bent
+
+    def piece(self, features: Tensor, codec: FeatureCodec, turned: float, gone: float = 0.0) -> Tensor:
+        """Features (F, D) of a piece of an endless motion, in which a sentence does one thing."""
+        return self.steering.piece(features, codec, turned, gone)
 
 
-def _turned(features: Tensor, codec: FeatureCodec) -> float:
-    """From the first frame to the last; the last step leads out of the motion."""
-    return _YAW[codec.name] * float(features[:-1, codec.groups["root_yaw"]].double().sum())
+@dataclass(frozen=True)
+class Together:
+    """Several, one after the other."""
 
+    steering: tuple[Steering, ...]
 
-def _gone(features: Tensor, codec: FeatureCodec) -> float:
-    """Metres from the first frame to the last, along the way."""
-    return float(_steps(features, codec)[:-1].sum())
+    @property
+    def says(self) -> str:
+        """What is done, for users."""
+        return "; ".join(one.says for one in self.steering)
 
+    def clip(self, features: Tensor, codec: FeatureCodec) -> Tensor:
+        """Features (F, D) of a whole motion."""
+        for one in self.steering:
+            features = one.clip(features, codec)
+        return features
 
-def _steps(features: Tensor, codec: FeatureCodec) -> Tensor:
-    """Metres (F,) to the next frame."""
-    return features[:, codec.groups["root_velocity"]].double().norm(dim=1) * _METRES[codec.name]
+    def piece(self, features: Tensor, codec: FeatureCodec, turned: float, gone: float = 0.0) -> Tensor:
+        """Features (F, D) of a piece of an endless motion."""
+        for one in self.steering:
+            features = one.piece(features, codec, turned, gone)
+        return features
 
 
 def _scaled(features: Tensor, codec: FeatureCodec, share: float) -> Tensor:
     bent = features.clone()
     bent[:, codec.groups["root_yaw"]] *= share
-    return bent
-
-
-def _arc(features: Tensor, codec: FeatureCodec, curvature: float) -> Tensor:
-    """Bent by ``curvature`` radians a metre, but within ``_TIGHTEST`` and ``_FASTEST``."""
-    most = _FASTEST / codec.fps
-    curvature = min(max(curvature, -1.0 / _TIGHTEST), 1.0 / _TIGHTEST)
-    bend = (curvature * _steps(features, codec)).clamp(-most, most)
-    bent = features.clone()
-    bent[:, codec.groups["root_yaw"]] += (bend / _YAW[codec.name])[:, None].to(bent.dtype)
     return bent

@@ -1,11 +1,12 @@
-"""Encoded prompts, each read (``said_turns``) and encoded once while it is in use."""
+"""Encoded prompts, each read (``reading``) and encoded once while it is in use."""
 
 import threading
 from collections import OrderedDict
 
 from moveset.data.captions import mirror_text
-from moveset.motion.steering import Steering
-from moveset.pipelines.said_turns import plain_turn, read
+from moveset.motion.steering import Steering, Together
+from moveset.pipelines.reading import read
+from moveset.pipelines.said_turns import plain_turn
 from moveset.text.encoder import TextEmbedding, TextEncoder
 from moveset.text.familiarity import KnownPrompts
 
@@ -44,7 +45,7 @@ class PromptMemory:
         """How the way of a sentence is bent, which nothing encoded tells."""
         reading = read(prompt, self._captions)
         if reading.bent:
-            return reading.bent.steering
+            return Together(tuple(bend.steering for bend in reading.bent))
         return plain_turn(reading.text, self._captions)
 
     def _encoded(self, text: str) -> TextEmbedding:

@@ -23,6 +23,7 @@ from moveset.models.segment_transformer import told_of
 from moveset.models.symmetric import Symmetric
 from moveset.motion.clip import Motion
 from moveset.motion.stream_decoder import StreamDecoder
+from moveset.motion.way import way_of
 from moveset.pipelines.course import Course
 from moveset.pipelines.device import pick_device
 from moveset.pipelines.prompt_memory import PromptMemory
@@ -64,6 +65,7 @@ class Lane:
         left: (1, n, D) the last finished segment, normalised.
         left_pooled: (1, C) the sentence embedding of what it was told.
         turned: radians by which its way has turned since its sentence began.
+        gone: metres that it has come since then.
         reading_ms: what encoding took since the last segment.
     """
 
@@ -78,6 +80,7 @@ class Lane:
     left: Tensor | None = None
     left_pooled: Tensor | None = None
     turned: float = 0.0
+    gone: float = 0.0
     mirrored: TextEmbedding | None = None
     reading_ms: float = 0.0
 
@@ -204,19 +207,23 @@ class StreamGroup:
             lane.mirrored = self._texts.mirrored(prompt).to(self.device) if self._even else None
             lane.reading_ms += (time.perf_counter() - start) * 1e3
 
-    def _decoded(self, lane: Lane, features: Tensor) -> tuple[Motion, Tensor]:
+    def _decoded(self, lane: Lane, features: Tensor) -> tuple[Motion, Tensor, float]:
+        """A piece's motion, its planted feet, and how long its way is."""
+        way = way_of(features, self.codec)
         if steering := self._texts.steering(lane.prompt):
-            features = steering.piece(features, self.codec, lane.turned if lane.behind else 0.0)
-        return lane.decoder(features), lane.decoder.planted(features)
+            turned, gone = (lane.turned, lane.gone) if lane.behind else (0.0, 0.0)
+            features = steering.piece(features, self.codec, turned, gone)
+        return lane.decoder(features), lane.decoder.planted(features), way
 
-    def _piece(self, lane: Lane, clean: Tensor, decoded: tuple[Motion, Tensor], spent: float) -> Piece:
-        motion, planted = decoded
+    def _piece(self, lane: Lane, clean: Tensor, decoded: tuple[Motion, Tensor, float], spent: float) -> Piece:
+        motion, planted, way = decoded
         number, frames = lane.number, len(motion)
         twice = self._even or (lane.guidance and not self._guided)
         evaluations = self.settings.steps * (2 if twice else 1)
         latency = round(spent + lane.reading_ms, 3)
         lane.left, lane.left_pooled = clean[None].clone(), lane.text.pooled
         lane.turned = float(self._course.turn(clean[None])) + (lane.turned if lane.behind else 0.0)
+        lane.gone = way + (lane.gone if lane.behind else 0.0)
         lane.number, lane.reading_ms = number + 1, 0.0
         return Piece(Segment(number, number * frames, frames, lane.prompt, motion, latency, evaluations), planted)
 

@@ -187,12 +187,12 @@ class Reading:
     Args:
         text: what the model is told.
         replaced: words, and what they were read as.
-        bent: a turn that the model is not told of (``said_turns``).
+        bent: what the model is not told of (``reading``).
     """
 
     text: str
     replaced: tuple[tuple[str, str], ...] = ()
-    bent: Bend | None = None
+    bent: tuple[Bend, ...] = ()
 
 
 def in_known_words(sentence: str, known: KnownPrompts) -> Reading:

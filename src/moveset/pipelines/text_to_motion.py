@@ -25,8 +25,8 @@ from moveset.pcm.sampler import item_noise
 from moveset.pipelines.bundle import DEFAULT_MODEL, Bundle
 from moveset.pipelines.denoise import Denoise
 from moveset.pipelines.device import Stopwatch, pick_device
+from moveset.pipelines.reading import read
 from moveset.pipelines.request import Method, Request, check_method, check_request, check_whole
-from moveset.pipelines.said_turns import read
 from moveset.pipelines.synonyms import Bend, Reading
 from moveset.pipelines.warnings import too_long, unfamiliar
 from moveset.text.ellipsis import in_full
@@ -259,7 +259,7 @@ class TextToMotion:
         return (*too_long(self.encoder, prompts, self.bundle.captions), *unfamiliar(self.bundle, prompts, pooled))
 
     def _decode(
-        self, vae: nn.Module, z_BND: Tensor, frames: Sequence[int], bends: Sequence[Bend | None]
+        self, vae: nn.Module, z_BND: Tensor, frames: Sequence[int], bends: Sequence[tuple[Bend, ...]]
     ) -> list[tuple[Motion, Tensor]]:
         """Motions of ``frames[k]`` frames of normalised latents (B, N, d), and their planted feet (F, 4)."""
         n = {name: value.to(self.device) for name, value in self.bundle.normalizer.items()}
@@ -269,7 +269,9 @@ class TextToMotion:
         codec = get_codec(self.bundle.config.codec)
         planted_BF4 = x_BFD[..., codec.groups["contacts"]] > PLANTED
         out = []
-        for x, planted, length, bend in zip(x_BFD, planted_BF4, frames, bends, strict=True):
-            features = x[:length] if bend is None else bend.steering.clip(x[:length], codec)
+        for x, planted, length, bent in zip(x_BFD, planted_BF4, frames, bends, strict=True):
+            features = x[:length]
+            for bend in bent:
+                features = bend.steering.clip(features, codec)
             out.append((codec.decode(features), planted[:length]))
         return out

@@ -8,7 +8,7 @@ from typing import Any
 from torch import Tensor
 
 from moveset.pipelines.model_folder import ModelFolder
-from moveset.pipelines.said_turns import read
+from moveset.pipelines.reading import read
 from moveset.text.encoder import TextEncoder
 from moveset.text.familiarity import KnownPrompts
 from moveset.text.stages import split_stages
@@ -45,8 +45,8 @@ def unfamiliar(bundle: ModelFolder[Any], prompts: tuple[str, ...], pooled: Tenso
             named = ", ".join(f"{word!r} as {by!r}" for word, by in read_as.replaced[:MOST_WORDS])
             more = " …" if len(read_as.replaced) > MOST_WORDS else ""
             out.append(f"words that this model was never trained on are read as others: {named}{more}")
-        if read_as.bent:
-            out.append(f"this model was never trained on {read_as.bent.said!r}: {read_as.bent.steering.says}")
+        for bend in read_as.bent:
+            out.append(f"this model was never trained on {bend.said!r}: {bend.steering.says}")
         if cosine < bundle.config.far_prompt:
             out.append(f"{prompt!r} is unlike anything this model was trained on (similarity {cosine:.2f}); {nearest}")
             continue
