@@ -11,7 +11,7 @@ from moveset.motion import rotations
 from moveset.motion.features import get_codec
 from moveset.motion.native import NativeCodec
 from moveset.motion.retarget import retarget
-from moveset.motion.steering import Circle, Stay, Turn
+from moveset.motion.steering import Circle, During, Stay, Together, Turn
 
 NATIVE = NativeCodec()
 
@@ -184,3 +184,28 @@ def test_pieces_that_stay_are_the_whole_that_does():
 def test_other_features_stay_where_they_are(name):
     codec = get_codec(name)
     assert float(codec.decode(Stay().clip(features(codec=codec), codec)).root[:, [0, 2]].abs().max()) < 1e-6
+
+
+def test_one_of_several_ways_is_bent():
+    x = torch.cat((features("walk", 100), features("wave-left-hand", 40), features("walk", 60)))
+    yaw = NATIVE.groups["root_yaw"]
+    for begin, end, frames in ((0.0, 0.5, (0, 80)), (0.5, 1.0, (80, 200))):
+        bent = During(Circle(1), begin, end).clip(x, NATIVE)
+        added = math.degrees(float((bent - x)[:, yaw].sum()))
+        assert added == pytest.approx(360.0, abs=8.0)
+        outside = torch.ones(200, dtype=torch.bool)
+        outside[frames[0] : frames[1]] = False
+        assert torch.equal(bent[outside], x[outside])
+    assert During(Circle(-1), 0.0, 0.5).says == Circle(-1).says
+    still = features("wave-left-hand", 40)
+    assert During(Circle(1), 0.0, 0.5).clip(still, NATIVE) is still
+    assert torch.equal(During(Stay(), 0.5, 1.0).piece(x, NATIVE, 0.0), Stay().piece(x, NATIVE, 0.0))
+
+
+def test_several_are_done_one_after_the_other():
+    x = features("walk")
+    both = Together((Circle(1), Stay()))
+    assert torch.equal(both.clip(x, NATIVE), Stay().clip(Circle(1).clip(x, NATIVE), NATIVE))
+    assert torch.equal(both.piece(x, NATIVE, 0.1, 2.0), Stay().piece(Circle(1).piece(x, NATIVE, 0.1), NATIVE, 0.1))
+    assert both.says == f"{Circle(1).says}; {Stay().says}"
+    assert both.seconds == Together(()).seconds == During(Stay(), 0.0, 1.0).seconds == 0.0

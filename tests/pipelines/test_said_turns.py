@@ -10,14 +10,18 @@ from moveset import MotionStream, TextToMotion
 from moveset.data import phrases
 from moveset.data.captions import heldout_captions, mirror_text, train_captions
 from moveset.motion import rotations
-from moveset.motion.steering import Circle, Stay, Turn
+from moveset.motion.corners import Corners, FigureEight
+from moveset.motion.steering import Circle, During, Stay, Turn
 from moveset.pipelines.bundle import Bundle
 from moveset.pipelines.reading import read
 from moveset.pipelines.said_turns import plain_turn
+from moveset.pipelines.said_ways import ZIGZAG
 from moveset.pipelines.stream_group import StreamGroup
 from moveset.pipelines.stream_settings import check_stream
 from moveset.pipelines.synonyms import as_written
 from moveset.text.familiarity import KnownPrompts
+
+THERE_AND_BACK = Corners(1, math.pi, 2, 3.0)
 
 
 @pytest.fixture(scope="module")
@@ -68,6 +72,26 @@ def turn(degrees):
         ("he walks slowly and proudly in a circle", "he walks slowly and proudly", Circle(1)),
         ("a person jogs in place", "a person jogs", Stay()),
         ("marching on the spot, she waves", "walking, she waves", Stay()),
+        ("a person walks back and forth", "a person walks", THERE_AND_BACK),
+        ("he paces to and fro", "he paces", THERE_AND_BACK),
+        ("runs up and down the corridor to the right", "runs", Corners(-1, math.pi, 2, 3.0)),
+        ("a person walks in a square", "a person walks", Corners(1, math.pi / 2, 4)),
+        ("walks in a small square shape to the right", "walks", Corners(-1, math.pi / 2, 4, 1.5 * 0.8)),
+        ("jogging in a triangle clockwise", "jogging", Corners(-1, 2 * math.pi / 3, 3)),
+        ("a person runs in a zigzag", "a person runs", ZIGZAG),
+        ("walks in a zig-zag pattern", "walks", ZIGZAG),
+        ("he walks in an S shape", "he walks", ZIGZAG),
+        ("a person zigzags", "a person walks", ZIGZAG),
+        ("Zigzag!", "Walk!", ZIGZAG),
+        ("walks in a figure eight", "walks", FigureEight(1)),
+        ("she walked a big figure of 8 to the right", "she walked", FigureEight(-1, 2.5)),
+        (
+            "walks forward, then walks in a circle",
+            "walks forward, then walks",
+            During(Circle(1), 0.5, 1.0),
+        ),
+        ("runs back and forth, then jogs", "runs, then jogs", During(THERE_AND_BACK, 0.0, 0.5)),
+        ("jogs, then waves, then jogs in place", "jogs, then waves, then jogs", During(Stay(), 0.5, 1.0)),
     ],
 )
 def test_the_turn_is_taken_out_of_the_sentence(shipped, sentence, text, steering):
@@ -90,7 +114,9 @@ def test_the_turn_is_taken_out_of_the_sentence(shipped, sentence, text, steering
         "raises the left arm by 90 degrees", "makes a left turn", "walks back", "spins around", "puts it in place",
         "jumps in place", "turns around himself", "turns around three times", "turns around again",
         "moves the ball in a circle", "runs a finger in circles", "walks to a chair and puts it in place",
-        "dances on the spot", "walks and moves the arms in place", "", " ", "?",
+        "dances on the spot", "walks and moves the arms in place", "", " ", "?", "sways back and forth",
+        "moves the arm back and forth", "walks up and down the stairs", "a zigzag", "draws a square",
+        "sits in a square", "walks to the square", "walks around the square of the town", "swings the arm in a figure eight",
     ],
 )  # fmt: skip
 def test_what_is_another_turn_or_none_is_told_as_it_is(shipped, sentence):
@@ -188,6 +214,14 @@ def test_a_stream_turns_around_and_its_mirror_image_to_the_other_side():
         assert headings([next(stream).motion for _ in range(9)]) == pytest.approx(degrees, abs=35)
 
 
+def test_a_stream_goes_back_and_forth():
+    stream = MotionStream.from_pretrained(prompt="a person walks back and forth", seed=5, device="cpu")
+    motions = [next(stream).motion for _ in range(16)]
+    assert headings(motions) > 500.0  # three times around, and on
+    root = torch.cat([motion.root for motion in motions])[:, [0, 2]]
+    assert float((root - root[0]).norm(dim=1).max()) < 7.0  # of a way of 27 m
+
+
 def test_a_stream_goes_in_circles_until_it_is_told_otherwise():
     stream = MotionStream.from_pretrained(prompt="a person walks in a circle", seed=5, device="cpu")
     round_and_round = headings([next(stream).motion for _ in range(8)])
@@ -223,7 +257,13 @@ def test_plain_turns_of_streams_end_at_those_of_takes():
         assert not stream.warnings
 
 
-@pytest.mark.parametrize("prompt", ["a person walks in a circle", "a person turns around", "walks, then turns around"])
+@pytest.mark.parametrize(
+    "prompt",
+    [
+        "a person walks in a circle", "a person turns around", "walks, then turns around",
+        "walks back and forth", "runs in a zigzag",
+    ],
+)  # fmt: skip
 def test_a_stream_that_is_restored_or_grouped_is_bent_as_it_is_alone(bundle, encoder, prompt):
     def opened():
         request = check_stream(bundle.config, prompt, seed=3, network="pcm-1")

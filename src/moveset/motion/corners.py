@@ -23,6 +23,8 @@ _FEWEST = 3  # legs of a zigzag
 class _Pattern:
     """A way whose heading follows from how far it has come, and which repeats itself."""
 
+    seconds = 0.0
+
     def clip(self, features: Tensor, codec: FeatureCodec) -> Tensor:
         """Features (F, D) of a whole motion, which ends where a repeat does."""
         whole, pace = way_of(features[:-1], codec), pace_of(features, codec)

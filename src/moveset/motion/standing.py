@@ -29,6 +29,7 @@ class Stand:
     """
 
     waves: str = "left"
+    seconds = 0.0
 
     @property
     def says(self) -> str:

@@ -34,6 +34,10 @@ class Steering(Protocol):
     def says(self) -> str:
         """What is done, for users: "the way is bent to the left, onto a circle"."""
 
+    @property
+    def seconds(self) -> float:
+        """How long a whole motion should be made that is cut to what is said of it; 0 where nothing is cut."""
+
     def clip(self, features: Tensor, codec: FeatureCodec) -> Tensor:
         """Features (F, D) of a whole motion, bent."""
 
@@ -61,6 +65,7 @@ class Circle:
     side: int
     once: bool = True
     radius: float = RADIUS
+    seconds = 0.0
 
     @property
     def says(self) -> str:
@@ -87,6 +92,7 @@ class Turn:
     """Whoever turns, turns by this angle in all."""
 
     angle: float
+    seconds = 0.0
 
     @property
     def says(self) -> str:
@@ -124,6 +130,8 @@ class Turn:
 @dataclass(frozen=True)
 class Stay:
     """Whoever goes steps on the spot: no way, and feet that rise and come down below the hips."""
+
+    seconds = 0.0
 
     @property
     def says(self) -> str:
@@ -165,6 +173,11 @@ class During:
     end: float
 
     @property
+    def seconds(self) -> float:
+        """How long a whole motion should be made; 0 where nothing is cut."""
+        return self.steering.seconds
+
+    @property
     def says(self) -> str:
         """What is done, for users."""
         return self.steering.says
@@ -191,6 +204,11 @@ class Together:
     """Several, one after the other."""
 
     steering: tuple[Steering, ...]
+
+    @property
+    def seconds(self) -> float:
+        """How long a whole motion should be made; 0 where nothing is cut."""
+        return max((one.seconds for one in self.steering), default=0.0)
 
     @property
     def says(self) -> str:

@@ -3,13 +3,14 @@
 from dataclasses import replace
 
 from moveset.pipelines.said import first_said
+from moveset.pipelines.said_steps import STEPS
 from moveset.pipelines.said_stops import STOPS
 from moveset.pipelines.said_turns import TURNS
 from moveset.pipelines.said_ways import WAYS
 from moveset.pipelines.synonyms import Bend, Reading, in_known_words
 from moveset.text.familiarity import KnownPrompts
 
-_KINDS = (STOPS, TURNS | WAYS)  # of either one is taken out of a sentence
+_KINDS = (STEPS | STOPS, TURNS | WAYS)  # of either one is taken out of a sentence
 
 
 def read(sentence: str, known: KnownPrompts) -> Reading:

@@ -42,13 +42,17 @@ _BEFORE = re.compile(
     r"(?:(?:is|are|was|were|am|just)\s+)*)",
     re.I | re.S,
 )
-_AFTER = re.compile(rf"(?P<link>\s*[,;.!]?\s*(?:\b{_AND}\b[\s,]*)*)(?P<rest>.*)", re.I | re.S)
-_IN_ORDER = re.compile(r"\b(?:then|before|finally|afterwards|later|after\s+that)\b", re.I)
+#: Nobody, or who a sentence is about, and nothing that is done.
+ALONE = re.compile(rf"\s*(?:{SUBJECT.pattern}\s+)?(?:\w+ly\s+)?(?:(?:is|are|was|were|am|just)\s+)*", re.I)
+#: What follows, without the word that joins it.
+AFTER = re.compile(rf"(?P<link>\s*[,;.!]?\s*(?:\b{_AND}\b[\s,]*)*)(?P<rest>.*)", re.I | re.S)
+#: Words that say which of two things comes first.
+IN_ORDER = re.compile(r"\b(?:then|before|finally|afterwards|later|after\s+that)\b", re.I)
 _TURNS = re.compile(rf"\b(?:{'|'.join(inflections('turn'))})\b", re.I)
 
 
 def _stands_still(found: re.Match[str], text: str, known: KnownPrompts) -> Plain | None:
-    before, after = _BEFORE.fullmatch(text[: found.start()]), _AFTER.match(text[found.end() :])
+    before, after = _BEFORE.fullmatch(text[: found.start()]), AFTER.match(text[found.end() :])
     if before is None or after is None or unread(f"waves {_WAVES}", known.words):
         return None
     done, link, who, rest = before["done"], before["link"], before["who"], after["rest"]
@@ -58,19 +62,19 @@ def _stands_still(found: re.Match[str], text: str, known: KnownPrompts) -> Plain
     if not done and found["going"]:  # whoever stops walking walks first
         verb = inflect(_GOING[found["going"].lower()], form)
         done, link, who = f"{link}{who}{verb.capitalize() if found[0][0].isupper() else verb}", ", then ", ""
-    first = done + (link if not done or _IN_ORDER.search(link) else ", then ") + who
+    first = done + (link if not done or IN_ORDER.search(link) else ", then ") + who
     if not rest:
-        if done and not _goes(CLAUSE.split(done)[-1], known):
+        if done and not goes(CLAUSE.split(done)[-1], known):
             return None
-        return f"{first}{_wave(first, form)}{after['link']}", Stand()
+        return f"{first}{waves(first, form)}{after['link']}", Stand()
     conjunction = after["link"].strip(" ,;.!")
     if not after["link"].strip() or (not conjunction and rest.split()[0].endswith("ing")):
         return None
-    if _goes(CLAUSE.split(rest)[0], known):
-        if done and not _goes(CLAUSE.split(done)[-1], known):
+    if goes(CLAUSE.split(rest)[0], known):
+        if done and not goes(CLAUSE.split(done)[-1], known):
             return None
-        link = after["link"] if _IN_ORDER.search(conjunction) else ", then "
-        return f"{first}{_wave(first, form)}{link}{rest}", Stand()
+        link = after["link"] if IN_ORDER.search(conjunction) else ", then "
+        return f"{first}{waves(first, form)}{link}{rest}", Stand()
     if not unread(found[0], known.words):
         return None
     return f"{first}{rest}", None
@@ -90,11 +94,12 @@ def _commands(before: re.Match[str], text: str) -> bool:
     return word in BEFORE_VERBS
 
 
-def _goes(clause: str, known: KnownPrompts) -> bool:
+def goes(clause: str, known: KnownPrompts) -> bool:
+    """Whether a clause is about somebody on his way."""
     return since_going(clause, known) is not None or bool(_TURNS.search(clause))
 
 
-def _wave(before: str, form: str) -> str:
+def waves(before: str, form: str) -> str:
     """What whoever stands still is told to do, after these words."""
     verb = inflect("wave", form)
     return f"{verb} {_WAVES}" if before.strip() else f"{verb} {_WAVES}".capitalize()

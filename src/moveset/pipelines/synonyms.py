@@ -194,6 +194,11 @@ class Reading:
     replaced: tuple[tuple[str, str], ...] = ()
     bent: tuple[Bend, ...] = ()
 
+    @property
+    def seconds(self) -> float | None:
+        """How long a motion should be made that is cut afterwards; None where nothing is."""
+        return max((bend.steering.seconds for bend in self.bent), default=0.0) or None
+
 
 def in_known_words(sentence: str, known: KnownPrompts) -> Reading:
     """The sentence with everyday words that the model does not know said in ones that it does.

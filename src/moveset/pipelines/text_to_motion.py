@@ -20,6 +20,7 @@ from moveset.motion.cleanup import lock_feet
 from moveset.motion.clip import Motion
 from moveset.motion.contacts import PLANTED
 from moveset.motion.features import get_codec
+from moveset.motion.footfalls import stand_on
 from moveset.motion.join import join
 from moveset.pcm.sampler import item_noise
 from moveset.pipelines.bundle import DEFAULT_MODEL, Bundle
@@ -185,7 +186,8 @@ class TextToMotion:
         prompts = [prompt for request in requests for prompt in request.prompts]
         readings = {prompt: self._read(prompt) for prompt in dict.fromkeys(prompts)}
         known = {prompt: self.encoder.encode([reading.text]) for prompt, reading in readings.items()}
-        frames = [n for request in requests for n in self._frames(request, known)]
+        frames = [n for request in requests for n in self._frames(request, known, readings)]
+        wanted = [n for request in requests for n in request.frames]
         warnings = {request.prompts: self._warnings(request.prompts, known) for request in requests}
         clock.lap("text")
 
@@ -204,7 +206,7 @@ class TextToMotion:
         for z, part in zip(latents, rows, strict=True):
             pause()
             bends = [readings[prompt].bent for prompt in prompts[part]]
-            decoded.append(self._decode(vae, z, frames[part], bends))
+            decoded.append(self._decode(vae, z, frames[part], bends, wanted[part]))
             done += 1
         clips = iter([clip for batch_of_clips in decoded for clip in batch_of_clips])
         clock.lap("decode")
@@ -242,11 +244,15 @@ class TextToMotion:
         """A prompt as the networks are told it: in full, and in words that they know."""
         return read(in_full(prompt), self.bundle.captions)
 
-    def _frames(self, request: Request, known: Mapping[str, TextEmbedding]) -> list[int]:
-        """Frames of each clip: as asked for, or predicted from the text."""
+    def _frames(
+        self, request: Request, known: Mapping[str, TextEmbedding], readings: Mapping[str, Reading]
+    ) -> list[int]:
+        """Frames of each clip as the networks make it: as asked for, or as its reading needs, or as the text says."""
         config = self.bundle.config
         frames = []
         for prompt, wanted in zip(request.prompts, request.frames, strict=True):
+            if needed := readings[prompt].seconds:
+                wanted = min(max(round(needed * get_codec(config.codec).fps), wanted or 0), config.max_frames)
             if wanted is None:
                 predictor = cast(LengthPredictor, self.bundle.module("length", self.device))
                 likely = int(predictor.predict(known[prompt].pooled.to(self.device)))
@@ -259,19 +265,28 @@ class TextToMotion:
         return (*too_long(self.encoder, prompts, self.bundle.captions), *unfamiliar(self.bundle, prompts, pooled))
 
     def _decode(
-        self, vae: nn.Module, z_BND: Tensor, frames: Sequence[int], bends: Sequence[tuple[Bend, ...]]
+        self,
+        vae: nn.Module,
+        z_BND: Tensor,
+        frames: Sequence[int],
+        bends: Sequence[tuple[Bend, ...]],
+        wanted: Sequence[int | None],
     ) -> list[tuple[Motion, Tensor]]:
-        """Motions of ``frames[k]`` frames of normalised latents (B, N, d), and their planted feet (F, 4)."""
+        """Motions of ``frames[k]`` frames of normalised latents (B, N, d), and their planted feet (F, 4).
+
+        Those that are cut have as many frames as are wanted, if somebody wants so many.
+        """
         n = {name: value.to(self.device) for name, value in self.bundle.normalizer.items()}
         lengths = torch.tensor(frames, device=self.device)
         x_BFD = vae.decode(torch.addcmul(n["latent_mean"], z_BND, n["latent_std"]), lengths, max(frames))
         x_BFD = torch.addcmul(n["feature_mean"], x_BFD, n["feature_std"]).cpu()
         codec = get_codec(self.bundle.config.codec)
-        planted_BF4 = x_BFD[..., codec.groups["contacts"]] > PLANTED
         out = []
-        for x, planted, length, bent in zip(x_BFD, planted_BF4, frames, bends, strict=True):
+        for x, length, bent, asked in zip(x_BFD, frames, bends, wanted, strict=True):
             features = x[:length]
             for bend in bent:
                 features = bend.steering.clip(features, codec)
-            out.append((codec.decode(features), planted[:length]))
+            if asked is not None and len(features) != asked:
+                features = stand_on(features, codec, asked)
+            out.append((codec.decode(features), features[:, codec.groups["contacts"]] > PLANTED))
         return out

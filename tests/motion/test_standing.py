@@ -1,0 +1,80 @@
+"""A body that does nothing: its arms hang, and nothing but an arm is another."""
+
+import pytest
+import torch
+
+from moveset.data.synthetic import synthetic_motion
+from moveset.motion.features import get_codec
+from moveset.motion.native import NativeCodec
+from moveset.motion.standing import Stand
+
+NATIVE = NativeCodec()
+
+
+def features(kind, frames=100):
+    return NATIVE.encode(synthetic_motion(kind, frames))
+
+
+def height(x, joint):
+    """Metres (F,) of a joint above the hips."""
+    motion = NATIVE.decode(x)
+    return motion.joints[:, motion.skeleton.index(joint), 1] - motion.joints[:, 0, 1]
+
+
+def test_whoever_waves_and_stands_does_nothing():
+    x = features("wave-left-hand")
+    still = Stand().clip(x, NATIVE)
+    assert float(height(x, "left_wrist").max()) > 0.3
+    assert float(height(still, "left_wrist").max()) < 0.1
+    right = Stand(waves="right").clip(features("wave-right-hand"), NATIVE)
+    assert float(height(right, "right_wrist").max()) < 0.1
+
+
+def test_nothing_but_the_arm_is_another():
+    x = features("wave-left-hand")
+    still = Stand().clip(x, NATIVE)
+    first = NATIVE.groups["rotations"].start
+    arm = [NATIVE.skeleton.index(f"left_{joint}") for joint in ("collar", "shoulder", "elbow", "wrist")]
+    columns = {first + 6 * joint + k for joint in arm for k in range(6)}
+    assert set((still != x).any(dim=0).nonzero().flatten().tolist()) <= columns
+    moved = NATIVE.decode(still).joints - NATIVE.decode(x).joints
+    others = [k for k in range(len(NATIVE.skeleton)) if k not in arm]
+    assert float(moved[:, others].abs().max()) < 1e-5
+
+
+def test_the_arm_hangs_as_the_other_one_a_moment_ago():
+    x = features("wave-left-hand")
+    x[:, NATIVE.groups["rotations"]] += 0.05 * torch.sin(torch.arange(100) * 0.2)[:, None]  # so that it sways
+    still = NATIVE.decode(Stand().clip(x, NATIVE)).rotations
+    left, right = (NATIVE.skeleton.index(f"{side}_elbow") for side in ("left", "right"))
+    mirrored = still[:, right] * torch.tensor((1.0, -1.0, -1.0, 1.0))
+    assert torch.allclose(still[8:, left], mirrored[:-8], atol=1e-5)
+    assert torch.allclose(still[:8, left], mirrored[:1].expand(8, -1), atol=1e-5)
+
+
+@pytest.mark.parametrize("walk_first", [True, False])
+def test_on_his_way_he_swings_his_arms_as_he_did(walk_first):
+    walk, wave = features("walk"), features("wave-left-hand")
+    x = torch.cat((walk, wave) if walk_first else (wave, walk))
+    still = Stand().clip(x, NATIVE)
+    changed = (still - x).abs().amax(dim=1)
+    walks, stands = (slice(0, 84), slice(100, 200)) if walk_first else (slice(116, 200), slice(0, 100))
+    assert float(changed[walks].max()) == 0.0
+    assert float(height(still, "left_wrist")[stands].max()) < 0.1
+    # Within a second, and not at once.
+    blend = changed[85:115]
+    assert float((still - x)[85:115].diff(dim=0).abs().max()) < 0.5 * float(blend.max())
+
+
+def test_slow_walkers_walk_and_pieces_are_treated_alike():
+    slow = NATIVE.encode(synthetic_motion("walk", 100, speed=0.45))
+    assert torch.equal(Stand().clip(slow, NATIVE), slow)
+    x = features("wave-left-hand")
+    assert torch.equal(Stand().piece(x, NATIVE, 0.0), Stand().clip(x, NATIVE))
+
+
+@pytest.mark.parametrize("name", ["hml", "kit"])
+def test_features_without_rotations_stay_as_they_are(name):
+    codec = get_codec(name)
+    x = torch.randn(30, codec.dim)
+    assert Stand().clip(x, codec) is x
