@@ -171,7 +171,7 @@ def test_who_stops_walks_first_and_then_stands_with_his_arms_down(t2m):
     joints = made.motion.joints[-40:, :, 1]
     assert float((joints[:, wrists] - joints[:, shoulders]).max()) < -0.2
     assert made.warnings == (
-        "this model was never trained on 'stops': whoever waves stands, and so he does with his arms at rest",
+        "this model was never trained on 'stops': it is told of a wave, whose arm is made to hang",
     )
 
 
@@ -184,9 +184,7 @@ def test_who_stands_goes_nowhere(t2m, sentence):
 @pytest.mark.parametrize(("sentence", "count"), [("takes two steps back", 2), ("takes five steps forward", 5)])
 def test_so_many_steps_are_taken(t2m, sentence, count):
     motions = [t2m(f"a person {sentence}", seed=seed).motion for seed in range(4)]
-    # A foot that is in the air in the first frame has not been anywhere else, and is not found to come down.
-    counts = [len(footfalls(motion)) for motion in motions]
-    assert all(count - 1 <= found <= count for found in counts)
+    assert [len(footfalls(motion)) for motion in motions] == [count] * 4
     assert all(float(speed(motion)[-20:].max()) < 0.3 for motion in motions)
 
 

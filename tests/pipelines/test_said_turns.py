@@ -116,7 +116,8 @@ def test_the_turn_is_taken_out_of_the_sentence(shipped, sentence, text, steering
         "moves the ball in a circle", "runs a finger in circles", "walks to a chair and puts it in place",
         "dances on the spot", "walks and moves the arms in place", "", " ", "?", "sways back and forth",
         "moves the arm back and forth", "walks up and down the stairs", "a zigzag", "draws a square",
-        "sits in a square", "walks to the square", "walks around the square of the town", "swings the arm in a figure eight",
+        "sits in a square", "walks to the square", "walks around the square of the town",
+        "swings the arm in a figure eight",
     ],
 )  # fmt: skip
 def test_what_is_another_turn_or_none_is_told_as_it_is(shipped, sentence):

@@ -33,7 +33,7 @@ class Steps:
     @property
     def says(self) -> str:
         """What is done, for users."""
-        return "what comes before the last steps is cut off"
+        return f"what comes before the last {self.count} is cut off"
 
     @property
     def seconds(self) -> float:
@@ -56,16 +56,16 @@ class Steps:
 
 
 def footfalls(motion: Motion) -> list[int]:
-    """Frames in which feet come down at another place, in order, of a motion whose feet hold still while they stand."""
-    joints = motion.joints.double()
+    """Frames in which feet come down, in order, of a motion whose feet hold still while they stand.
+
+    They come down at another place than they stood at, or out of the air in which they were in the first frame.
+    """
     falls = []
-    for toe in motion.skeleton.feet[1::2]:
-        place = joints[:, toe][:, [0, 2]]
-        stands = (place.diff(dim=0).norm(dim=1) * motion.fps < _HELD) & (joints[1:, toe, 1] < _LOW)
+    for toe, stands in zip(motion.skeleton.feet[1::2], _stances(motion), strict=True):
         before = None
-        for begin, end in _runs(stands):
-            here = place[begin : end + 1].mean(dim=0)
-            if before is not None and float((here - before).norm()) >= _STEP:
+        for begin, end in stands:
+            here = motion.joints[begin:end, toe].double()[:, [0, 2]].mean(dim=0)
+            if begin > 1 if before is None else float((here - before).norm()) >= _STEP:
                 falls.append(begin)
             before = here
     return sorted(falls)
@@ -93,6 +93,14 @@ def _stop(features: Tensor, codec: FeatureCodec) -> int:
     """The last frame in which a body is on its way."""
     goes = (steps(features, codec) * codec.fps > GOES).nonzero()
     return int(goes[-1]) if len(goes) else 0
+
+
+def _stances(motion: Motion) -> list[list[tuple[int, int]]]:
+    """The first frame and the one after the last of every stance of the left foot and of the right one."""
+    joints = motion.joints.double()[:, list(motion.skeleton.feet[1::2])]
+    pace = joints[..., [0, 2]].diff(dim=0).norm(dim=-1) * motion.fps
+    stands = (pace < _HELD) & (joints[1:, :, 1] < _LOW)
+    return [[(begin, end + 1) for begin, end in _runs(foot)] for foot in stands.unbind(1)]
 
 
 def _runs(marks: Tensor) -> list[tuple[int, int]]:

@@ -34,7 +34,7 @@ class Stand:
     @property
     def says(self) -> str:
         """What is done, for users."""
-        return "whoever waves stands, and so he does with his arms at rest"
+        return "it is told of a wave, whose arm is made to hang"
 
     def clip(self, features: Tensor, codec: FeatureCodec) -> Tensor:
         """Features (F, D) of a whole motion; only those that decode by rotations have arms that are moved."""
