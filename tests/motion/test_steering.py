@@ -9,9 +9,10 @@ import torch
 from moveset.data.synthetic import synthetic_motion
 from moveset.motion import rotations
 from moveset.motion.features import get_codec
+from moveset.motion.footfalls import Steps
 from moveset.motion.native import NativeCodec
 from moveset.motion.retarget import retarget
-from moveset.motion.steering import Circle, During, Stay, Together, Turn
+from moveset.motion.steering import Circle, During, Spin, Stay, Together, Turn
 
 NATIVE = NativeCodec()
 
@@ -209,3 +210,42 @@ def test_several_are_done_one_after_the_other():
     assert torch.equal(both.piece(x, NATIVE, 0.1, 2.0), Stay().piece(Circle(1).piece(x, NATIVE, 0.1), NATIVE, 0.1))
     assert both.says == f"{Circle(1).says}; {Stay().says}"
     assert both.seconds == Together(()).seconds == During(Stay(), 0.0, 1.0).seconds == 0.0
+    assert [both.cuts, Together(()).cuts, During(both, 0.0, 0.5).cuts] == [False] * 3
+    assert Together((Stay(), Steps(1))).cuts
+    assert During(Steps(1), 0.0, 0.5).cuts
+
+
+@pytest.mark.parametrize("degrees", [90, -180, 360])
+def test_who_spins_turns_on_the_spot_while_he_is_on_his_way(degrees):
+    x = torch.cat((features("walk", 80), features("wave-left-hand", 60)))
+    bent = Spin(math.radians(degrees)).clip(x, NATIVE)
+    assert turned(bent) == pytest.approx(degrees, abs=2.0)
+    assert (NATIVE.decode(bent).root[:, [0, 2]] == 0).all()
+    yaw = (bent - x)[:, NATIVE.groups["root_yaw"]][:, 0]
+    assert float(yaw[:80].sum()) == pytest.approx(math.radians(degrees), abs=1e-3)
+    assert float(yaw[80:].abs().max()) == 0.0
+    # Gently at first and in the end.
+    assert float(yaw[:3].abs().max()) < 0.2 * float(yaw.abs().max()) > float(yaw[77:80].abs().max())
+    stays = Stay().clip(x, NATIVE)
+    rest = torch.arange(x.shape[1]) != NATIVE.groups["root_yaw"].start
+    assert torch.equal(bent[:, rest], stays[:, rest])
+
+
+def test_nobody_spins_faster_than_feet_can_follow():
+    x = features("walk", 60)
+    assert turned(Spin(20.0).clip(x, NATIVE)) == pytest.approx(3.0 * 220.0, rel=0.05)
+    still = features("wave-left-hand", 60)
+    assert torch.equal(Spin(1.0).clip(still, NATIVE), Stay().clip(still, NATIVE))
+    assert Spin(2 * math.pi).seconds == pytest.approx(2 * 360 / 110)
+    assert Spin(-0.5).seconds == 4.0
+    assert During(Spin(2 * math.pi), 0.5, 1.0).seconds == pytest.approx(2 * Spin(2 * math.pi).seconds)
+    assert not Spin(1.0).cuts
+
+
+@pytest.mark.parametrize("name", ["native", "hml", "kit"])
+def test_a_stream_spins_on_and_on_in_every_codec(name):
+    codec = get_codec(name)
+    x = features("walk", 60, codec)
+    bent = Spin(-3.0).piece(x, codec, 0.0)
+    assert turned(bent, codec) - turned(x, codec) == pytest.approx(-110.0 * 59 / codec.fps, rel=0.05)
+    assert Spin(math.pi).says == "feet step on the spot and turn to the left, by 180 degrees"

@@ -98,7 +98,7 @@ def test_what_is_something_else_is_told_as_it_is(shipped, sentence):
         ("a person takes three steps forward", f"a person walks forward, then waves {WAVES}", stands(3)),
         ("he takes a step back", f"he walks backwards, then waves {WAVES}", stands(1)),
         ("Take 4 big steps forward.", f"Walk with large steps, then wave {WAVES}.", stands(4)),
-        ("taking two slow steps", f"Walking slowly, then waving {WAVES}".replace("Walking", "walking"), stands(2)),
+        ("taking two slow steps", f"walking slowly, then waving {WAVES}", stands(2)),
         ("she walked two paces to the left", f"she walked sideways to the left, then waved {WAVES}", stands(2)),
         ("a person steps forward twice", f"a person walks forward, then waves {WAVES}", stands(2)),
         ("a man takes a couple of steps, then bows", "a man walks forward, then bows", Steps(2, then=True)),

@@ -24,6 +24,7 @@ class _Pattern:
     """A way whose heading follows from how far it has come, and which repeats itself."""
 
     seconds = 0.0
+    cuts = False
 
     def clip(self, features: Tensor, codec: FeatureCodec) -> Tensor:
         """Features (F, D) of a whole motion, which ends where a repeat does."""

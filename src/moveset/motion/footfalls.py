@@ -29,6 +29,7 @@ class Steps:
 
     count: int
     then: bool = False
+    cuts = True
 
     @property
     def says(self) -> str:

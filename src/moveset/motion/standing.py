@@ -30,6 +30,7 @@ class Stand:
 
     waves: str = "left"
     seconds = 0.0
+    cuts = False
 
     @property
     def says(self) -> str:

@@ -23,6 +23,9 @@ _SURELY = math.radians(75.0)  # within which most of a turn is done; whoever tur
 _TO_THE_END = 1.1  # so that those who turn as far as most do end at the angle, not short of it
 _ENDS = ("hip", "ankle")  # of legs
 _AHEAD = torch.tensor((0.0, 0.0, 1.0), dtype=torch.float64)
+_SPINS = math.radians(110.0)  # a second, on the spot, and the most of a whole motion:
+_FASTEST_SPIN = math.radians(220.0)
+_SHORTEST = 4.0  # seconds of a motion in which somebody turns on the spot and stands then
 _TURNING = math.radians(30.0)  # in all; whoever turns by less does not turn
 _MOST = 2.0  # times as fast as it was made a turn is made
 
@@ -36,7 +39,11 @@ class Steering(Protocol):
 
     @property
     def seconds(self) -> float:
-        """How long a whole motion should be made that is cut to what is said of it; 0 where nothing is cut."""
+        """How long a whole motion is made, if nobody says; 0 for as long as what is told takes."""
+
+    @property
+    def cuts(self) -> bool:
+        """Whether it is made as long as that at least, and cut then."""
 
     def clip(self, features: Tensor, codec: FeatureCodec) -> Tensor:
         """Features (F, D) of a whole motion, bent."""
@@ -66,6 +73,7 @@ class Circle:
     once: bool = True
     radius: float = RADIUS
     seconds = 0.0
+    cuts = False
 
     @property
     def says(self) -> str:
@@ -93,6 +101,7 @@ class Turn:
 
     angle: float
     seconds = 0.0
+    cuts = False
 
     @property
     def says(self) -> str:
@@ -132,6 +141,7 @@ class Stay:
     """Whoever goes steps on the spot: no way, and feet that rise and come down below the hips."""
 
     seconds = 0.0
+    cuts = False
 
     @property
     def says(self) -> str:
@@ -160,6 +170,44 @@ class Stay:
 
 
 @dataclass(frozen=True)
+class Spin:
+    """Whoever goes steps on the spot, and turns there by this angle in all."""
+
+    angle: float
+    cuts = False
+
+    @property
+    def says(self) -> str:
+        """What is done, for users."""
+        degrees = math.degrees(abs(self.angle))
+        return f"feet step on the spot and turn to the {side_of(self.angle)}, by {degrees:.0f} degrees"
+
+    @property
+    def seconds(self) -> float:
+        """How long a whole motion is made, if nobody says: half of it is that of who stands then."""
+        return max(2.0 * abs(self.angle) / _SPINS, _SHORTEST)
+
+    def clip(self, features: Tensor, codec: FeatureCodec) -> Tensor:
+        """Features (F, D) of a whole motion, turned while it is on its way, gently at first and in the end."""
+        goes = (steps(features, codec) * codec.fps > GOES).nonzero()
+        still = Stay().clip(features, codec)
+        if not len(goes):
+            return still
+        begin, end = int(goes[0]), int(goes[-1]) + 1
+        most = _FASTEST_SPIN * (end - begin) / codec.fps
+        done = torch.linspace(0.0, 1.0, end - begin + 1, dtype=torch.float64)
+        angle = min(max(self.angle, -most), most) * done * done * (3.0 - 2.0 * done)
+        still[begin:end, codec.groups["root_yaw"]] += (angle.diff() / YAW[codec.name])[:, None].to(still.dtype)
+        return still
+
+    def piece(self, features: Tensor, codec: FeatureCodec, turned: float, gone: float = 0.0) -> Tensor:
+        """Features (F, D) of a piece of an endless motion, which turns on and on."""
+        still = Stay().piece(features, codec, turned, gone)
+        still[:, codec.groups["root_yaw"]] += math.copysign(_SPINS, self.angle) / codec.fps / YAW[codec.name]
+        return still
+
+
+@dataclass(frozen=True)
 class During:
     """One of several things that are done on the way, one after the other, is bent.
 
@@ -174,8 +222,13 @@ class During:
 
     @property
     def seconds(self) -> float:
-        """How long a whole motion should be made; 0 where nothing is cut."""
-        return self.steering.seconds
+        """How long a whole motion is made, if nobody says."""
+        return self.steering.seconds / (self.end - self.begin)
+
+    @property
+    def cuts(self) -> bool:
+        """Whether it is made as long as that at least, and cut then."""
+        return self.steering.cuts
 
     @property
     def says(self) -> str:
@@ -207,8 +260,13 @@ class Together:
 
     @property
     def seconds(self) -> float:
-        """How long a whole motion should be made; 0 where nothing is cut."""
+        """How long a whole motion is made, if nobody says."""
         return max((one.seconds for one in self.steering), default=0.0)
+
+    @property
+    def cuts(self) -> bool:
+        """Whether it is made as long as that at least, and cut then."""
+        return any(one.cuts for one in self.steering)
 
     @property
     def says(self) -> str:

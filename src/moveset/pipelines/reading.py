@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 from moveset.pipelines.said import first_said
+from moveset.pipelines.said_spins import SPINS
 from moveset.pipelines.said_steps import STEPS
 from moveset.pipelines.said_stops import STOPS
 from moveset.pipelines.said_turns import TURNS
@@ -10,7 +11,7 @@ from moveset.pipelines.said_ways import WAYS
 from moveset.pipelines.synonyms import Bend, Reading, in_known_words
 from moveset.text.familiarity import KnownPrompts
 
-_KINDS = (STEPS | STOPS, TURNS | WAYS)  # of either one is taken out of a sentence
+_KINDS = (STEPS | SPINS, STOPS, TURNS | WAYS)  # of either one is taken out of a sentence
 
 
 def read(sentence: str, known: KnownPrompts) -> Reading:

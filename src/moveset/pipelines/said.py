@@ -7,6 +7,7 @@ from functools import lru_cache
 from moveset.motion.steering import Steering
 from moveset.pipelines.synonyms import CLOCKWISE, TRAVELLING, in_known_words
 from moveset.text.familiarity import KnownPrompts
+from moveset.text.subject import SUBJECT
 from moveset.text.vocabulary import words_of
 
 #: A sentence without what the model was never told of, and how its motion is bent for that; None if it need not be.
@@ -17,6 +18,19 @@ Said = Callable[[re.Match[str], str, KnownPrompts], Plain | None]
 THE = r"(?:the|his|her|their|its|my|your|our)"
 CLAUSE = re.compile(r"[,.;:!?]|\b(?:then|while|before|after)\b", re.I)
 NO_LIMB = r"(?!\s+(?:hand|arm|leg|foot|knee|elbow|shoulder|hip|side)s?\b)"
+_AND = r"(?:and|but|then|finally|eventually|afterwards|later|after\s+that|before)"
+#: What was done before, the word that joins it, and who does what comes now.
+BEFORE = re.compile(
+    rf"(?P<done>.*?)(?P<link>\s*[,;.]?\s*(?:\b{_AND}\b[\s,]*)*)(?P<who>(?:{SUBJECT.pattern}\s+)?(?:\w+ly\s+)?"
+    r"(?:(?:is|are|was|were|am|just)\s+)*)",
+    re.I | re.S,
+)
+#: Nobody, or who a sentence is about, and nothing that is done.
+ALONE = re.compile(rf"\s*(?:{SUBJECT.pattern}\s+)?(?:\w+ly\s+)?(?:(?:is|are|was|were|am|just)\s+)*", re.I)
+#: What follows, without the word that joins it.
+AFTER = re.compile(rf"(?P<link>\s*[,;.!]?\s*(?:\b{_AND}\b[\s,]*)*)(?P<rest>.*)", re.I | re.S)
+#: Words that say which of two things comes first.
+IN_ORDER = re.compile(r"\b(?:then|before|finally|afterwards|later|after\s+that)\b", re.I)
 _CLOCK = "|".join(CLOCKWISE)
 _OBJECTS = frozenset(words_of("a an the his her their its my your our it him them"))
 _LIMBS = frozenset(words_of(

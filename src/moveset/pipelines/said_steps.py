@@ -10,8 +10,8 @@ import re
 from moveset.motion.footfalls import Steps
 from moveset.motion.standing import Stand
 from moveset.motion.steering import Together
-from moveset.pipelines.said import CLAUSE, NO_LIMB, THE, Plain, Said, sign
-from moveset.pipelines.said_stops import AFTER, ALONE, IN_ORDER, goes, waves
+from moveset.pipelines.said import AFTER, ALONE, CLAUSE, IN_ORDER, NO_LIMB, THE, Plain, Said, sign
+from moveset.pipelines.said_stops import goes, waves
 from moveset.pipelines.synonyms import BEFORE_VERBS
 from moveset.text.english import inflect, inflections
 from moveset.text.familiarity import KnownPrompts

@@ -8,11 +8,10 @@ like the other one (``motion.standing``). Whoever stops and does something else 
 import re
 
 from moveset.motion.standing import Stand
-from moveset.pipelines.said import CLAUSE, Plain, Said, since_going
+from moveset.pipelines.said import AFTER, BEFORE, CLAUSE, IN_ORDER, Plain, Said, since_going
 from moveset.pipelines.synonyms import BEFORE_VERBS, TRAVELLING
 from moveset.text.english import inflect, inflections
 from moveset.text.familiarity import KnownPrompts
-from moveset.text.subject import SUBJECT
 from moveset.text.vocabulary import unread, words_of
 
 _WAVES = "with the left hand"
@@ -36,23 +35,11 @@ _STANDS_STILL = re.compile(
           | (?P<idle>(?:is|are|was|were)\s+{_STILL}) ){_HOW}(?![\w-])""",
     re.I | re.X,
 )
-_AND = r"(?:and|but|then|finally|eventually|afterwards|later|after\s+that|before)"
-_BEFORE = re.compile(
-    rf"(?P<done>.*?)(?P<link>\s*[,;.]?\s*(?:\b{_AND}\b[\s,]*)*)(?P<who>(?:{SUBJECT.pattern}\s+)?(?:\w+ly\s+)?"
-    r"(?:(?:is|are|was|were|am|just)\s+)*)",
-    re.I | re.S,
-)
-#: Nobody, or who a sentence is about, and nothing that is done.
-ALONE = re.compile(rf"\s*(?:{SUBJECT.pattern}\s+)?(?:\w+ly\s+)?(?:(?:is|are|was|were|am|just)\s+)*", re.I)
-#: What follows, without the word that joins it.
-AFTER = re.compile(rf"(?P<link>\s*[,;.!]?\s*(?:\b{_AND}\b[\s,]*)*)(?P<rest>.*)", re.I | re.S)
-#: Words that say which of two things comes first.
-IN_ORDER = re.compile(r"\b(?:then|before|finally|afterwards|later|after\s+that)\b", re.I)
 _TURNS = re.compile(rf"\b(?:{'|'.join(inflections('turn'))})\b", re.I)
 
 
 def _stands_still(found: re.Match[str], text: str, known: KnownPrompts) -> Plain | None:
-    before, after = _BEFORE.fullmatch(text[: found.start()]), AFTER.match(text[found.end() :])
+    before, after = BEFORE.fullmatch(text[: found.start()]), AFTER.match(text[found.end() :])
     if before is None or after is None or unread(f"waves {_WAVES}", known.words):
         return None
     done, link, who, rest = before["done"], before["link"], before["who"], after["rest"]

@@ -15,7 +15,8 @@ from moveset.text.english import inflect, inflections
 from moveset.text.familiarity import KnownPrompts
 from moveset.text.vocabulary import words_of
 
-_TURNS = inflections("turn", "rotate", "pivot", "swivel")
+#: In every form, what people do who turn.
+TURN_FORMS = inflections("turn", "rotate", "pivot", "swivel")
 _MAKES = inflections("make", "do", "take", "perform", "execute")
 _LEAVES = inflections("head")
 _WORDS = {
@@ -27,20 +28,21 @@ _KINDS = {
     "u-turn": 180, "u turn": 180, "about-face": 180, "about face": 180, "about-turn": 180, "about turn": 180,
     "half turn": 180, "half-turn": 180, "quarter turn": 90, "quarter-turn": 90, "full turn": 360,
 }  # fmt: skip
-_DEGREES = rf"(?P<degrees>\d{{1,3}}|{'|'.join(_WORDS)})(?:\s*°|[\s-]*degrees?\b)"
+#: A pattern of "45 degrees" and the like; the group "degrees".
+DEGREES = rf"(?P<degrees>\d{{1,3}}|{'|'.join(_WORDS)})(?:\s*°|[\s-]*degrees?\b)"
 _HEADS = re.compile(rf"\b(?P<verb>{'|'.join(_LEAVES)})(?:\s+(?:off|out|over|away))?{side('after')[:-1]}", re.I)
 # What an angle or "around" belongs to; "turns around the corner" and "turns around his hand" are other things.
 _AROUND = re.compile(
-    rf"\b(?P<verb>{'|'.join(_TURNS)})(?:\s+(?:all\s+the\s+way|completely|fully|quickly|slowly|right))?\s+a?round\b"
+    rf"\b(?P<verb>{'|'.join(TURN_FORMS)})(?:\s+(?:all\s+the\s+way|completely|fully|quickly|slowly|right))?\s+a?round\b"
     rf"(?!\s+(?:{THE}|an?|in|and\s+a?round|this|that|\w+sel(?:f|ves)|again|twice|\w+\s+times)\b){side('after')}",
     re.I,
 )
-_BY_DEGREES = re.compile(
-    rf"\b(?P<verb>{'|'.join(_TURNS)}){side('before')}(?:\s+by)?\s+{_DEGREES}(?:\s+around)?{side('after')}", re.I
+_BYDEGREES = re.compile(
+    rf"\b(?P<verb>{'|'.join(TURN_FORMS)}){side('before')}(?:\s+by)?\s+{DEGREES}(?:\s+around)?{side('after')}", re.I
 )
 _MADE = re.compile(
     rf"\b(?P<verb>{'|'.join(_MAKES)})\s+an?\s+(?:(?P<before>left|right)\s+)?"
-    rf"(?:(?P<kind>{'|'.join(_KINDS)})|{_DEGREES}\s+(?:(?P<between>left|right)\s+)?turn)\b{side('after')}",
+    rf"(?:(?P<kind>{'|'.join(_KINDS)})|{DEGREES}\s+(?:(?P<between>left|right)\s+)?turn)\b{side('after')}",
     re.I,
 )
 _PLAIN = re.compile(
@@ -68,13 +70,13 @@ def plain_turn(sentence: str, known: KnownPrompts) -> Turn | None:
     found = list(_PLAIN.finditer(sentence))
     if len(found) != 1 or _ON_AND_ON.search(sentence) or not known.words:
         return None
-    if told_of(known, _BY_DEGREES, _by_degrees) or told_of(known, _AROUND, _around):
+    if told_of(known, _BYDEGREES, _by_degrees) or told_of(known, _AROUND, _around):
         return None
     return Turn(sign(found[0]["side"]) * math.radians(_USUAL))
 
 
 def _around(found: re.Match[str], text: str, _: KnownPrompts) -> Plain:
-    return _turned(found, text, _TURNS, 180, found["after"])
+    return _turned(found, text, TURN_FORMS, 180, found["after"])
 
 
 def _heads(found: re.Match[str], text: str, _: KnownPrompts) -> Plain | None:
@@ -85,12 +87,12 @@ def _heads(found: re.Match[str], text: str, _: KnownPrompts) -> Plain | None:
 
 
 def _by_degrees(found: re.Match[str], text: str, _: KnownPrompts) -> Plain | None:
-    degrees = _count(found["degrees"])
-    return _turned(found, text, _TURNS, degrees, found["before"], found["after"]) if 1 <= degrees <= _MOST else None
+    degrees = count_of(found["degrees"])
+    return _turned(found, text, TURN_FORMS, degrees, found["before"], found["after"]) if 1 <= degrees <= _MOST else None
 
 
 def _made(found: re.Match[str], text: str, _: KnownPrompts) -> Plain | None:
-    degrees = _KINDS[found["kind"].lower()] if found["kind"] else _count(found["degrees"])
+    degrees = _KINDS[found["kind"].lower()] if found["kind"] else count_of(found["degrees"])
     sides = found["before"], found["between"], found["after"]
     return _turned(found, text, _MAKES, degrees, *sides) if 1 <= degrees <= _MOST else None
 
@@ -107,12 +109,13 @@ def _turned(found: re.Match[str], text: str, verbs: dict[str, str], degrees: int
     return text[: found.start()] + turn + after, Turn(to * math.radians(degrees))
 
 
-def _count(degrees: str) -> int:
+def count_of(degrees: str) -> int:
+    """The number that ``DEGREES`` found."""
     return int(degrees) if degrees.isdigit() else _WORDS[" ".join(degrees.lower().split())]
 
 
 TURNS: dict[re.Pattern[str], Said] = {
-    _BY_DEGREES: _by_degrees,
+    _BYDEGREES: _by_degrees,
     _MADE: _made,
     _AROUND: _around,
     _HEADS: _heads,

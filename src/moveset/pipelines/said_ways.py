@@ -48,18 +48,18 @@ _TO_AND_FRO = re.compile(
 _IN_PLACE = re.compile(r"\s+(?:in\s+(?:one\s+)?place|on\s+the\s+spot)\b", re.I)
 
 
+def ways_of(text: str, known: KnownPrompts) -> int:
+    """How many stages of this somebody is on his way in."""
+    return sum(since_going(stage, known) is not None for stage in split_stages(text))
+
+
 def _without(found: re.Match[str], text: str, steering: Steering, known: KnownPrompts) -> Plain:
     """The sentence without what was found. Of several ways, one after the other, it is one."""
     plain = text[: found.start()] + text[found.end() :]
-    before, ways = _ways(text[: found.start()], known), _ways(plain, known)
+    before, ways = ways_of(text[: found.start()], known), ways_of(plain, known)
     if ways > 1 and before:
         steering = During(steering, (before - 1) / ways, before / ways)
     return plain, steering
-
-
-def _ways(text: str, known: KnownPrompts) -> int:
-    """How many stages of this somebody is on his way in."""
-    return sum(since_going(stage, known) is not None for stage in split_stages(text))
 
 
 def _size(adjectives: str) -> list[float]:

@@ -196,8 +196,13 @@ class Reading:
 
     @property
     def seconds(self) -> float | None:
-        """How long a motion should be made that is cut afterwards; None where nothing is."""
+        """How long a motion is made, if nobody says; None for as long as the text takes."""
         return max((bend.steering.seconds for bend in self.bent), default=0.0) or None
+
+    @property
+    def cut(self) -> bool:
+        """Whether it is made as long as that at least, and cut then."""
+        return any(bend.steering.cuts for bend in self.bent)
 
 
 def in_known_words(sentence: str, known: KnownPrompts) -> Reading:

@@ -251,8 +251,10 @@ class TextToMotion:
         config = self.bundle.config
         frames = []
         for prompt, wanted in zip(request.prompts, request.frames, strict=True):
-            if needed := readings[prompt].seconds:
-                wanted = min(max(round(needed * get_codec(config.codec).fps), wanted or 0), config.max_frames)
+            reading = readings[prompt]
+            if reading.seconds and (reading.cut or wanted is None):
+                usual = round(reading.seconds * get_codec(config.codec).fps)
+                wanted = min(max(usual, wanted or 0), config.max_frames)
             if wanted is None:
                 predictor = cast(LengthPredictor, self.bundle.module("length", self.device))
                 likely = int(predictor.predict(known[prompt].pooled.to(self.device)))
