@@ -74,7 +74,8 @@ def test_only_the_turn_is_on_the_spot(shipped, sentence, text, steering):
     "sentence",
     [
         "spins a ball", "spins the wheel", "spins on tiptoe", "the spin", "a spin", "spins 900 degrees",
-        "spins 0 degrees", "turns left", "turns the wheel in place", "he spins while waving", "spins around three times",
+        "spins 0 degrees", "turns left", "turns the wheel in place", "he spins while waving",
+        "spins around three times",
     ],
 )  # fmt: skip
 def test_what_is_something_else_is_told_as_it_is(shipped, sentence):
