@@ -59,7 +59,7 @@ def unfamiliar(bundle: ModelFolder[Any], prompts: tuple[str, ...], pooled: Tenso
             out.append(f"this model knows the words of {named} but was never trained on that; {nearest}")
         if found := _SEVERAL.search(prompt):
             out.append(f"this model moves one person alone, not {found.group()!r}; {nearest}")
-        if (count := len(split_stages(read_as.text))) > _STAGES and count > _most_stages(known):
+        if (count := len(split_stages(prompt))) > _STAGES and count > _most_stages(known):
             out.append(f"{prompt!r} says {count} things one after the other, more than this model learned to do at a "
                        "time; give each as a prompt of its own")  # fmt: skip
     return out
