@@ -71,6 +71,7 @@ def test_who_stands_is_told_to_wave(shipped, sentence, text):
         ("he walks, stops, and bows", "he walks, then bows", "stops"),
         ("a person stands still and waves", "a person waves", "stands still"),
         ("Stop, then clap.", "clap.", "Stop"),
+        ("he walks, stops and turns left", "he walks, then turns left", "stops"),
     ],
 )
 def test_who_does_something_else_then_needs_no_wave(shipped, sentence, text, said):

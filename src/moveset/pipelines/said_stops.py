@@ -57,7 +57,7 @@ def _stands_still(found: re.Match[str], text: str, known: KnownPrompts) -> Plain
     conjunction = after["link"].strip(" ,;.!")
     if not after["link"].strip() or (not conjunction and rest.split()[0].endswith("ing")):
         return None
-    if goes(CLAUSE.split(rest)[0], known):
+    if since_going(CLAUSE.split(rest)[0], known) is not None:
         if done and not goes(CLAUSE.split(done)[-1], known):
             return None
         link = after["link"] if IN_ORDER.search(conjunction) else ", then "
