@@ -1,6 +1,7 @@
 """A sentence as a model is told it: in words that it knows, and without what only its motion is bent for."""
 
 from dataclasses import replace
+from functools import lru_cache
 
 from moveset.pipelines.said import first_said
 from moveset.pipelines.said_spins import SPINS
@@ -14,6 +15,7 @@ from moveset.text.familiarity import KnownPrompts
 _KINDS = (STEPS | SPINS, STOPS, TURNS | WAYS)  # of either one is taken out of a sentence
 
 
+@lru_cache(maxsize=256)
 def read(sentence: str, known: KnownPrompts) -> Reading:
     """A sentence as a model is told it. A model that has a caption of such words is told them as they are.
 

@@ -1,11 +1,13 @@
-"""What readings of sentences share: sides, who is on his way, and whether a model was told such a thing."""
+"""What readings of sentences share: clauses, sides, who is on his way, and what a model was told of."""
 
 import re
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from functools import lru_cache
 
 from moveset.motion.steering import Steering
-from moveset.pipelines.synonyms import CLOCKWISE, TRAVELLING, in_known_words
+from moveset.pipelines.synonyms import BEFORE_VERBS, CLOCKWISE, TRAVELLING, in_known_words
+from moveset.text.english import inflect
 from moveset.text.familiarity import KnownPrompts
 from moveset.text.subject import SUBJECT
 from moveset.text.vocabulary import words_of
@@ -19,23 +21,72 @@ THE = r"(?:the|his|her|their|its|my|your|our)"
 CLAUSE = re.compile(r"[,.;:!?]|\b(?:then|while|before|after)\b", re.I)
 NO_LIMB = r"(?!\s+(?:hand|arm|leg|foot|knee|elbow|shoulder|hip|side)s?\b)"
 _AND = r"(?:and|but|then|finally|eventually|afterwards|later|after\s+that|before)"
-#: What was done before, the word that joins it, and who does what comes now.
-BEFORE = re.compile(
+_BEFORE = re.compile(
     rf"(?P<done>.*?)(?P<link>\s*[,;.]?\s*(?:\b{_AND}\b[\s,]*)*)(?P<who>(?:{SUBJECT.pattern}\s+)?(?:\w+ly\s+)?"
     r"(?:(?:is|are|was|were|am|just)\s+)*)",
     re.I | re.S,
 )
-#: Nobody, or who a sentence is about, and nothing that is done.
-ALONE = re.compile(rf"\s*(?:{SUBJECT.pattern}\s+)?(?:\w+ly\s+)?(?:(?:is|are|was|were|am|just)\s+)*", re.I)
-#: What follows, without the word that joins it.
-AFTER = re.compile(rf"(?P<link>\s*[,;.!]?\s*(?:\b{_AND}\b[\s,]*)*)(?P<rest>.*)", re.I | re.S)
-#: Words that say which of two things comes first.
-IN_ORDER = re.compile(r"\b(?:then|before|finally|afterwards|later|after\s+that)\b", re.I)
+_AFTER = re.compile(rf"(?P<link>\s*[,;.!]?\s*(?:\b{_AND}\b[\s,]*)*)(?P<rest>.*)", re.I | re.S)
+_IN_ORDER = re.compile(r"\b(?:then|before|finally|afterwards|later|after\s+that)\b", re.I)
 _CLOCK = "|".join(CLOCKWISE)
 _OBJECTS = frozenset(words_of("a an the his her their its my your our it him them"))
 _LIMBS = frozenset(words_of(
     "hand hands arm arms leg legs foot feet knee knees elbow elbows head hips hip wrist wrists shoulder shoulders"
 ))  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Clause:
+    """What is done in a sentence before and after words that were found in it.
+
+    Args:
+        done: what is done before them; "" if they come first.
+        first: that, the word that joins it, and who does what comes now.
+        form: of the verb that was found (``english.FORMS``).
+        capital: it begins the sentence, and looks it.
+        rest: what is done after them; "" if they come last.
+        following: that, and the word that joins it; or the full stop.
+    """
+
+    done: str
+    first: str
+    form: str
+    capital: bool
+    rest: str
+    following: str
+
+    @classmethod
+    def around(cls, found: re.Match[str], text: str, form: str) -> "Clause | None":
+        """The clause of what was found in a text; None if it belongs to words beside it, or is a noun."""
+        before, after = _BEFORE.fullmatch(text[: found.start()]), _AFTER.match(text[found.end() :])
+        *_, word = "", *words_of(text[: found.start()])
+        if before is None or after is None or (form == "base" and word not in BEFORE_VERBS):
+            return None
+        done, link, rest = before["done"], before["link"], after["rest"]
+        if (done and not link.strip()) or (rest and not _joined(after["link"], rest)):
+            return None
+        first = done + (link if not done else _in_order(link)) + before["who"]
+        following = _in_order(after["link"]) + rest if rest else after["link"]
+        return cls(done, first, form, found[0][0].isupper(), rest, following)
+
+    def does(self, verb: str) -> str:
+        """Another verb in place of the one that was found."""
+        word = inflect(verb, self.form)
+        return word.capitalize() if self.capital else word
+
+    def does_then(self, verb: str) -> str:
+        """A verb after that."""
+        return inflect(verb, self.form)
+
+
+def _joined(link: str, rest: str) -> bool:
+    """Whether a word or a stop stands between two things to do, and the second is no manner ("stands, waving")."""
+    return bool(link.strip()) and (bool(link.strip(" ,;.!")) or not rest.split()[0].endswith("ing"))
+
+
+def _in_order(link: str) -> str:
+    """What joins two things to do, in words that say which comes first."""
+    return link if _IN_ORDER.search(link) else ", then "
 
 
 def side(name: str) -> str:

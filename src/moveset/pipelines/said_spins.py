@@ -10,14 +10,13 @@ import re
 
 from moveset.motion.standing import Stand
 from moveset.motion.steering import During, Spin, Steering, Together
-from moveset.pipelines.said import AFTER, BEFORE, IN_ORDER, THE, Plain, Said, side, sign
-from moveset.pipelines.said_stops import waves
+from moveset.pipelines.said import THE, Clause, Plain, Said, side, sign
+from moveset.pipelines.said_stops import WAVES, knows_waves
 from moveset.pipelines.said_turns import DEGREES, TURN_FORMS, count_of
 from moveset.pipelines.said_ways import ways_of
-from moveset.pipelines.synonyms import BEFORE_VERBS
-from moveset.text.english import inflect, inflections
+from moveset.text.english import inflections
 from moveset.text.familiarity import KnownPrompts
-from moveset.text.vocabulary import unread, words_of
+from moveset.text.vocabulary import unread
 
 _SPIN_FORMS = inflections("spin", "twirl", "whirl")
 _ON_THE_SPOT = r"(?:in\s+(?:one\s+)?place|on\s+the\s+spot)"
@@ -50,30 +49,19 @@ def _turns(found: re.Match[str], text: str, known: KnownPrompts) -> Plain | None
 
 
 def _turned(found: re.Match[str], text: str, known: KnownPrompts, forms: dict[str, str], degrees: int) -> Plain | None:
-    before, after = BEFORE.fullmatch(text[: found.start()]), AFTER.match(text[found.end() :])
-    form, stands = forms[found["verb"].lower()], not unread("stands still", known.words)
-    *_, word = "", *words_of(text[: found.start()])
-    if before is None or after is None or not 1 <= abs(degrees) <= _MOST or unread("walks slowly", known.words):
-        return None
-    done, link, rest = before["done"], before["link"], after["rest"]
-    if (done and not link.strip()) or (rest and not after["link"].strip()):
-        return None
-    if form == "base" and word not in BEFORE_VERBS:
+    clause = Clause.around(found, text, forms[found["verb"].lower()])
+    if clause is None or not 1 <= abs(degrees) <= _MOST or unread("walks slowly", known.words):
         return None
     spin: Steering = Spin(math.radians(degrees))
-    ways = ways_of(done, known)
-    if (all_ways := ways + 1 + ways_of(rest, known)) > 1:
+    ways = ways_of(clause.done, known)
+    if (all_ways := ways + 1 + ways_of(clause.rest, known)) > 1:
         spin = During(spin, ways / all_ways, (ways + 1) / all_ways)
-    first = done + (link if not done or IN_ORDER.search(link) else ", then ") + before["who"]
-    verb = inflect("walk", form)
-    plain = f"{first}{verb.capitalize() if found['verb'][0].isupper() else verb} slowly"
-    if rest:
-        return f"{plain}{after['link'] if IN_ORDER.search(after['link']) else ', then '}{rest}", spin
-    if stands:
-        return f"{plain}{after['link']}", spin
-    if unread(waves("x", "present"), known.words):
+    plain = f"{clause.first}{clause.does('walk')} slowly"
+    if clause.rest or not unread("stands still", known.words):
+        return f"{plain}{clause.following}", spin
+    if not knows_waves(known):
         return None
-    return f"{plain}, then {waves(plain, form)}{after['link']}", Together((Stand(), spin))
+    return f"{plain}, then {clause.does_then('wave')} {WAVES}{clause.following}", Together((Stand(), spin))
 
 
 SPINS: dict[re.Pattern[str], Said] = {_SPINS: _spins, _TURNS: _turns}

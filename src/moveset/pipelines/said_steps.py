@@ -10,59 +10,52 @@ import re
 from moveset.motion.footfalls import Steps
 from moveset.motion.standing import Stand
 from moveset.motion.steering import Together
-from moveset.pipelines.said import AFTER, ALONE, CLAUSE, IN_ORDER, NO_LIMB, THE, Plain, Said, sign
-from moveset.pipelines.said_stops import goes, waves
-from moveset.pipelines.synonyms import BEFORE_VERBS
-from moveset.text.english import inflect, inflections
+from moveset.motion.way import side_of
+from moveset.pipelines.said import CLAUSE, NO_LIMB, THE, Clause, Plain, Said, sign
+from moveset.pipelines.said_stops import WAVES, goes, knows_waves
+from moveset.text.english import inflections
 from moveset.text.familiarity import KnownPrompts
-from moveset.text.vocabulary import unread, words_of
+from moveset.text.vocabulary import unread
 
-_TAKES = inflections("take", "make", "walk", "move", "go")
-_STEPS_VERB = inflections("step")
-_COUNTS = {"a": 1, "one": 1, "single": 1, "two": 2, "a couple of": 2, "three": 3, "four": 4, "five": 5, "six": 6}
-_MOST = 6  # that a clip has time for
+_TAKES, _STEPS_BY_VERB = inflections("take", "make", "walk", "move", "go"), inflections("step")
+_FORMS = _TAKES | _STEPS_BY_VERB
+_NUMBERS = {"a single": 1, "a couple of": 2, "a": 1, "one": 1, "two": 2, "three": 3, "four": 4, "five": 5, "six": 6}
 _TIMES = {"once": 1, "one time": 1, "twice": 2, "two times": 2, "three times": 3, "four times": 4}
+_COUNTS = _NUMBERS | _TIMES
 _WHERE = (
     rf"(?:\s+(?:(?P<back>backwards?|back)|(?P<ahead>forwards?|ahead|straight|onwards?)"
     rf"|(?:sideways\s+)?(?:to\s+(?:{THE}\s+)?)?(?P<side>left|right)\b{NO_LIMB}))?"
 )
 _TAKES_STEPS = re.compile(
-    rf"\b(?P<verb>{'|'.join(_TAKES)})\s+(?:exactly\s+|just\s+|only\s+)?(?P<count>{'|'.join(_COUNTS)}|[1-6])\s+"
+    rf"\b(?P<verb>{'|'.join(_TAKES)})\s+(?:exactly\s+|just\s+|only\s+)?(?P<count>{'|'.join(_NUMBERS)}|[1-6])\s+"
     rf"(?:(?P<how>big|large|long|slow|quick)\s+)?(?:steps?|paces?){_WHERE}(?![\w-])",
     re.I,
 )
-_STEPS = re.compile(rf"\b(?P<verb>{'|'.join(_STEPS_VERB)}){_WHERE}\s+(?P<count>{'|'.join(_TIMES)})\b", re.I)
+_STEPS = re.compile(rf"\b(?P<verb>{'|'.join(_STEPS_BY_VERB)}){_WHERE}\s+(?P<count>{'|'.join(_TIMES)})\b", re.I)
 
 
 def _steps(found: re.Match[str], text: str, known: KnownPrompts) -> Plain | None:
-    forms = _TAKES | _STEPS_VERB
-    form, counts = forms[found["verb"].lower()], _COUNTS | _TIMES
     said = " ".join(found["count"].lower().split())
-    count = int(said) if said.isdigit() else counts[said]
-    before, after = text[: found.start()], AFTER.match(text[found.end() :])
-    *_, word = "", *words_of(before)
+    count = int(said) if said.isdigit() else _COUNTS[said]
+    clause = Clause.around(found, text, _FORMS[found["verb"].lower()])
     if not unread("stands still", known.words):
         return None  # streams know that, and go on without an end
-    if after is None or not ALONE.fullmatch(before) or (form == "base" and word not in BEFORE_VERBS):
+    if clause is None or clause.done or goes(CLAUSE.split(clause.rest)[0], known):
         return None
-    rest, link = after["rest"], after["link"]
-    if rest and (not link.strip() or goes(CLAUSE.split(rest)[0], known) or rest.split()[0].endswith("ing")):
+    walks = f"{clause.first}{clause.does('walk')} {_way(found)}"
+    if clause.rest:
+        return f"{walks}{clause.following}", Steps(count, then=True)
+    if not knows_waves(known):
         return None
-    verb = inflect("walk", form)
-    walks = f"{verb.capitalize() if found['verb'][0].isupper() else verb} {_way(found)}"
-    if rest:
-        then = link if IN_ORDER.search(link) else ", then "
-        return f"{before}{walks}{then}{rest}", Steps(count, then=True)
-    if unread(waves("x", "present"), known.words):
-        return None
-    return f"{before}{walks}, then {waves(before + walks, form)}{link}", Together((Stand(), Steps(count)))
+    stands = f"{walks}, then {clause.does_then('wave')} {WAVES}{clause.following}"
+    return stands, Together((Stand(), Steps(count)))
 
 
 def _way(found: re.Match[str]) -> str:
     if found["back"]:
         return "backwards"
     if found["side"]:
-        return f"sideways to the {'left' if sign(found['side']) > 0 else 'right'}"
+        return f"sideways to the {side_of(sign(found['side']))}"
     how = (found.groupdict().get("how") or "").lower()
     return {"slow": "slowly", "quick": "quickly", "": "forward"}.get(how, "with large steps")
 

@@ -8,13 +8,14 @@ like the other one (``motion.standing``). Whoever stops and does something else 
 import re
 
 from moveset.motion.standing import Stand
-from moveset.pipelines.said import AFTER, BEFORE, CLAUSE, IN_ORDER, Plain, Said, since_going
-from moveset.pipelines.synonyms import BEFORE_VERBS, TRAVELLING
+from moveset.pipelines.said import CLAUSE, Clause, Plain, Said, since_going
+from moveset.pipelines.synonyms import TRAVELLING
 from moveset.text.english import inflect, inflections
 from moveset.text.familiarity import KnownPrompts
-from moveset.text.vocabulary import unread, words_of
+from moveset.text.vocabulary import unread
 
-_WAVES = "with the left hand"
+#: How whoever stands still is told to wave.
+WAVES = "with the left hand"
 _STANDS = inflections("stand", "wait", "pause", "stop", "halt", "freeze")
 _STAYS = inflections("stay", "remain", "keep", "hold")
 _COMES, _DOES = inflections("come"), inflections("do")
@@ -39,32 +40,18 @@ _TURNS = re.compile(rf"\b(?:{'|'.join(inflections('turn'))})\b", re.I)
 
 
 def _stands_still(found: re.Match[str], text: str, known: KnownPrompts) -> Plain | None:
-    before, after = BEFORE.fullmatch(text[: found.start()]), AFTER.match(text[found.end() :])
-    if before is None or after is None or unread(f"waves {_WAVES}", known.words):
+    clause = Clause.around(found, text, _form(found))
+    if clause is None or not knows_waves(known):
         return None
-    done, link, who, rest = before["done"], before["link"], before["who"], after["rest"]
-    form = _form(found)
-    if (done and not link.strip()) or (form == "base" and not _commands(before, text)):
+    if not clause.done and found["going"]:  # whoever stops walking walks first
+        stands = f"{clause.first}{clause.does(_GOING[found['going'].lower()])}, then {clause.does_then('wave')} {WAVES}"
+        return f"{stands}{clause.following}", Stand()
+    goes_on = since_going(CLAUSE.split(clause.rest)[0], known) is not None
+    if clause.rest and not goes_on:
+        return (f"{clause.first}{clause.rest}", None) if unread(found[0], known.words) else None
+    if clause.done and not goes(CLAUSE.split(clause.done)[-1], known):
         return None
-    if not done and found["going"]:  # whoever stops walking walks first
-        verb = inflect(_GOING[found["going"].lower()], form)
-        done, link, who = f"{link}{who}{verb.capitalize() if found[0][0].isupper() else verb}", ", then ", ""
-    first = done + (link if not done or IN_ORDER.search(link) else ", then ") + who
-    if not rest:
-        if done and not goes(CLAUSE.split(done)[-1], known):
-            return None
-        return f"{first}{waves(first, form)}{after['link']}", Stand()
-    conjunction = after["link"].strip(" ,;.!")
-    if not after["link"].strip() or (not conjunction and rest.split()[0].endswith("ing")):
-        return None
-    if since_going(CLAUSE.split(rest)[0], known) is not None:
-        if done and not goes(CLAUSE.split(done)[-1], known):
-            return None
-        link = after["link"] if IN_ORDER.search(conjunction) else ", then "
-        return f"{first}{waves(first, form)}{link}{rest}", Stand()
-    if not unread(found[0], known.words):
-        return None
-    return f"{first}{rest}", None
+    return f"{clause.first}{clause.does('wave')} {WAVES}{clause.following}", Stand()
 
 
 def _form(found: re.Match[str]) -> str:
@@ -75,21 +62,14 @@ def _form(found: re.Match[str]) -> str:
     return "past" if found[0].lower().startswith(("was", "were", "did")) else "present"
 
 
-def _commands(before: re.Match[str], text: str) -> bool:
-    """Whether a verb as it stands in a dictionary is one here, and no noun."""
-    *_, word = "", *words_of(text[: before.end()])
-    return word in BEFORE_VERBS
-
-
 def goes(clause: str, known: KnownPrompts) -> bool:
     """Whether a clause is about somebody on his way."""
     return since_going(clause, known) is not None or bool(_TURNS.search(clause))
 
 
-def waves(before: str, form: str) -> str:
-    """What whoever stands still is told to do, after these words."""
-    verb = inflect("wave", form)
-    return f"{verb} {_WAVES}" if before.strip() else f"{verb} {_WAVES}".capitalize()
+def knows_waves(known: KnownPrompts) -> bool:
+    """Whether a model has the words for what whoever stands is told to do."""
+    return not unread(f"waves {WAVES}", known.words)
 
 
 STOPS: dict[re.Pattern[str], Said] = {_STANDS_STILL: _stands_still}
