@@ -72,6 +72,8 @@ def generate(
     t2m = TextToMotion.from_pretrained(model, device=device)
     method = check_method(t2m.bundle.config, solver, steps, guidance)
     outputs = output or (DEFAULT_OUTPUT,)
+    if batch == 1:
+        one_thread()  # for prompts of a file, too: other threads add in another order, and a clip is the same bytes
     if prompts is not None:
         if prompt or seconds or seed:
             raise InputError("with --prompts the prompts, seconds and seeds stand in the file; leave them out here")
@@ -87,7 +89,6 @@ def generate(
     names = [""] if num == 1 else [str(k) for k in range(num)]
     planned = plan_outputs(outputs, names)
 
-    one_thread()
     timings: Counter[str] = Counter()
     files: list[Path] = []
     for request, paths in zip(progress(requests), planned, strict=True):
