@@ -6,6 +6,7 @@ import torch
 from moveset.data.synthetic import synthetic_motion
 from moveset.motion.features import get_codec
 from moveset.motion.native import NativeCodec
+from moveset.motion.retarget import retarget
 from moveset.motion.standing import Stand
 
 NATIVE = NativeCodec()
@@ -74,7 +75,21 @@ def test_slow_walkers_walk_and_pieces_are_treated_alike():
 
 
 @pytest.mark.parametrize("name", ["hml", "kit"])
-def test_features_without_rotations_stay_as_they_are(name):
+def test_features_that_decode_by_positions_have_an_arm_that_hangs_as_well(name):
     codec = get_codec(name)
-    x = torch.randn(30, codec.dim)
-    assert Stand().clip(x, codec) is x
+    motion = synthetic_motion("wave-left-hand", 60, fps=codec.fps)
+    x = codec.encode(retarget(motion, codec.skeleton) if name == "kit" else motion)
+    still = Stand().clip(x, codec)
+    before, after = codec.joints(x), codec.joints(still)
+    wrist, other = (codec.skeleton.index(f"{side}_wrist") for side in ("left", "right"))
+    assert float((before[:, wrist, 1] - before[:, 0, 1]).max()) > 0.3
+    assert torch.allclose(after[8:, wrist, 1], after[:-8, other, 1], atol=1e-5)
+    hip = after[:, 0]
+    to_left, to_right = ((after[20:, joint] - hip[20:]).norm(dim=-1) for joint in (wrist, other))
+    assert torch.allclose(to_left, to_right, atol=0.05)
+    assert float((after[:, wrist] - after[:, other]).norm(dim=-1).min()) > 0.2  # not on the other side's
+    arm = [codec.skeleton.index(f"left_{joint}") for joint in ("shoulder", "elbow", "wrist")]
+    if "left_collar" in codec.skeleton.joints:
+        arm.append(codec.skeleton.index("left_collar"))
+    rest = [joint for joint in range(len(codec.skeleton)) if joint not in arm]
+    assert torch.equal(after[:, rest], before[:, rest])

@@ -10,7 +10,6 @@ from torch import Tensor
 from torch.nn.functional import avg_pool1d, max_pool1d
 
 from moveset.motion.features import FeatureCodec
-from moveset.motion.native import NativeCodec
 from moveset.motion.way import GOES, steps
 
 _ARM = ("collar", "shoulder", "elbow", "wrist")
@@ -38,18 +37,18 @@ class Stand:
         return "it is told of a wave, whose arm is made to hang"
 
     def clip(self, features: Tensor, codec: FeatureCodec) -> Tensor:
-        """Features (F, D) of a whole motion; only those that decode by rotations have arms that are moved."""
-        if not isinstance(codec, NativeCodec):
-            return features
+        """Features (F, D) of a whole motion: another arm in what they decode by, rotations or positions."""
         share = self._stands(features, codec)[:, None]
-        order, signs = codec.mirror()
-        mirrored = features[..., order] * signs
         late = (torch.arange(len(features)) - round(_LATER * codec.fps)).clamp_min(0)
-        still, first = features.clone(), codec.groups["rotations"].start
+        still, joints = features.clone(), codec.skeleton.joints
         for joint in _ARM:
-            start = first + 6 * codec.skeleton.index(f"{self.waves}_{joint}")
-            arm = slice(start, start + 6)
-            still[:, arm] = torch.lerp(features[:, arm], mirrored[late, arm], share)
+            if (name := f"{self.waves}_{joint}") not in joints:
+                continue  # of KIT-ML's skeleton
+            arm = _columns(codec, joints.index(name))
+            other = _columns(codec, codec.skeleton.mirror_order[joints.index(name)])
+            # A mirrored rotation has the entries s_i s_j R_ij, of which these are two columns.
+            signs = features.new_tensor((1, -1, -1, -1, 1, 1) if codec.name == "native" else (-1, 1, 1))
+            still[:, arm] = torch.lerp(features[:, arm], features[late, other] * signs, share)
         return still
 
     def piece(self, features: Tensor, codec: FeatureCodec, turned: float, gone: float = 0.0) -> Tensor:
@@ -67,6 +66,15 @@ class Stand:
         around = round(_AROUND * codec.fps)
         wide = max_pool1d(stands[None], 2 * around + 1, 1, around)[0]
         return _mean(wide, around).to(features.dtype)
+
+
+def _columns(codec: FeatureCodec, joint: int) -> slice:
+    """Where a joint stands in what a codec decodes by: its rotation, or its position."""
+    if codec.name == "native":
+        start = codec.groups["rotations"].start + 6 * joint
+        return slice(start, start + 6)
+    start = codec.groups["positions"].start + 3 * (joint - 1)
+    return slice(start, start + 3)
 
 
 def _mean(x_F: Tensor, frames: int) -> Tensor:

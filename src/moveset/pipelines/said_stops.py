@@ -16,7 +16,7 @@ from moveset.text.vocabulary import unread
 
 #: How whoever stands still is told to wave.
 WAVES = "with the left hand"
-_STANDS = inflections("stand", "wait", "pause", "stop", "halt", "freeze")
+_STANDS = inflections("stand", "wait", "pause", "stop", "halt", "freeze", "idle")
 _STAYS = inflections("stay", "remain", "keep", "hold")
 _COMES, _DOES = inflections("come"), inflections("do")
 _GOING = {going: verb for verb in TRAVELLING if (going := inflect(verb, "ing")) in TRAVELLING}
