@@ -64,6 +64,8 @@ def test_who_takes_fewer_steps_keeps_them_all():
 
 
 def test_a_motion_is_made_long_enough_for_its_steps():
+    assert Steps(1).cuts
+    assert Steps(2).says == "what comes before the last 2 is cut off"
     assert [Steps(count).seconds for count in (1, 3, 5, 6)] == pytest.approx([7.0, 7.0, 8.5, 9.6])
 
 
@@ -77,6 +79,16 @@ def test_who_stands_stands_on(frames):
     assert torch.allclose(before.root[-1], after.root[-1], atol=0.02)
     assert torch.allclose(before.rotations[-1].abs(), after.rotations[-1].abs(), atol=1e-3)
     assert float(after.joints.diff(dim=0).abs().max()) <= float(before.joints.diff(dim=0).abs().max()) + 1e-4
+
+
+def test_who_drifts_and_turns_while_he_stands_does_not_do_so_for_longer():
+    x = walk_then_stand()
+    x[100:, ROOT] = torch.tensor((0.004, 0.002))  # metres a frame, of a body that sways
+    x[100:, NATIVE.groups["root_yaw"]] = 0.002
+    before, after = NATIVE.decode(x), NATIVE.decode(stand_on(x, NATIVE, 400))
+    assert float((before.root[-1] - before.root[100]).norm()) > 0.3
+    assert torch.allclose(before.root[-1], after.root[-1], atol=0.01)
+    assert torch.allclose(before.rotations[-1, 0], after.rotations[-1, 0], atol=0.005)
 
 
 def test_more_than_is_wanted_is_cut_off():

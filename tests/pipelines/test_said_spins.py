@@ -34,6 +34,7 @@ def spin(degrees):
         ("a person spins around", f"a person walks slowly, {THEN_STANDS}", spin(360)),
         ("She spins to the right.", f"She walks slowly, {THEN_STANDS}.", spin(-360)),
         ("whirling around clockwise", "walking slowly, then waving with the left hand", spin(-360)),
+        ("spins once to the left", f"walks slowly, {THEN_STANDS}", spin(360)),
         ("Spin!", "Walk slowly, then wave with the left hand!", spin(360)),
         ("he spun around twice", "he walked slowly, then waved with the left hand", spin(720)),
         ("a person spins by 180 degrees to the right", f"a person walks slowly, {THEN_STANDS}", spin(-180)),
@@ -75,7 +76,7 @@ def test_only_the_turn_is_on_the_spot(shipped, sentence, text, steering):
     [
         "spins a ball", "spins the wheel", "spins on tiptoe", "the spin", "a spin", "spins 900 degrees",
         "spins 0 degrees", "turns left", "turns the wheel in place", "he spins while waving",
-        "spins around three times",
+        "spins around three times", "a person twirls",
     ],
 )  # fmt: skip
 def test_what_is_something_else_is_told_as_it_is(shipped, sentence):

@@ -40,6 +40,8 @@ def stands(count):
         ("standing there quietly", f"waving {WAVES}"),
         ("a man waits patiently for a few seconds", f"a man waves {WAVES}"),
         ("she is motionless", f"she waves {WAVES}"),
+        ("she was motionless", f"she waved {WAVES}"),
+        ("a person idles", f"a person waves {WAVES}"),
         ("the person doesn't move", f"the person waves {WAVES}"),
         ("he stayed where he is", f"he waved {WAVES}"),
         ("a person walks forward and stops", f"a person walks forward, then waves {WAVES}"),

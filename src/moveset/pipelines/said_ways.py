@@ -121,6 +121,7 @@ def _in_place(found: re.Match[str], text: str, known: KnownPrompts) -> Plain | N
     return _without(found, text, Stay(), known)
 
 
+#: However it is said; a zigzag has no size.
 ZIGZAG = Corners(1, math.pi / 2, 1, 1.0, zigzag=True)
 WAYS: dict[re.Pattern[str], Said] = {
     _CIRCLE: _in_a_circle,
