@@ -1,9 +1,12 @@
 """A body that does nothing: its arms hang, and nothing but an arm is another."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 
 from moveset.data.synthetic import synthetic_motion
+from moveset.motion import rotations
 from moveset.motion.features import get_codec
 from moveset.motion.native import NativeCodec
 from moveset.motion.retarget import retarget
@@ -31,16 +34,41 @@ def test_whoever_waves_and_stands_does_nothing():
     assert float(height(right, "right_wrist").max()) < 0.1
 
 
-def test_nothing_but_the_arm_is_another():
-    x = features("wave-left-hand")
+def test_nothing_below_the_spine_is_another():
+    x = leaning()
     still = Stand().clip(x, NATIVE)
-    first = NATIVE.groups["rotations"].start
-    arm = [NATIVE.skeleton.index(f"left_{joint}") for joint in ("collar", "shoulder", "elbow", "wrist")]
-    columns = {first + 6 * joint + k for joint in arm for k in range(6)}
+    first, index = NATIVE.groups["rotations"].start, NATIVE.skeleton.index
+    touched = [index(f"left_{joint}") for joint in ("collar", "shoulder", "elbow", "wrist")]
+    touched += [index(joint) for joint in ("spine1", "spine2", "spine3", "neck", "head", "right_shoulder")]
+    columns = {first + 6 * joint + k for joint in touched for k in range(6)}
     assert set((still != x).any(dim=0).nonzero().flatten().tolist()) <= columns
     moved = NATIVE.decode(still).joints - NATIVE.decode(x).joints
-    others = [k for k in range(len(NATIVE.skeleton)) if k not in arm]
-    assert float(moved[:, others].abs().max()) < 1e-5
+    legs = [k for k, name in enumerate(NATIVE.skeleton.joints) if name.endswith(("hip", "knee", "ankle", "foot"))]
+    assert float(moved[:, legs].abs().max()) < 1e-5
+
+
+def leaning(frames=100):
+    """Whoever waves leans to the other side, and forward; the arm that does not wave hangs down all the same."""
+    motion = synthetic_motion("wave-left-hand", frames)
+    index, turned = motion.skeleton.index, motion.rotations.clone()
+    side, ahead = rotations.about("z", -15.0).float(), rotations.about("x", 10.0).float()
+    for joint, lean in (("spine2", side), ("spine1", ahead)):
+        turned[:, index(joint)] = rotations.mul(lean, turned[:, index(joint)])
+    return NATIVE.encode(replace(motion, rotations=turned))
+
+
+def test_nobody_leans_away_from_an_arm_that_hangs():
+    x = leaning()
+    bent, still = NATIVE.decode(x).joints, NATIVE.decode(Stand().clip(x, NATIVE)).joints
+    neck, wrists = NATIVE.skeleton.index("neck"), [NATIVE.skeleton.index(f"{s}_wrist") for s in ("left", "right")]
+    assert float(bent[:, neck, 0].abs().min()) > 0.05
+    assert float(still[:, neck, 0].abs().max()) < 0.005
+    assert torch.allclose(still[:, neck, 2], bent[:, neck, 2], atol=0.02)  # and as far forward
+    sides = still[:, wrists, 0]
+    assert torch.allclose(sides[:, 0], -sides[:, 1], atol=0.01)
+    shoulders = [NATIVE.skeleton.index(f"{s}_shoulder") for s in ("left", "right")]
+    arm = bent[:, wrists[1]] - bent[:, shoulders[1]]
+    assert torch.allclose(still[:, wrists[1]] - still[:, shoulders[1]], arm, atol=1e-4)  # hangs in the world as it did
 
 
 def test_the_arm_hangs_as_the_other_one_a_moment_ago():
