@@ -31,7 +31,7 @@ _MOST = 2.0  # times as fast as it was made a turn is made
 
 
 class Steering(Protocol):
-    """Bends ways."""
+    """Bends what was made: where its way goes, or what a body does on it."""
 
     @property
     def says(self) -> str:
