@@ -6,18 +6,12 @@ Of every sentence, length and network ``--copies`` clips, feet locked as users g
 (``course.py``).
 """
 
-import argparse
 import sys
-from typing import Any
 
-import torch
-
-from arguments import Parser, at_least, between, report_path, write_report
+from arguments import between, write_report
+from clips import makers, parser
 from course import measured
 from moveset.errors import exit_code_of
-from moveset.pipelines.bundle import DEFAULT_MODEL
-from moveset.pipelines.request import check_method, check_request
-from moveset.pipelines.text_to_motion import TextToMotion
 
 SENTENCES = (
     "a person walks forward",
@@ -29,35 +23,16 @@ SENTENCES = (
 SECONDS = (3.0, 4.0, 6.0, 9.8)
 
 
-def _asked(network: str) -> dict[str, Any]:
-    """What a network is called by: "pcm-4" are four steps of "pcm"."""
-    solver, _, steps = network.partition("-")
-    return {"solver": solver, "steps": int(steps) if steps.isdigit() else None}
-
-
 def main() -> None:
     """See the module."""
-    parser = Parser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--model", default=DEFAULT_MODEL, help="a shipped model of clips, or a folder")
-    parser.add_argument("--networks", nargs="*", default=["pcm-1"])
-    parser.add_argument("--sentences", nargs="*", default=list(SENTENCES))
-    parser.add_argument("--seconds", nargs="*", type=between(3, 9.8), default=list(SECONDS))
-    parser.add_argument("--copies", type=at_least(1), default=24)
-    parser.add_argument("--out", type=report_path)
-    given = parser.parse_args()
-    torch.set_num_threads(1)
-    model = TextToMotion.from_pretrained(given.model, device="cpu")
-    asked = {network: _asked(network) for network in given.networks}
-    for sentence in given.sentences:
-        check_request(model.bundle.config, sentence, None, 0, given.copies)
-    for method in asked.values():
-        check_method(model.bundle.config, method["solver"], method["steps"], None)
+    asks = parser(__doc__, SENTENCES)
+    asks.add_argument("--seconds", nargs="*", type=between(3, 9.8), default=list(SECONDS))
+    given = asks.parse_args()
     rows = {}
-    for network, method in asked.items():
+    for network, make in makers(given).items():
         for sentence in given.sentences:
             for seconds in given.seconds:
-                made = model(sentence, seconds=seconds, num=given.copies, **method)
-                row = measured([motion.joints for motion in made.motions])
+                row = measured([motion.joints for motion in make(sentence, seconds=seconds)])
                 rows[f"{network}: {sentence}, {seconds:g} s"] = row
                 print(f"{network}: {sentence}, {seconds:g} s", row, flush=True)
     if given.out:

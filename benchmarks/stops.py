@@ -6,21 +6,18 @@ Of every sentence and network ``--copies`` clips of the length that is read from
 Steps are feet that come down (``motion.footfalls``).
 """
 
-import argparse
 import sys
 from collections import Counter
 from typing import Any
 
 import torch
 
-from arguments import Parser, at_least, report_path, write_report
+from arguments import write_report
+from clips import makers, parser
 from moveset.errors import exit_code_of
 from moveset.evaluation import physical
 from moveset.motion.clip import Motion
 from moveset.motion.footfalls import footfalls
-from moveset.pipelines.bundle import DEFAULT_MODEL
-from moveset.pipelines.request import check_method, check_request
-from moveset.pipelines.text_to_motion import TextToMotion
 
 SENTENCES = (
     "a person stands still",
@@ -46,12 +43,6 @@ SENTENCES = (
 _SECOND = 20  # frames
 
 
-def _asked(network: str) -> dict[str, Any]:
-    """What a network is called by: "pcm-4" are four steps of "pcm"."""
-    solver, _, steps = network.partition("-")
-    return {"solver": solver, "steps": int(steps) if steps.isdigit() else None}
-
-
 def _measured(motions: tuple[Motion, ...]) -> dict[str, Any]:
     pace = [motion.root[:, [0, 2]].diff(dim=0).norm(dim=1) * motion.fps for motion in motions]
     feet = [physical.measure(motion.joints.float(), motion.fps).mean() for motion in motions]
@@ -70,24 +61,11 @@ def _measured(motions: tuple[Motion, ...]) -> dict[str, Any]:
 
 def main() -> None:
     """See the module."""
-    parser = Parser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--model", default=DEFAULT_MODEL, help="a shipped model of clips, or a folder")
-    parser.add_argument("--networks", nargs="*", default=["pcm-1"])
-    parser.add_argument("--sentences", nargs="*", default=list(SENTENCES))
-    parser.add_argument("--copies", type=at_least(1), default=24)
-    parser.add_argument("--out", type=report_path)
-    given = parser.parse_args()
-    torch.set_num_threads(1)
-    model = TextToMotion.from_pretrained(given.model, device="cpu")
-    asked = {network: _asked(network) for network in given.networks}
-    for sentence in given.sentences:
-        check_request(model.bundle.config, sentence, None, 0, given.copies)
-    for method in asked.values():
-        check_method(model.bundle.config, method["solver"], method["steps"], None)
+    given = parser(__doc__, SENTENCES).parse_args()
     rows = {}
-    for network, method in asked.items():
+    for network, make in makers(given).items():
         for sentence in given.sentences:
-            row = _measured(model(sentence, num=given.copies, **method).motions)
+            row = _measured(make(sentence))
             rows[f"{network}: {sentence}"] = row
             print(f"{network}: {sentence}", row, flush=True)
     if given.out:

@@ -6,24 +6,14 @@ from dataclasses import replace
 import pytest
 import torch
 
-from moveset.data.synthetic import synthetic_motion
 from moveset.motion.corners import Corners, FigureEight
 from moveset.motion.features import get_codec
-from moveset.motion.native import NativeCodec
-from moveset.motion.retarget import retarget
 from moveset.motion.way import way_of
+from tests.motion.synthetic_features import NATIVE, features
 
-NATIVE = NativeCodec()
 THERE_AND_BACK, SQUARE = Corners(1, math.pi, 2, 3.0), Corners(1, math.pi / 2, 4)
 ZIGZAG = Corners(1, math.pi / 2, 1, 1.0, zigzag=True)
 ALL = [THERE_AND_BACK, SQUARE, ZIGZAG, FigureEight(1)]
-
-
-def features(kind="walk", frames=160, codec=NATIVE):
-    motion = synthetic_motion(kind, frames, fps=codec.fps)
-    if codec.name == "kit":
-        motion = retarget(motion, codec.skeleton)
-    return codec.encode(motion)
 
 
 def root(x, codec=NATIVE):

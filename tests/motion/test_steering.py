@@ -6,22 +6,11 @@ from dataclasses import replace
 import pytest
 import torch
 
-from moveset.data.synthetic import synthetic_motion
 from moveset.motion import rotations
 from moveset.motion.features import get_codec
 from moveset.motion.footfalls import Steps
-from moveset.motion.native import NativeCodec
-from moveset.motion.retarget import retarget
 from moveset.motion.steering import Circle, During, Spin, Stay, Together, Turn
-
-NATIVE = NativeCodec()
-
-
-def features(kind="walk", frames=120, codec=NATIVE):
-    motion = synthetic_motion(kind, frames, fps=codec.fps)
-    if codec.name == "kit":
-        motion = retarget(motion, codec.skeleton)
-    return codec.encode(motion)
+from tests.motion.synthetic_features import NATIVE, features
 
 
 def turned(x, codec=NATIVE):

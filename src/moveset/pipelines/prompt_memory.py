@@ -4,7 +4,7 @@ import threading
 from collections import OrderedDict
 
 from moveset.data.captions import mirror_text
-from moveset.motion.steering import Steering, Together
+from moveset.motion.steering import Steering
 from moveset.pipelines.reading import read
 from moveset.pipelines.said_turns import plain_turn
 from moveset.text.encoder import TextEmbedding, TextEncoder
@@ -44,9 +44,7 @@ class PromptMemory:
     def steering(self, prompt: str) -> Steering | None:
         """How the way of a sentence is bent, which nothing encoded tells."""
         reading = read(prompt, self._captions)
-        if reading.bent:
-            return Together(tuple(bend.steering for bend in reading.bent))
-        return plain_turn(reading.text, self._captions)
+        return reading.steering if reading.bent else plain_turn(reading.text, self._captions)
 
     def _encoded(self, text: str) -> TextEmbedding:
         with self._lock:

@@ -18,6 +18,10 @@ Plain = tuple[str, Steering | None]
 Said = Callable[[re.Match[str], str, KnownPrompts], Plain | None]
 
 THE = r"(?:the|his|her|their|its|my|your|our)"
+#: A pattern of "in place" and the like.
+ON_THE_SPOT = r"(?:in\s+(?:one\s+)?place|on\s+the\s+spot)"
+#: How often something is done, in words.
+TIMES = {"once": 1, "one time": 1, "twice": 2, "two times": 2, "three times": 3, "four times": 4}
 CLAUSE = re.compile(r"[,.;:!?]|\b(?:then|while|before|after)\b", re.I)
 NO_LIMB = r"(?!\s+(?:hand|arm|leg|foot|knee|elbow|shoulder|hip|side)s?\b)"
 _AND = r"(?:and|but|then|finally|eventually|afterwards|later|after\s+that|before)"
@@ -73,10 +77,6 @@ class Clause:
         """Another verb in place of the one that was found."""
         word = inflect(verb, self.form)
         return word.capitalize() if self.capital else word
-
-    def does_then(self, verb: str) -> str:
-        """A verb after that."""
-        return inflect(verb, self.form)
 
 
 def _joined(link: str, rest: str) -> bool:

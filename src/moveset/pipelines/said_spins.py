@@ -10,8 +10,8 @@ import re
 
 from moveset.motion.standing import Stand
 from moveset.motion.steering import During, Spin, Steering, Together
-from moveset.pipelines.said import THE, Clause, Plain, Said, side, sign
-from moveset.pipelines.said_stops import WAVES, knows_waves
+from moveset.pipelines.said import ON_THE_SPOT, THE, TIMES, Clause, Plain, Said, side, sign
+from moveset.pipelines.said_stops import knows_waves, then_stands
 from moveset.pipelines.said_turns import DEGREES, TURN_FORMS, count_of
 from moveset.pipelines.said_ways import ways_of
 from moveset.text.english import inflections
@@ -19,17 +19,15 @@ from moveset.text.familiarity import KnownPrompts
 from moveset.text.vocabulary import unread
 
 _SPIN_FORMS = inflections("spin", "twirl", "whirl")
-_ON_THE_SPOT = r"(?:in\s+(?:one\s+)?place|on\s+the\s+spot)"
-_TIMES = {"once": 1, "one time": 1, "twice": 2, "two times": 2}
 _SPINS = re.compile(
-    rf"\b(?P<verb>{'|'.join(_SPIN_FORMS)})(?:\s+a?round)?(?:\s+(?:{_ON_THE_SPOT}|in\s+(?:an?\s+)?(?:full\s+)?circles?))?"
-    rf"{side('before')}(?:\s+(?:by\s+)?{DEGREES}|\s+(?P<times>{'|'.join(_TIMES)})\b)?{side('after')}"
+    rf"\b(?P<verb>{'|'.join(_SPIN_FORMS)})(?:\s+a?round)?(?:\s+(?:{ON_THE_SPOT}|in\s+(?:an?\s+)?(?:full\s+)?circles?))?"
+    rf"{side('before')}(?:\s+(?:by\s+)?{DEGREES}|\s+(?P<times>{'|'.join(TIMES)})\b)?{side('after')}"
     rf"(?!\s+(?:{THE}|an?|on|it|him|them)\b)(?![\w-])",
     re.I,
 )
 _TURNS = re.compile(
     rf"\b(?P<verb>{'|'.join(TURN_FORMS)}){side('before')}(?:\s+(?P<around>a?round))?(?:\s+(?:by\s+)?{DEGREES})?"
-    rf"{side('after')}\s+{_ON_THE_SPOT}{side('last')}(?![\w-])",
+    rf"{side('after')}\s+{ON_THE_SPOT}{side('last')}(?![\w-])",
     re.I,
 )
 _PLAIN, _MOST = 90, 720  # degrees: of a turn to one side, and what a clip has time for
@@ -38,7 +36,7 @@ _PLAIN, _MOST = 90, 720  # degrees: of a turn to one side, and what a clip has t
 def _spins(found: re.Match[str], text: str, known: KnownPrompts) -> Plain | None:
     if not unread(found["verb"], known.words):
         return None
-    times = _TIMES[" ".join(found["times"].lower().split())] if found["times"] else 1
+    times = TIMES[" ".join(found["times"].lower().split())] if found["times"] else 1
     degrees = count_of(found["degrees"]) if found["degrees"] else 360 * times
     return _turned(found, text, known, _SPIN_FORMS, degrees * sign(found["before"], found["after"]))
 
@@ -61,7 +59,7 @@ def _turned(found: re.Match[str], text: str, known: KnownPrompts, forms: dict[st
         return f"{plain}{clause.following}", spin
     if not knows_waves(known):
         return None
-    return f"{plain}, then {clause.does_then('wave')} {WAVES}{clause.following}", Together((Stand(), spin))
+    return f"{plain}{then_stands(clause)}", Together((Stand(), spin))
 
 
 SPINS: dict[re.Pattern[str], Said] = {_SPINS: _spins, _TURNS: _turns}

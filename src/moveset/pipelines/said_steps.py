@@ -11,8 +11,8 @@ from moveset.motion.footfalls import Steps
 from moveset.motion.standing import Stand
 from moveset.motion.steering import Together
 from moveset.motion.way import side_of
-from moveset.pipelines.said import CLAUSE, NO_LIMB, THE, Clause, Plain, Said, sign
-from moveset.pipelines.said_stops import WAVES, goes, knows_waves
+from moveset.pipelines.said import CLAUSE, NO_LIMB, THE, TIMES, Clause, Plain, Said, sign
+from moveset.pipelines.said_stops import goes, knows_waves, then_stands
 from moveset.text.english import inflections
 from moveset.text.familiarity import KnownPrompts
 from moveset.text.vocabulary import unread
@@ -20,8 +20,7 @@ from moveset.text.vocabulary import unread
 _TAKES, _STEPS_BY_VERB = inflections("take", "make", "walk", "move", "go"), inflections("step")
 _FORMS = _TAKES | _STEPS_BY_VERB
 _NUMBERS = {"a single": 1, "a couple of": 2, "a": 1, "one": 1, "two": 2, "three": 3, "four": 4, "five": 5, "six": 6}
-_TIMES = {"once": 1, "one time": 1, "twice": 2, "two times": 2, "three times": 3, "four times": 4}
-_COUNTS = _NUMBERS | _TIMES
+_COUNTS = _NUMBERS | TIMES
 _WHERE = (
     rf"(?:\s+(?:(?P<back>backwards?|back)|(?P<ahead>forwards?|ahead|straight|onwards?)"
     rf"|(?:sideways\s+)?(?:to\s+(?:{THE}\s+)?)?(?P<side>left|right)\b{NO_LIMB}))?"
@@ -31,7 +30,7 @@ _TAKES_STEPS = re.compile(
     rf"(?:(?P<how>big|large|long|slow|quick)\s+)?(?:steps?|paces?){_WHERE}(?![\w-])",
     re.I,
 )
-_STEPS = re.compile(rf"\b(?P<verb>{'|'.join(_STEPS_BY_VERB)}){_WHERE}\s+(?P<count>{'|'.join(_TIMES)})\b", re.I)
+_STEPS = re.compile(rf"\b(?P<verb>{'|'.join(_STEPS_BY_VERB)}){_WHERE}\s+(?P<count>{'|'.join(TIMES)})\b", re.I)
 
 
 def _steps(found: re.Match[str], text: str, known: KnownPrompts) -> Plain | None:
@@ -47,8 +46,7 @@ def _steps(found: re.Match[str], text: str, known: KnownPrompts) -> Plain | None
         return f"{walks}{clause.following}", Steps(count, then=True)
     if not knows_waves(known):
         return None
-    stands = f"{walks}, then {clause.does_then('wave')} {WAVES}{clause.following}"
-    return stands, Together((Stand(), Steps(count)))
+    return f"{walks}{then_stands(clause)}", Together((Stand(), Steps(count)))
 
 
 def _way(found: re.Match[str]) -> str:

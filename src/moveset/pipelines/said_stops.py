@@ -8,20 +8,19 @@ like the other one (``motion.standing``). Whoever stops and does something else 
 import re
 
 from moveset.motion.standing import Stand
-from moveset.pipelines.said import CLAUSE, Clause, Plain, Said, since_going
+from moveset.pipelines.said import CLAUSE, ON_THE_SPOT, Clause, Plain, Said, since_going
 from moveset.pipelines.synonyms import TRAVELLING
 from moveset.text.english import inflect, inflections
 from moveset.text.familiarity import KnownPrompts
 from moveset.text.vocabulary import unread
 
-#: How whoever stands still is told to wave.
-WAVES = "with the left hand"
+_WAVES = "with the left hand"
 _STANDS = inflections("stand", "wait", "pause", "stop", "halt", "freeze", "idle")
 _STAYS = inflections("stay", "remain", "keep", "hold")
 _COMES, _DOES = inflections("come"), inflections("do")
 _GOING = {going: verb for verb in TRAVELLING if (going := inflect(verb, "ing")) in TRAVELLING}
 _STILL = r"(?:still|motionless|idle|stationary|at\s+rest)"
-_WHERE = r"(?:there|here|in\s+(?:one\s+)?place|on\s+the\s+spot|where\s+(?:he|she|it|they)\s+(?:is|are|stands?)|put)"
+_WHERE = rf"(?:there|here|{ON_THE_SPOT}|where\s+(?:he|she|it|they)\s+(?:is|are|stands?)|put)"
 _HOW_LONG = (
     r"for\s+(?:a|an|one|two|three|four|five|ten|some|several|a\s+few|a\s+couple\s+of|\d+)\s+"
     r"(?:little\s+|short\s+|brief\s+|long\s+)?(?:moments?|while|seconds?|bit|time|minutes?)"
@@ -44,14 +43,13 @@ def _stands_still(found: re.Match[str], text: str, known: KnownPrompts) -> Plain
     if clause is None or not knows_waves(known):
         return None
     if not clause.done and found["going"]:  # whoever stops walking walks first
-        stands = f"{clause.first}{clause.does(_GOING[found['going'].lower()])}, then {clause.does_then('wave')} {WAVES}"
-        return f"{stands}{clause.following}", Stand()
+        return f"{clause.first}{clause.does(_GOING[found['going'].lower()])}{then_stands(clause)}", Stand()
     goes_on = since_going(CLAUSE.split(clause.rest)[0], known) is not None
     if clause.rest and not goes_on:
         return (f"{clause.first}{clause.rest}", None) if unread(found[0], known.words) else None
     if clause.done and not goes(CLAUSE.split(clause.done)[-1], known):
         return None
-    return f"{clause.first}{clause.does('wave')} {WAVES}{clause.following}", Stand()
+    return f"{clause.first}{clause.does('wave')} {_WAVES}{clause.following}", Stand()
 
 
 def _form(found: re.Match[str]) -> str:
@@ -69,7 +67,12 @@ def goes(clause: str, known: KnownPrompts) -> bool:
 
 def knows_waves(known: KnownPrompts) -> bool:
     """Whether a model has the words for what whoever stands is told to do."""
-    return not unread(f"waves {WAVES}", known.words)
+    return not unread(f"waves {_WAVES}", known.words)
+
+
+def then_stands(clause: Clause) -> str:
+    """What whoever stands after what is done in a clause is told, and what follows."""
+    return f", then {inflect('wave', clause.form)} {_WAVES}{clause.following}"
 
 
 STOPS: dict[re.Pattern[str], Said] = {_STANDS_STILL: _stands_still}

@@ -8,7 +8,7 @@ import re
 
 from moveset.motion.corners import Corners, FigureEight
 from moveset.motion.steering import Circle, During, Stay, Steering
-from moveset.pipelines.said import THE, Plain, Said, names_object, side, sign, since_going
+from moveset.pipelines.said import ON_THE_SPOT, THE, Plain, Said, names_object, side, sign, since_going
 from moveset.pipelines.synonyms import BEFORE_VERBS, CLOCKWISE
 from moveset.text.english import inflect
 from moveset.text.familiarity import KnownPrompts
@@ -45,7 +45,7 @@ _TO_AND_FRO = re.compile(
     rf"|up\s+and\s+down\s+{THE}\s+(?:room|hall|hallway|corridor|street|path|aisle|floor))\b{side('after')}",
     re.I,
 )
-_IN_PLACE = re.compile(r"\s+(?:in\s+(?:one\s+)?place|on\s+the\s+spot)\b", re.I)
+_IN_PLACE = re.compile(rf"\s+{ON_THE_SPOT}\b", re.I)
 
 
 def ways_of(text: str, known: KnownPrompts) -> int:

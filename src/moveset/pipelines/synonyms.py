@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from functools import cache, lru_cache
 from typing import Any
 
-from moveset.motion.steering import Steering
+from moveset.motion.steering import Steering, Together
 from moveset.pipelines.model_folder import ModelFolder
 from moveset.text.english import FORMS, article, inflect, inflect_marked, inflections
 from moveset.text.familiarity import KnownPrompts
@@ -195,14 +195,19 @@ class Reading:
     bent: tuple[Bend, ...] = ()
 
     @property
+    def steering(self) -> Together:
+        """All that is done to the motion."""
+        return Together(tuple(bend.steering for bend in self.bent))
+
+    @property
     def seconds(self) -> float | None:
         """How long a motion is made, if nobody says; None for as long as the text takes."""
-        return max((bend.steering.seconds for bend in self.bent), default=0.0) or None
+        return self.steering.seconds or None
 
     @property
     def cut(self) -> bool:
         """Whether it is made as long as that at least, and cut then."""
-        return any(bend.steering.cuts for bend in self.bent)
+        return self.steering.cuts
 
 
 def in_known_words(sentence: str, known: KnownPrompts) -> Reading:
