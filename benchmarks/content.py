@@ -24,9 +24,9 @@ from moveset.evaluation.content_classifier import ContentClassifier
 from moveset.evaluation.content_training import clip_features, content_class, labelled_clips, pad
 from moveset.evaluation.frechet import frechet_distance
 from moveset.evaluation.paired import paired_difference
-from moveset.evaluation.physical import jerk, skating
 from moveset.motion.clip import Motion
 from moveset.motion.features import get_codec
+from moveset.motion.measures import jerk, skating
 from moveset.pipelines.bundle import Bundle
 from moveset.pipelines.request import Method, Request
 from moveset.pipelines.synonyms import as_written, in_known_words

@@ -22,7 +22,7 @@ from torch import Tensor
 from arguments import Parser, at_least, between, report_path, write_report
 from moveset.data.corpus import Corpus
 from moveset.errors import exit_code_of
-from moveset.evaluation.physical import jerk, skating
+from moveset.motion.measures import jerk, skating
 from moveset.motion.skeleton import HML22
 from moveset.pipelines.stream_bundle import DEFAULT_STREAM, StreamBundle
 from moveset.pipelines.stream_group import StreamGroup

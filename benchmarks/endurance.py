@@ -19,7 +19,7 @@ from torch import Tensor
 from arguments import Parser, at_least, positive, report_path, write_report
 from course import FPS, streams
 from moveset.errors import exit_code_of
-from moveset.evaluation.physical import jerk_sizes
+from moveset.motion.measures import jerk_sizes
 from moveset.pipelines.stream_bundle import DEFAULT_STREAM, StreamBundle
 from moveset.pipelines.stream_settings import check_stream
 

@@ -18,8 +18,8 @@ from torch import Tensor
 from arguments import SPLITS, Parser, report_path, write_report
 from moveset.data.corpus import Corpus
 from moveset.errors import InputError, exit_code_of
-from moveset.evaluation.physical import boundary_jerk, measure, skating
 from moveset.motion.features import get_codec
+from moveset.motion.measures import boundary_jerk, measure, skating
 
 SEGMENT = 28
 SHORTEST = 24

@@ -28,8 +28,8 @@ from moveset.errors import InputError, exit_code_of
 from moveset.evaluation.content_classifier import ContentClassifier
 from moveset.evaluation.content_training import content_class, pad
 from moveset.evaluation.generators import Wanted
-from moveset.evaluation.physical import skating
 from moveset.evaluation.streams import timeline
+from moveset.motion.measures import skating
 from stream_measures import seam_jerk
 from stream_models import Method, Networks, finished_motion, raw_motion, segments_of
 from stream_quality import scales

@@ -15,7 +15,7 @@ import torch
 from arguments import write_report
 from clips import makers, parser
 from moveset.errors import exit_code_of
-from moveset.evaluation import physical
+from moveset.motion import measures
 from moveset.motion.clip import Motion
 from moveset.motion.footfalls import footfalls
 
@@ -45,7 +45,7 @@ _SECOND = 20  # frames
 
 def _measured(motions: tuple[Motion, ...]) -> dict[str, Any]:
     pace = [motion.root[:, [0, 2]].diff(dim=0).norm(dim=1) * motion.fps for motion in motions]
-    feet = [physical.measure(motion.joints.float(), motion.fps).mean() for motion in motions]
+    feet = [measures.measure(motion.joints.float(), motion.fps).mean() for motion in motions]
     taken = Counter(len(footfalls(motion)) for motion in motions)
     return {
         "clips": len(motions),

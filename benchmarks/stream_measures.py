@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from moveset.evaluation.frechet import frechet_distance
-from moveset.evaluation.physical import jerk_sizes, near_seams
+from moveset.motion.measures import jerk_sizes, near_seams
 
 FIRST, SECOND, LATER = "first", "second", "later"
 

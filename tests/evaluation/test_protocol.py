@@ -11,9 +11,9 @@ from moveset.evaluation.folder import folder_motions
 from moveset.evaluation.frechet import frechet_distance
 from moveset.evaluation.generators import Given, Reconstruction
 from moveset.evaluation.items import open_items
-from moveset.evaluation.physical import jerk, measure
 from moveset.evaluation.protocol import Protocol, Session, encoded, physical, random_of, run_repeat, seed_of
 from moveset.motion.features import get_codec
+from moveset.motion.measures import jerk, measure
 from moveset.pipelines.bundle import Bundle
 from tests.bundles import tiny_bundle
 from tests.evaluation.corpora import content_corpus, motion_folder

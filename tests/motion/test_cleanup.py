@@ -5,8 +5,7 @@ import torch
 
 from moveset.data import bandai_namco, cmu
 from moveset.errors import InputError
-from moveset.evaluation import physical
-from moveset.motion import rotations
+from moveset.motion import measures, rotations
 from moveset.motion.cleanup import lock_feet, move_feet, smooth
 from moveset.motion.clip import Motion
 from moveset.motion.contacts import stances
@@ -50,7 +49,7 @@ def test_a_shaking_walk_gets_still_feet(seed):
     locked = lock_feet(motion)
     assert sliding(motion, planted) > 0.2
     assert sliding(locked, planted) < 0.02
-    assert physical.skating(locked.joints, 20.0) <= physical.skating(motion.joints, 20.0)
+    assert measures.skating(locked.joints, 20.0) <= measures.skating(motion.joints, 20.0)
     assert leg_jerk(locked).mean() < leg_jerk(motion).mean()
 
 
@@ -70,8 +69,8 @@ def test_feet_that_are_carried_off_take_steps():
     root = torch.stack((torch.zeros(120), still.root[:1, 1].expand(120), 0.04 * torch.arange(120)), dim=1)
     motion = Motion(still.rotations[:1].expand(120, -1, -1).clone(), root, 20.0, HML22)
     locked = lock_feet(motion, contacts=torch.ones(120, 4, dtype=torch.bool))
-    assert physical.skating(motion.joints, 20.0) == 1.0
-    assert physical.skating(locked.joints, 20.0) < 0.6
+    assert measures.skating(motion.joints, 20.0) == 1.0
+    assert measures.skating(locked.joints, 20.0) < 0.6
     risen = (locked.joints - motion.joints)[:, [10, 11], 1]
     torch.testing.assert_close(risen.amax(dim=0), torch.full((2,), 0.07), atol=0.01, rtol=0)
     assert not bool((risen > 0.03).all(dim=1).any())  # one foot after the other
@@ -138,8 +137,8 @@ def test_knees_keep_bending_forward():
 def test_feet_below_the_floor_are_lifted():
     motion = gait(60)
     sunk = Motion(motion.rotations, motion.root - torch.tensor([0.0, 0.03, 0.0]))
-    assert physical.penetration(sunk.joints) > 0.025
-    assert physical.penetration(lock_feet(sunk).joints) < 1e-4
+    assert measures.penetration(sunk.joints) > 0.025
+    assert measures.penetration(lock_feet(sunk).joints) < 1e-4
 
 
 def test_strength_is_a_dial():
@@ -182,7 +181,7 @@ def test_smoothing_takes_jitter_and_leaves_the_motion():
     clean = gait(80)
     jittery = shaken(clean, 7)
     smoothed = smooth(jittery, 0.06)
-    assert physical.jerk(smoothed.joints, 20.0) < 0.5 * physical.jerk(jittery.joints, 20.0)
+    assert measures.jerk(smoothed.joints, 20.0) < 0.5 * measures.jerk(jittery.joints, 20.0)
     off = (smoothed.joints - clean.joints).norm(dim=-1).mean()
     assert off < 0.03
     assert smooth(jittery, 0.0) is jittery

@@ -7,8 +7,7 @@ import pytest
 import torch
 
 from moveset.errors import InputError
-from moveset.evaluation import physical
-from moveset.motion import rotations
+from moveset.motion import measures, rotations
 from moveset.motion.clip import Motion
 from moveset.motion.foot_lock import FootLock
 from moveset.motion.skeleton import HML22
@@ -72,8 +71,8 @@ def test_feet_that_are_carried_off_take_steps_in_turn():
     locked = pieces(motion, torch.ones(120, 4, dtype=torch.bool), size=28)
     toes = locked[:, [LEFT_TOE, HML22.feet[3]], 1]
     raised = toes > toes[0] + 0.03
-    assert physical.skating(motion.joints, FPS) == 1.0
-    assert physical.skating(locked, FPS) < 0.5
+    assert measures.skating(motion.joints, FPS) == 1.0
+    assert measures.skating(locked, FPS) < 0.5
     assert bool(raised.any(dim=0).all())
     assert not bool(raised.all(dim=1).any())
 

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from moveset.errors import InputError
-from moveset.evaluation import physical
+from moveset.motion import measures
 from moveset.motion.cleanup import lock_feet
 from moveset.motion.clip import Motion
 from moveset.motion.contacts import foot_contacts, stances
@@ -63,9 +63,9 @@ def test_pieces_are_locked_about_as_well_as_the_whole(case):
     motion = CASES[case]
     contacts, planted = raw_contacts(motion), stances(motion.joints.double(), 20.0, HML22)
     whole, stream = lock_feet(motion, contacts=contacts), locked(motion, contacts)
-    assert physical.skating(stream.joints.float(), 20.0) <= 1.1 * physical.skating(whole.joints, 20.0)
+    assert measures.skating(stream.joints.float(), 20.0) <= 1.1 * measures.skating(whole.joints, 20.0)
     assert sliding(stream, planted) <= sliding(whole, planted) + 0.02
-    assert physical.penetration(stream.joints.float()) < 1e-4
+    assert measures.penetration(stream.joints.float()) < 1e-4
     (seams, everything), (_, of_whole) = jerks(stream), jerks(whole)
     assert everything.mean() < 1.1 * of_whole.mean()
     assert everything.max() < 1.4 * of_whole.max()

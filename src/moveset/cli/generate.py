@@ -152,7 +152,7 @@ def stage_times(timings: Counter[str]) -> dict[str, float]:
 
 def skating(made: "Generation") -> dict[str, float]:
     """Share of frames with a sliding foot before and after foot locking."""
-    from moveset.evaluation.physical import skating as measure
+    from moveset.motion.measures import skating as measure
 
     before, after = (float(measure(m.joints, m.fps, skeleton=m.skeleton)) for m in (made.raw[0], made.motions[0]))
     return {"before": round(before, 4), "after": round(after, 4)}

@@ -45,7 +45,7 @@ SHORT = {
 }
 REAL = "real"
 MAX_PROCESSES, MAX_CORES = 8, 256
-NEAREST_SEAMS = 5  # frames: ``physical.boundary_jerk`` compares what is within two of a seam with what is not
+NEAREST_SEAMS = 5  # frames: ``measures.boundary_jerk`` compares what is within two of a seam with what is not
 
 Watch = Callable[[int, int, str], None]
 

@@ -23,8 +23,8 @@ from moveset.evaluation import metrics
 from moveset.evaluation.frechet import frechet_distance
 from moveset.evaluation.generators import Generator, Given, Reconstruction, Wanted, check_made
 from moveset.evaluation.items import Draw, ItemSet
-from moveset.evaluation.physical import boundary_jerk, measure
 from moveset.motion.hml import HmlCodec
+from moveset.motion.measures import boundary_jerk, measure
 
 ENCODED = 64  # clips turned into features at once
 PHYSICAL = ("skating", "penetration", "floating", "jerk", "root_drift")

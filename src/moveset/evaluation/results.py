@@ -28,8 +28,9 @@ from moveset.pipelines.verified_folder import json_object
 
 #: What turns motions into numbers: a change here makes repeats anew.
 _MEASURES = (
-    *(f"moveset.evaluation.{name}" for name in ("items", "protocol", "metrics", "frechet", "physical", "evaluator")),
+    *(f"moveset.evaluation.{name}" for name in ("items", "protocol", "metrics", "frechet", "evaluator")),
     "moveset.motion.hml",
+    "moveset.motion.measures",
 )  # fmt: skip
 _ROLLS_OUT = ("moveset.evaluation.rollout",)
 

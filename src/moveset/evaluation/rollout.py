@@ -23,10 +23,10 @@ from moveset.evaluation import metrics
 from moveset.evaluation.frechet import frechet_distance
 from moveset.evaluation.generators import Given, Reconstruction, Wanted
 from moveset.evaluation.items import Draw, text_of
-from moveset.evaluation.physical import windows as measured_windows
 from moveset.evaluation.protocol import Say, Session, encoded, physical, random_of, seed_of
 from moveset.motion.hml import HmlCodec
 from moveset.motion.join import join
+from moveset.motion.measures import windows as measured_windows
 
 SECONDS = 30.0
 WINDOW = 196  # rows of features
@@ -204,7 +204,7 @@ def run_rollout(session: Session, number: int, say: Say = lambda stage, done, co
 
 
 def drift(clips: Sequence[Tensor], codec: HmlCodec) -> dict[str, float]:
-    """Mean change a minute of what ``physical.windows`` measures: metres, m/s, m/s³ and share of frames."""
+    """Mean change a minute of what ``measures.windows`` measures: metres, m/s, m/s³ and share of frames."""
     found = [measured_windows(joints, codec.fps, DRIFT_WINDOW, codec.skeleton) for joints in clips]
     names = ("height", "speed", "jerk", "skating")
     return {f"drift_{name}": float(torch.stack([w.drift(name) for w in found]).double().mean()) for name in names}

@@ -7,11 +7,11 @@ import torch
 from torch import Tensor, nn
 
 from moveset.errors import InputError
-from moveset.evaluation.physical import jerk, skating
 from moveset.models.registry import describe
 from moveset.models.timed_vae import TimedVAEConfig
 from moveset.models.token_vae import TokenVAEConfig
 from moveset.motion.features import FeatureCodec, get_codec
+from moveset.motion.measures import jerk, skating
 from moveset.motion.native import NativeCodec
 from moveset.training import frozen
 from moveset.training.clip_source import open_clips

@@ -104,7 +104,7 @@ def position_errors(
 def _planted_error(step: Tensor, height: Tensor, codec: NativeCodec) -> Tensor:
     """How far toes that are down move over the floor as they should not (B, F - 1), metres a frame, mean of both.
 
-    Down is what ``evaluation.physical.skating`` calls so.
+    Down is what ``motion.measures.skating`` calls so.
     """
     _, left, _, right = codec.skeleton.feet
     toes = [left, right]

@@ -1,11 +1,11 @@
-"""The physical measures against motions whose sliding, jitter and height are known."""
+"""The measures of motion against motions whose sliding, jitter and height are known."""
 
 import numpy as np
 import pytest
 import torch
 
 from moveset.errors import InputError
-from moveset.evaluation import physical
+from moveset.motion import measures
 from moveset.motion.skeleton import HML22, KIT21
 
 FPS = 20.0
@@ -28,7 +28,7 @@ def moved(frames: int, speed: float, height: float, joint: int = LEFT_TOE) -> to
 
 
 def test_a_standing_body_has_no_faults():
-    assert physical.measure(standing(10), FPS).mean() == {
+    assert measures.measure(standing(10), FPS).mean() == {
         "skating": 0.0, "jerk": 0.0, "acceleration": 0.0, "penetration": 0.0, "floating": 0.0,
         "root_drift": 0.0,
     }  # fmt: skip
@@ -40,20 +40,20 @@ def test_a_standing_body_has_no_faults():
 )
 @pytest.mark.parametrize("joint", [LEFT_TOE, RIGHT_TOE])
 def test_skating_needs_a_low_and_a_fast_toe(speed, height, expected, joint):
-    assert physical.skating(moved(12, speed, height, joint), FPS).item() == expected
+    assert measures.skating(moved(12, speed, height, joint), FPS).item() == expected
 
 
 def test_skating_counts_steps_with_both_ends_low():
     joints = moved(11, 1.0, 0.02)
     joints[5, LEFT_TOE, 1] = 0.2  # spoils the steps into and out of frame 5
-    assert physical.skating(joints, FPS).item() == pytest.approx(8 / 10)
+    assert measures.skating(joints, FPS).item() == pytest.approx(8 / 10)
 
 
 def test_skating_ignores_vertical_speed_and_ankles():
     joints = standing(10)
     joints[:, LEFT_TOE, 1] += torch.tensor([0.0, 0.04] * 5)
     joints[:, 7, 0] += torch.arange(10) * 0.2
-    assert physical.skating(joints, FPS).item() == 0.0
+    assert measures.skating(joints, FPS).item() == 0.0
 
 
 def test_windowed_skating_equals_the_published_procedure():
@@ -69,31 +69,31 @@ def test_windowed_skating_equals_the_published_procedure():
     low = (feet[:-1, :, 1] < 0.05) & (feet[1:, :, 1] < 0.05)
     expected = (low & (velocity > 0.5) & (average > 0.5)).any(axis=1).mean()
     assert 0.1 < expected < 0.9
-    assert physical.skating(joints, FPS, window=5).item() == pytest.approx(expected)
-    assert physical.skating(joints, FPS, window=5).item() < physical.skating(joints, FPS).item()
+    assert measures.skating(joints, FPS, window=5).item() == pytest.approx(expected)
+    assert measures.skating(joints, FPS, window=5).item() < measures.skating(joints, FPS).item()
 
 
 def test_jerk_and_acceleration_of_polynomials():
     t = torch.arange(20, dtype=torch.float64) / FPS
     cubic = standing(20) + (0.5 * t**3)[:, None, None] * torch.tensor([1.0, 0.0, 0.0])
-    assert physical.jerk(cubic, FPS).item() == pytest.approx(3.0, rel=1e-5)
+    assert measures.jerk(cubic, FPS).item() == pytest.approx(3.0, rel=1e-5)
     square = standing(20) + (2.0 * t**2)[:, None, None] * torch.tensor([0.0, 0.6, 0.8])
-    assert physical.acceleration(square, FPS).item() == pytest.approx(4.0, rel=1e-5)
-    assert physical.jerk(square, FPS).item() == pytest.approx(0.0, abs=1e-6)
+    assert measures.acceleration(square, FPS).item() == pytest.approx(4.0, rel=1e-5)
+    assert measures.jerk(square, FPS).item() == pytest.approx(0.0, abs=1e-6)
 
 
 def test_jerk_does_not_see_where_the_body_is():
     walk = standing(20).float() + 0.01 * torch.randn(20, 22, 3, generator=torch.Generator().manual_seed(1))
     far = (walk.double() + torch.tensor([100.0, 0.0, -50.0])).float()
-    assert physical.jerk(far, FPS).item() == pytest.approx(physical.jerk(walk, FPS).item(), rel=1e-2)
+    assert measures.jerk(far, FPS).item() == pytest.approx(measures.jerk(walk, FPS).item(), rel=1e-2)
 
 
 def test_penetration_and_floating_are_metres_averaged_over_frames():
     joints = standing(4)
     joints[0, :, 1] -= 0.03
     joints[1, :, 1] += 0.20
-    assert physical.penetration(joints).item() == pytest.approx(0.03 / 4, rel=1e-5)
-    assert physical.floating(joints).item() == pytest.approx(0.15 / 4, rel=1e-5)
+    assert measures.penetration(joints).item() == pytest.approx(0.03 / 4, rel=1e-5)
+    assert measures.floating(joints).item() == pytest.approx(0.15 / 4, rel=1e-5)
 
 
 def test_path_deviation_is_the_planar_gap_at_the_last_real_frame():
@@ -101,21 +101,21 @@ def test_path_deviation_is_the_planar_gap_at_the_last_real_frame():
     joints = reference + torch.tensor([5.0, 1.0, 0.0])  # another start is not drift
     joints[:, :, 0] += 0.3 * torch.arange(10)[:, None]
     joints[:, :, 2] += 0.4 * torch.arange(10)[:, None]
-    assert physical.path_deviation(joints, reference).item() == pytest.approx(9 * 0.5, rel=1e-5)
-    assert physical.path_deviation(joints, reference[:1], torch.tensor(4)).item() == pytest.approx(3 * 0.5, rel=1e-5)
+    assert measures.path_deviation(joints, reference).item() == pytest.approx(9 * 0.5, rel=1e-5)
+    assert measures.path_deviation(joints, reference[:1], torch.tensor(4)).item() == pytest.approx(3 * 0.5, rel=1e-5)
 
 
 def test_root_drift_compares_the_first_second_with_the_last():
     joints = standing(100)
     joints[:, :, 1] -= torch.arange(100)[:, None] * 0.001
-    assert physical.root_drift(joints, FPS).item() == pytest.approx(0.080, rel=1e-4)  # from frame 9.5 to 89.5
-    assert physical.root_drift(joints[:24], FPS).item() == pytest.approx(0.012, rel=1e-4)  # halves
+    assert measures.root_drift(joints, FPS).item() == pytest.approx(0.080, rel=1e-4)  # from frame 9.5 to 89.5
+    assert measures.root_drift(joints[:24], FPS).item() == pytest.approx(0.012, rel=1e-4)  # halves
     dipped = standing(100)
     dipped[40:60, :, 1] -= 0.4  # a squat in between is no drift
-    assert physical.root_drift(dipped, FPS).item() == 0.0
+    assert measures.root_drift(dipped, FPS).item() == 0.0
     glided = standing(100)
     glided[:, :, 0] += torch.arange(100)[:, None]
-    assert physical.root_drift(glided, FPS).item() == 0.0
+    assert measures.root_drift(glided, FPS).item() == 0.0
 
 
 def popped(seam: int, frames: int = 60) -> torch.Tensor:
@@ -126,16 +126,16 @@ def popped(seam: int, frames: int = 60) -> torch.Tensor:
 
 
 def test_a_jump_at_a_seam_is_near_it_and_nowhere_else():
-    found = physical.boundary_jerk(popped(28), FPS, [28], reach=1)
+    found = measures.boundary_jerk(popped(28), FPS, [28], reach=1)
     # Third differences of a step of 1 cm: 1, 2, 1 (times fps^3).
     assert found.near.item() == pytest.approx(0.01 * 4 / 3 * FPS**3, rel=1e-4)
     assert found.elsewhere.item() == 0.0
     assert found.ratio == float("inf")
-    wider = physical.boundary_jerk(popped(28), FPS, [28])
+    wider = measures.boundary_jerk(popped(28), FPS, [28])
     assert wider.near.item() == pytest.approx(0.01 * 4 / 5 * FPS**3, rel=1e-4)
     for other in (26, 27, 29, 30):
-        assert physical.boundary_jerk(popped(other), FPS, [28], reach=1).elsewhere.item() > 0
-    assert physical.boundary_jerk(standing(60), FPS, [28]).ratio == 1.0
+        assert measures.boundary_jerk(popped(other), FPS, [28], reach=1).elsewhere.item() > 0
+    assert measures.boundary_jerk(standing(60), FPS, [28]).ratio == 1.0
 
 
 def test_windows_near_a_seam_are_those_that_span_or_touch_it():
@@ -143,16 +143,16 @@ def test_windows_near_a_seam_are_those_that_span_or_touch_it():
     frames, seam = 20, 9
     spans = [t <= seam - 1 and t + 3 >= seam for t in range(frames - 3)]
     touches = [t <= seam and t + 3 >= seam - 1 for t in range(frames - 3)]
-    assert physical.near_seams(frames, torch.tensor([seam]), 1).tolist() == spans
-    assert physical.near_seams(frames, torch.tensor([seam]), 2).tolist() == touches
-    assert not physical.near_seams(frames, torch.tensor([0, -1, 20, 21]), 2).any()
+    assert measures.near_seams(frames, torch.tensor([seam]), 1).tolist() == spans
+    assert measures.near_seams(frames, torch.tensor([seam]), 2).tolist() == touches
+    assert not measures.near_seams(frames, torch.tensor([0, -1, 20, 21]), 2).any()
 
 
 def test_jerk_near_seams_and_elsewhere_are_all_of_the_jerk():
     joints = standing(84) + 0.02 * torch.randn(84, 22, 3, generator=torch.Generator().manual_seed(3))
-    found = physical.boundary_jerk(joints, FPS, [28, 56])
+    found = measures.boundary_jerk(joints, FPS, [28, 56])
     whole = (10 * found.near + 71 * found.elsewhere) / 81
-    assert whole.item() == pytest.approx(physical.jerk(joints, FPS).item(), rel=1e-5)
+    assert whole.item() == pytest.approx(measures.jerk(joints, FPS).item(), rel=1e-5)
     assert found.ratio == pytest.approx(1.0, abs=0.15)
 
 
@@ -160,14 +160,14 @@ def test_seams_may_differ_from_clip_to_clip():
     generator = torch.Generator().manual_seed(4)
     clips = standing(60) + 0.02 * torch.randn(3, 60, 22, 3, generator=generator, dtype=torch.float64)
     lengths, seams = torch.tensor([60, 40, 50]), torch.tensor([[28, 56], [28, 56], [10, 0]])
-    found = physical.boundary_jerk(clips, FPS, seams, lengths)
+    found = measures.boundary_jerk(clips, FPS, seams, lengths)
     for i, own in enumerate(([28, 56], [28], [10])):
-        alone = physical.boundary_jerk(clips[i, : lengths[i]], FPS, own)
+        alone = measures.boundary_jerk(clips[i, : lengths[i]], FPS, own)
         torch.testing.assert_close((found.near[i], found.elsewhere[i]), (alone.near, alone.elsewhere))
     with pytest.raises(InputError, match="2 clips have no seam"):
-        physical.boundary_jerk(clips, FPS, [45, 58], torch.tensor([60, 40, 20]))
+        measures.boundary_jerk(clips, FPS, [45, 58], torch.tensor([60, 40, 20]))
     with pytest.raises(InputError, match="no seams"):
-        physical.boundary_jerk(clips, FPS, [])
+        measures.boundary_jerk(clips, FPS, [])
 
 
 def test_windows_of_a_stream_show_what_drifts():
@@ -176,17 +176,17 @@ def test_windows_of_a_stream_show_what_drifts():
     stream[0, :1200, :, 1] -= 0.3 * minute[:, None]
     fading = 0.1 * torch.sin(torch.arange(1200) * 2.0) * (1 - minute)
     stream[1, :1200, :, 2] += fading[:, None]
-    found = physical.windows(stream, FPS)
+    found = measures.windows(stream, FPS)
     assert found.height.shape == (2, 6)
     assert found.drift("height").tolist() == pytest.approx([-0.3, 0.0], abs=1e-5)
     assert found.drift("speed")[1] < -0.5
     assert found.drift("jerk")[1] < 0
-    torch.testing.assert_close(found.jerk[1, 2], physical.jerk(stream[1, 400:600], FPS))
-    torch.testing.assert_close(found.skating[1, 2], physical.skating(stream[1, 400:600], FPS))
+    torch.testing.assert_close(found.jerk[1, 2], measures.jerk(stream[1, 400:600], FPS))
+    torch.testing.assert_close(found.skating[1, 2], measures.skating(stream[1, 400:600], FPS))
     with pytest.raises(InputError, match="at least 2 windows"):
-        physical.windows(stream, FPS, 40.0).drift("height")
+        measures.windows(stream, FPS, 40.0).drift("height")
     with pytest.raises(InputError, match="no window of 2000 frames"):
-        physical.windows(stream, FPS, 100.0)
+        measures.windows(stream, FPS, 100.0)
 
 
 def test_what_is_not_finite_is_counted():
@@ -194,9 +194,9 @@ def test_what_is_not_finite_is_counted():
     clips[1, 4, 3, 2] = float("nan")
     clips[2, 7, 3, 2] = float("inf")
     with pytest.raises(InputError, match="2 of 3 clips"):
-        physical.measure(clips, FPS)
+        measures.measure(clips, FPS)
     with pytest.raises(InputError, match="1 of 3 clips"):
-        physical.measure(clips, FPS, torch.tensor([10, 10, 7]))
+        measures.measure(clips, FPS, torch.tensor([10, 10, 7]))
 
 
 def test_padding_never_counts_and_batches_equal_single_clips():
@@ -206,35 +206,35 @@ def test_padding_never_counts_and_batches_equal_single_clips():
     for i in range(2):
         for k in range(3):
             clips[i, k, lengths[i, k] :] = float("nan")
-    batch = physical.measure(clips, FPS, lengths)
-    windowed = physical.skating(clips, FPS, lengths, window=5)
+    batch = measures.measure(clips, FPS, lengths)
+    windowed = measures.skating(clips, FPS, lengths, window=5)
     for i in range(2):
         for k in range(3):
             one = clips[i, k, : lengths[i, k]]
-            single = physical.measure(one, FPS)
+            single = measures.measure(one, FPS)
             for name in single.__dataclass_fields__:
                 torch.testing.assert_close(getattr(batch, name)[i, k], getattr(single, name), msg=name)
-            assert windowed[i, k] == physical.skating(one, FPS, window=5)
+            assert windowed[i, k] == measures.skating(one, FPS, window=5)
     assert batch.jerk.shape == (2, 3)
 
 
 def test_kit_feet_are_known():
     joints = KIT21.rest_positions.expand(10, -1, -1).clone()
     joints[:, :, 1] -= float(joints[0, 15, 1])
-    assert physical.skating(joints, 12.5, skeleton=KIT21).item() == 0.0
+    assert measures.skating(joints, 12.5, skeleton=KIT21).item() == 0.0
     joints[:, 20, 2] += torch.arange(10) * 0.1
-    assert physical.skating(joints, 12.5, skeleton=KIT21).item() == 1.0
+    assert measures.skating(joints, 12.5, skeleton=KIT21).item() == 1.0
 
 
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: physical.jerk(standing(3), FPS), "4 to 3 frames"),
-        (lambda: physical.skating(standing(1), FPS), "2 to 1 frames"),
-        (lambda: physical.jerk(standing(9), FPS, torch.tensor(10)), "4 to 9 frames"),
-        (lambda: physical.jerk(standing(9)[None], FPS, torch.tensor([3])), "leave shorter clips out"),
-        (lambda: physical.jerk(standing(9), FPS, torch.tensor([9])), "give one each"),
-        (lambda: physical.skating(standing(9), FPS, window=4), "odd number"),
+        (lambda: measures.jerk(standing(3), FPS), "4 to 3 frames"),
+        (lambda: measures.skating(standing(1), FPS), "2 to 1 frames"),
+        (lambda: measures.jerk(standing(9), FPS, torch.tensor(10)), "4 to 9 frames"),
+        (lambda: measures.jerk(standing(9)[None], FPS, torch.tensor([3])), "leave shorter clips out"),
+        (lambda: measures.jerk(standing(9), FPS, torch.tensor([9])), "give one each"),
+        (lambda: measures.skating(standing(9), FPS, window=4), "odd number"),
     ],
 )
 def test_bad_input_is_named(call, message):
