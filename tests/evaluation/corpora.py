@@ -37,9 +37,9 @@ def content_corpus(path: Path, *, frames: int = FRAMES, short: int = 0, split: s
                 motion=synthetic_motion(KINDS[k % len(KINDS)], length, seed=k),
             )
         )  # fmt: skip
-    writer.add_composition(
+    writer.add_clip(
         ClipRecord(
-            name="both", take="take0", source="synthetic", subject="s", kind="in_time",
+            name="both", take="take0", source="synthetic", subject="s", group="take0", kind="in_time",
             contents=(contents[0], contents[10]), style=None, split=split, fps=20.0, frames=frames + frames - 10,
             captions=(), recipe=Recipe((Part(0, 0, frames), Part(10, 0, frames)), blend=10),
         ),

@@ -153,14 +153,14 @@ def add_continuations(writer: CorpusWriter, train: int, seed: int = 0) -> int:
                 writer, split, f"going_on_{split}_{len(made):04d}", "in_time", Recipe(parts, blend=_BLEND), frames,
                 (content,), style,
             )  # fmt: skip
-            writer.add_composition(record, train_captions(content, style))
+            writer.add_clip(record, train_captions(content, style))
         added += len(made)
     return added
 
 
 def _pools(writer: CorpusWriter) -> dict[Split, _Pool]:
     records = [record for record in writer.records if record.kind == "take"]
-    return {split: _Pool(records, writer.motions, split) for split in _SPLITS}
+    return {split: _Pool(records, [writer.motion(record) for record in records], split) for split in _SPLITS}
 
 
 def _in_proportion(writer: CorpusWriter, train: int) -> dict[Split, int]:
@@ -175,7 +175,7 @@ def _add(
 ) -> None:  # fmt: skip
     name = f"{kind}_{split}_{number:04d}"
     record = _record(writer, split, name, kind, recipe, frames, contents, style)
-    writer.add_composition(record, composed_captions(kind, contents, name))
+    writer.add_clip(record, composed_captions(kind, contents, name))
 
 
 def _record(
@@ -188,6 +188,7 @@ def _record(
         take=first.take,
         source="composed",
         subject=first.subject,
+        group=first.group,
         kind=kind,
         contents=contents,
         style=style,

@@ -1,9 +1,10 @@
 """The corpus: one compact file with every clip, its captions and its split.
 
 The file is a safetensors file. Tensors: ``rotations`` (F, J, 3) int16 (see ``quantize``), ``root`` (F, 3) float32
-metres and ``offsets`` (J, 3) float32, F the frames of all takes in the order of their records. The one metadata entry,
-``moveset corpus``, is JSON: version, checksum, skeleton, strings, caption sets and records. Compositions are stored as
-recipes and made when asked for; mirrored clips are derived.
+metres and ``offsets`` (J, 3) float32, F the frames of all runs one after the other. A run is what is kept of a take;
+clips are spans of runs, which may overlap, put above the origin when they are read. The one metadata entry,
+``moveset corpus``, is JSON: version, checksum, skeleton, strings, caption sets, runs and records. Compositions are
+stored as recipes and made when asked for; mirrored clips are derived.
 """
 
 import hashlib
@@ -11,6 +12,7 @@ import json
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, reduce
+from itertools import accumulate
 from pathlib import Path
 from typing import Any
 
@@ -21,13 +23,13 @@ from moveset.data.augment import compose_body, compose_in_time
 from moveset.data.captions import mirror_text
 from moveset.data.labels import mirror_label
 from moveset.data.quantize import pack, unpack
-from moveset.data.records import ClipRecord, Part, Recipe, record_from_json, record_to_json
+from moveset.data.records import ClipRecord, Part, Recipe, Run, record_from_json, record_to_json, run_from_json
 from moveset.data.splits import Split
 from moveset.errors import FormatError, InputError
 from moveset.motion.clip import Motion
 from moveset.motion.skeleton import HML22, KIT21, Skeleton
 
-VERSION = 1
+VERSION = 2
 _ENTRY = "moveset corpus"
 _MAX_BYTES = 16 * 2**30
 _MAX_HEADER = 100 * 2**20
@@ -44,21 +46,19 @@ class Corpus:
     def __init__(
         self,
         records: tuple[ClipRecord, ...],
+        runs: tuple[Run, ...],
         strings: tuple[str, ...],
         skeleton: Skeleton,
         packed: Tensor,
         root: Tensor,
     ) -> None:
         self.records = records
+        self.runs = runs
         self.strings = strings
         self.skeleton = skeleton
         self._packed = packed
         self._root = root
-        starts, total = [], 0
-        for record in records:
-            starts.append(total)
-            total += record.frames if record.kind == "take" else 0
-        self._starts = tuple(starts)
+        self._starts = tuple(accumulate((run.frames for run in runs), initial=0))
 
     @classmethod
     def open(cls, path: str | Path) -> "Corpus":
@@ -74,13 +74,14 @@ class Corpus:
             skeleton = _SKELETONS[index["skeleton"]]
             strings = tuple(str(s) for s in index["strings"])
             sets = [tuple(int(k) for k in s) for s in index["caption_sets"]]
+            runs = tuple(run_from_json(run) for run in index["runs"])
             records = tuple(record_from_json(r, sets) for r in index["records"])
         except (KeyError, TypeError, ValueError) as error:
             raise FormatError(f"the index of {path} is damaged ({error!r}); build the corpus again") from None
         if any(not 0 <= k < len(strings) for s in sets for k in s):
             raise FormatError(f"a caption number in {path} points nowhere; build the corpus again")
         packed, root, offsets = tensors["rotations"], tensors["root"], tensors["offsets"]
-        frames = sum(r.frames for r in records if r.kind == "take")
+        frames = sum(run.frames for run in runs)
         joints = len(skeleton)
         shapes = {"rotations": (frames, joints, 3), "root": (frames, 3), "offsets": (joints, 3)}
         for name, shape in shapes.items():
@@ -89,10 +90,11 @@ class Corpus:
                 raise FormatError(f"{path} holds {name} of shape {found}, not {shape}; build it again")
         if packed.dtype != torch.int16 or root.dtype != torch.float32 or not torch.isfinite(root).all():
             raise FormatError(f"{path} holds numbers of the wrong type or that are not finite; build it again")
+        _check_spans(records, runs)
         _check_recipes(records)
         if not torch.allclose(offsets, skeleton.offsets, atol=1e-6):
             skeleton = replace(skeleton, offsets=offsets)
-        return cls(records, strings, skeleton, packed, root)
+        return cls(records, runs, strings, skeleton, packed, root)
 
     def __len__(self) -> int:
         return len(self.records)
@@ -100,7 +102,7 @@ class Corpus:
     @cached_property
     def fingerprint(self) -> str:
         """A hash of all motions, of what they show and of their splits, but not of their captions."""
-        records = "\n".join(repr(replace(record, captions=())) for record in self.records)
+        records = "\n".join(repr(replace(record, captions=())) for record in self.records) + repr(self.runs)
         sha = hashlib.sha256(records.encode())
         for stored in (self._packed, self._root, self.skeleton.offsets):
             sha.update(stored.contiguous().numpy().data)
@@ -114,11 +116,22 @@ class Corpus:
         """
         record = self._record(i)
         if record.recipe is None:
-            span = slice(self._starts[i], self._starts[i] + record.frames)
-            motion = Motion(unpack(self._packed[span]), self._root[span].clone(), record.fps, self.skeleton)
+            assert record.run is not None
+            motion = self._frames(record.run, record.first_frame, record.frames, record.fps)
         else:
             motion = compose(record.kind, record.recipe, [self._part(p) for p in record.recipe.parts])
         return motion.mirrored() if mirrored else motion
+
+    def run_motion(self, run: int) -> Motion:
+        """All of a run, starting above the origin and facing +Z.
+
+        Raises:
+            InputError: there is no such run.
+        """
+        if not 0 <= run < len(self.runs):
+            raise InputError(f"there is no run {run} in a corpus of {len(self.runs)}; use 0 to {len(self.runs) - 1}")
+        fps = next(record.fps for record in self.records if record.run == run)
+        return self._frames(run, self.runs[run].first_frame, self.runs[run].frames, fps)
 
     def captions(self, i: int, mirrored: bool = False) -> tuple[str, ...]:
         """Sentences for clip ``i``."""
@@ -130,8 +143,11 @@ class Corpus:
         labels = self._record(i).contents
         return tuple(mirror_label(c) for c in labels) if mirrored else labels
 
-    def indices(self, split: Split | None = None, composed: bool | None = None) -> tuple[int, ...]:
-        """Numbers of the clips of a split (None: all); only compositions, only takes, or both (None).
+    def indices(
+        self, split: Split | None = None, composed: bool | None = None, captioned: bool | None = None
+    ) -> tuple[int, ...]:
+        """Numbers of the clips of a split (None: all); only compositions, only takes, or both (None); likewise with or
+        without captions.
 
         Raises:
             InputError: an unknown split.
@@ -141,13 +157,21 @@ class Corpus:
         return tuple(
             i
             for i, r in enumerate(self.records)
-            if (split is None or r.split == split) and (composed is None or (r.kind != "take") == composed)
+            if (split is None or r.split == split)
+            and (composed is None or (r.kind != "take") == composed)
+            and (captioned is None or bool(r.captions) == captioned)
         )
 
     @cached_property
     def seconds(self) -> float:
-        """Total duration of the takes, compositions not counted."""
-        return sum(r.frames / r.fps for r in self.records if r.kind == "take")
+        """Total duration of the runs: shared frames are counted once, compositions not at all."""
+        fps = {record.run: record.fps for record in self.records if record.run is not None}
+        return sum(run.frames / fps[k] for k, run in enumerate(self.runs))
+
+    def _frames(self, run: int, first: int, count: int, fps: float) -> Motion:
+        start = self._starts[run] + first - self.runs[run].first_frame
+        span = slice(start, start + count)
+        return Motion(unpack(self._packed[span]), self._root[span].clone(), fps, self.skeleton).canonical()
 
     def _record(self, i: int) -> ClipRecord:
         if not 0 <= i < len(self.records):
@@ -220,6 +244,18 @@ def _digest(tensors: dict[str, Tensor], index: dict[str, Any]) -> str:
     return sha.hexdigest()
 
 
+def _check_spans(records: Sequence[ClipRecord], runs: Sequence[Run]) -> None:
+    used = {record.run for record in records if record.run is not None}
+    if used != set(range(len(runs))):
+        raise FormatError("the corpus has runs without clips or clips without runs; build the corpus again")
+    for record in records:
+        if record.run is None:
+            continue
+        run = runs[record.run]
+        if not run.first_frame <= record.first_frame <= run.first_frame + run.frames - record.frames:
+            raise FormatError(f"clip {record.name!r} is not within its run; build the corpus again")
+
+
 def _check_recipes(records: Sequence[ClipRecord]) -> None:
     for record in records:
         for part in record.recipe.parts if record.recipe is not None else ():
@@ -235,7 +271,7 @@ def _check_recipes(records: Sequence[ClipRecord]) -> None:
 
 @dataclass(frozen=True, eq=False)
 class TakeEntry:
-    """A clip to be stored: fields as in ``ClipRecord``, captions as sentences."""
+    """A clip to be stored with a run of its own: fields as in ``ClipRecord``, captions as sentences."""
 
     name: str
     take: str
@@ -250,44 +286,67 @@ class TakeEntry:
 
 
 class CorpusWriter:
-    """Collects clips and writes a corpus; the same clips in the same order give the same bytes."""
+    """Collects runs and clips and writes a corpus; the same ones in the same order give the same bytes."""
 
     def __init__(self) -> None:
         self.records: list[ClipRecord] = []
-        self.motions: list[Motion] = []
+        self._runs: list[Run] = []
+        self._motions: list[Motion] = []
         self._strings: dict[str, int] = {}
 
-    def add_take(self, entry: TakeEntry) -> int:
-        """Store a clip; returns its number.
+    def add_run(self, take: str, motion: Motion, first_frame: int = 0) -> int:
+        """Store frames of a take, which clips are to show; returns the run's number.
 
         Raises:
-            InputError: it comes after a composition, or is on another skeleton than the clips before it.
+            InputError: it is on another skeleton than the runs before it.
         """
-        if len(self.motions) != len(self.records):
-            raise InputError(f"clip {entry.name!r} comes after compositions; add every take before composing")
-        if self.motions and entry.motion.skeleton is not self.motions[0].skeleton:
-            raise InputError(f"clip {entry.name!r} is not on {self.motions[0].skeleton.name!r} as the clips before it")
-        self.motions.append(entry.motion)
-        return self._add(
-            ClipRecord(
-                name=entry.name,
-                take=entry.take,
-                source=entry.source,
-                subject=entry.subject,
-                kind="take",
-                contents=(entry.content,),
-                style=entry.style,
-                split=entry.split,
-                fps=entry.motion.fps,
-                frames=len(entry.motion),
-                captions=self._numbers(entry.captions),
-                first_frame=entry.first_frame,
-            )
-        )
+        if self._motions and motion.skeleton is not self._motions[0].skeleton:
+            raise InputError(f"take {take!r} is not on {self._motions[0].skeleton.name!r} as the takes before it")
+        self._runs.append(Run(take, first_frame, len(motion)))
+        self._motions.append(motion)
+        return len(self._runs) - 1
 
-    def add_composition(self, record: ClipRecord, captions: Iterable[str]) -> int:
-        """Store a recipe with its sentences; returns its number."""
-        return self._add(replace(record, captions=self._numbers(captions)))
+    def add_clip(self, record: ClipRecord, captions: Iterable[str]) -> int:
+        """Store a clip, whose captions are given as sentences; returns its number.
+
+        Raises:
+            InputError: a take comes after compositions.
+        """
+        if record.kind == "take" and self.records and self.records[-1].kind != "take":
+            raise InputError(f"clip {record.name!r} comes after compositions; add every take before composing")
+        numbers = tuple(self._strings.setdefault(s, len(self._strings)) for s in captions)
+        self.records.append(replace(record, captions=numbers))
+        return len(self.records) - 1
+
+    def add_take(self, entry: TakeEntry) -> int:
+        """Store a clip with a run of its own; returns its number.
+
+        Raises:
+            InputError: as of ``add_run`` and ``add_clip``.
+        """
+        record = ClipRecord(
+            name=entry.name,
+            take=entry.take,
+            source=entry.source,
+            subject=entry.subject,
+            group=entry.take,
+            kind="take",
+            contents=(entry.content,),
+            style=entry.style,
+            split=entry.split,
+            fps=entry.motion.fps,
+            frames=len(entry.motion),
+            captions=(),
+            first_frame=entry.first_frame,
+            run=self.add_run(entry.take, entry.motion, entry.first_frame),
+        )
+        return self.add_clip(record, entry.captions)
+
+    def motion(self, record: ClipRecord) -> Motion:
+        """The motion of a stored clip that is no composition."""
+        assert record.run is not None
+        start = record.first_frame - self._runs[record.run].first_frame
+        return self._motions[record.run][start : start + record.frames].canonical()
 
     def write(self, path: str | Path) -> Path:
         """Write the corpus; whole or not at all.
@@ -299,22 +358,24 @@ class CorpusWriter:
 
         from moveset.io.limits import atomic_write
 
-        if not self.motions:
+        if not self._motions:
             raise InputError("there are no clips to write; every take was rejected or none was given")
+        _check_spans(self.records, self._runs)
         _check_recipes(self.records)
         sets: dict[tuple[int, ...], int] = {}
         records = [record_to_json(r, sets.setdefault(r.captions, len(sets))) for r in self.records]
-        skeleton = self.motions[0].skeleton
+        skeleton = self._motions[0].skeleton
         index = {
             "version": VERSION,
             "skeleton": skeleton.name,
             "strings": list(self._strings),
             "caption_sets": [list(s) for s in sets],
+            "runs": [[run.take, run.first_frame, run.frames] for run in self._runs],
             "records": records,
         }
         tensors = {
-            "rotations": torch.cat([pack(m.rotations) for m in self.motions]),
-            "root": torch.cat([m.root for m in self.motions]),
+            "rotations": torch.cat([pack(m.rotations) for m in self._motions]),
+            "root": torch.cat([m.root for m in self._motions]),
             "offsets": skeleton.offsets.clone(),
         }
         index["sha256"] = _digest(tensors, index)
@@ -325,10 +386,3 @@ class CorpusWriter:
         with atomic_write(path) as file:
             file.write(save(tensors, metadata=metadata))
         return path
-
-    def _add(self, record: ClipRecord) -> int:
-        self.records.append(record)
-        return len(self.records) - 1
-
-    def _numbers(self, captions: Iterable[str]) -> tuple[int, ...]:
-        return tuple(self._strings.setdefault(s, len(self._strings)) for s in captions)

@@ -42,6 +42,21 @@ class Recipe:
 
 
 @dataclass(frozen=True)
+class Run:
+    """Consecutive frames of a take that a corpus holds; clips are spans of runs, and may share frames.
+
+    Args:
+        take: name of the take.
+        first_frame: where the run starts in its take, in frames of the corpus.
+        frames: how many there are.
+    """
+
+    take: str
+    first_frame: int
+    frames: int
+
+
+@dataclass(frozen=True)
 class ClipRecord:
     """One clip of a corpus.
 
@@ -50,22 +65,26 @@ class ClipRecord:
         take: name of the take it was cut from; of the first part's, for a composition.
         source: the data set.
         subject: who performed.
+        group: takes of one group show the same seconds of one performance, such as the two partners of a dance.
         kind: "take" as captured; composed "in_time" or of two bodies ("body").
-        contents: what is shown: one label; or two for compositions (first, second; upper body, legs) that do not show
-            the same thing over and over.
+        contents: what is shown, one label for each thing that its sentences tell; none where nothing is told. Two for
+            compositions (first, second; upper body, legs) that do not show the same thing over and over.
         style: how it is performed, one label; None where unknown or mixed.
         split: "train", "val" or "test".
         fps: frames per second.
         frames: length.
-        captions: indices into the corpus's strings.
+        captions: indices into the corpus's strings; none where nothing is told about the clip.
         first_frame: where the clip starts in its take.
         recipe: for compositions.
+        run: number of the run that holds its frames; None for compositions.
+        weight: how often to draw it, against others of its contents: less for takes that are long and alike.
     """
 
     name: str
     take: str
     source: str
     subject: str
+    group: str
     kind: Kind
     contents: tuple[str, ...]
     style: str | None
@@ -75,6 +94,8 @@ class ClipRecord:
     captions: tuple[int, ...]
     first_frame: int = 0
     recipe: Recipe | None = None
+    run: int | None = None
+    weight: float = 1.0
 
     @property
     def goes_on(self) -> bool:
@@ -89,6 +110,7 @@ def record_to_json(record: ClipRecord, caption_set: int) -> dict[str, Any]:
         "take": record.take,
         "source": record.source,
         "subject": record.subject,
+        "group": record.group,
         "kind": record.kind,
         "contents": list(record.contents),
         "style": record.style,
@@ -97,6 +119,8 @@ def record_to_json(record: ClipRecord, caption_set: int) -> dict[str, Any]:
         "frames": record.frames,
         "captions": caption_set,
         "first_frame": record.first_frame,
+        "run": record.run,
+        "weight": record.weight,
     }
     if record.recipe is not None:
         parts = [[p.clip, p.start, p.stop, p.mirrored] for p in record.recipe.parts]
@@ -125,6 +149,7 @@ def record_from_json(data: Any, caption_sets: list[tuple[int, ...]]) -> ClipReco
             take=_text(data["take"]),
             source=_text(data["source"]),
             subject=_text(data["subject"]),
+            group=_text(data["group"]),
             kind=_one_of(data["kind"], get_args(Kind)),
             contents=tuple(_text(c) for c in data["contents"]),
             style=None if data["style"] is None else _text(data["style"]),
@@ -134,16 +159,37 @@ def record_from_json(data: Any, caption_sets: list[tuple[int, ...]]) -> ClipReco
             captions=caption_sets[data["captions"]],
             first_frame=_integers([data["first_frame"]])[0],
             recipe=recipe,
+            run=None if data["run"] is None else _integers([data["run"]])[0],
+            weight=float(data["weight"]),
         )
     except (KeyError, TypeError, ValueError, IndexError) as error:
         raise FormatError(f"a clip record of the corpus is damaged ({error!r}); build the corpus again") from None
-    if not (0 < record.fps <= 1000 and record.frames >= 1 and record.contents):
+    told = bool(record.contents) or not record.captions
+    if not (0 < record.fps <= 1000 and record.frames >= 1 and told and 0 < record.weight <= 1000):
         raise FormatError(f"clip {record.name!r} of the corpus has absurd numbers; build the corpus again")
-    if (record.kind == "take") != (recipe is None) or (recipe is not None and record.frames > MAX_FRAMES):
+    if not (record.kind == "take") == (recipe is None) == (record.run is not None) or (
+        recipe is not None and record.frames > MAX_FRAMES
+    ):
         raise FormatError(f"clip {record.name!r} of the corpus has no valid recipe; build the corpus again")
     if recipe is not None and (len(recipe.parts) < 2 or (record.kind == "body" and len(recipe.parts) > 2)):
         raise FormatError(f"clip {record.name!r} of the corpus has {len(recipe.parts)} parts; build the corpus again")
     return record
+
+
+def run_from_json(data: Any) -> Run:
+    """A run from its list of take, first frame and number of frames.
+
+    Raises:
+        FormatError: a value is missing, of the wrong type or out of its range.
+    """
+    try:
+        take, first, frames = data
+        first, frames = _integers([first, frames])
+        if not frames:
+            raise ValueError("frames")
+        return Run(_text(take), first, frames)
+    except (TypeError, ValueError) as error:
+        raise FormatError(f"a run of the corpus is damaged ({error!r}); build the corpus again") from None
 
 
 def _part(value: Any) -> Part:
