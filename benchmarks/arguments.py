@@ -6,8 +6,7 @@ What is wrong ends a benchmark in one line, as it ends ``moveset`` (``errors.exi
 import argparse
 import importlib
 import json
-import math
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -69,45 +68,6 @@ def report_path(text: str) -> Path:
     if path.is_dir():
         raise argparse.ArgumentTypeError(f"{text!r} is a folder; give the path of a file")
     return path
-
-
-def known(asked: Iterable[str], there: Collection[str], what: str) -> None:
-    """Refuse names that do not exist.
-
-    Raises:
-        InputError: the first of them, and what there is.
-    """
-    for name in asked:
-        if name not in there:
-            raise InputError(f"there is no {what} {name!r}; there are {', '.join(there)}")
-
-
-def pairs(given: Sequence[str], option: str) -> dict[str, str]:
-    """NAME=VALUE arguments.
-
-    Raises:
-        InputError: one without a name or a value.
-    """
-    for text in given:
-        name, _, value = text.partition("=")
-        if not name or not value:
-            raise InputError(f"{option} {text!r} is not NAME=VALUE")
-    return dict(text.split("=", 1) for text in given)
-
-
-def scale(text: str) -> float:
-    """A guidance scale.
-
-    Raises:
-        InputError: no number in 0 to 30.
-    """
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not 0 <= value <= 30:
-        raise InputError(f"guidance {text!r} is no number in 0 to 30")
-    return value
 
 
 def write_report(path: Path, report: Any, indent: int | None = 1) -> None:

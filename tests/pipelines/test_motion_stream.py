@@ -22,7 +22,6 @@ from moveset.pipelines.stream_bundle import StreamBundle
 from moveset.pipelines.stream_settings import Timeline, check_stream
 from moveset.pipelines.stream_state import Snapshot
 from moveset.rdm.noise import START, segment_noise
-from moveset.text.familiarity import KnownPrompts
 from tests.streams import FRAMES, tiny_stream
 
 WALK, BOW = "a person walks forward", "a person bows politely"
@@ -180,7 +179,7 @@ def test_every_prompt_is_encoded_once(opened, encoder, monkeypatch):
 
 
 def test_the_memory_of_prompts_is_bounded(encoder):
-    memory = PromptMemory(encoder, KnownPrompts(("walk",), torch.ones(1, 2)), limit=2)
+    memory = PromptMemory(encoder, limit=2)
     first = memory("walk")
     assert memory("walk") is first
     memory("bow"), memory("walk"), memory("kick")

@@ -150,10 +150,3 @@ def test_a_copy_for_another_process_makes_the_same(t2m, copied, tmp_path, monkey
 def test_a_pickle_holds_no_weights(t2m):
     t2m(PROMPT, seconds=2.0)
     assert len(pickle.dumps(t2m)) < 2000
-
-
-def test_what_a_prompt_leaves_out_is_read(t2m):
-    short = t2m("a person raises his right hand, then his left", seconds=2.0)
-    full = t2m("a person raises his right hand, then raises his left hand", seconds=2.0)
-    assert same(short.motion, full.motion)
-    assert short.prompts == ("a person raises his right hand, then his left",)

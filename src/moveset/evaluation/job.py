@@ -27,7 +27,6 @@ from moveset.pipelines.device import pick_device
 from moveset.pipelines.model_folder import BASELINE, STREAM, find_folder, task_of
 from moveset.pipelines.request import Method, check_method
 from moveset.pipelines.stream_bundle import DEFAULT_STREAM, StreamBundle
-from moveset.pipelines.synonyms import as_written
 
 if TYPE_CHECKING:
     from multiprocessing.context import SpawnProcess
@@ -189,7 +188,6 @@ def open_generator(job: Job) -> Generator:
     if task == BASELINE:
         return _baseline(job, folder, network, settings)
     bundle = Bundle(folder)
-    as_written(bundle)
     if unknown := set(settings) - {"guidance"}:
         raise InputError(f"--{sorted(unknown)[0]} is a setting of streams, and {bundle.config.name!r} makes clips")
     if network == "vae":

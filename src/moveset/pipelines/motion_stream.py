@@ -23,7 +23,6 @@ from moveset.errors import FormatError, InputError
 from moveset.models.flow import CouplingFlow
 from moveset.models.segment_transformer import UNKNOWN
 from moveset.motion.clip import Motion
-from moveset.motion.way import way_of
 from moveset.pipelines.course import Course
 from moveset.pipelines.device import pick_device
 from moveset.pipelines.prompt_memory import PromptMemory
@@ -82,7 +81,7 @@ class MotionStream(Iterator[Segment]):
     ) -> None:
         self.bundle, self.codec, self.device = bundle, bundle.config.native_codec(), pick_device(str(device))
         self.encoder = encoder or get_text_encoder(bundle.config.text_encoder, device=self.device)
-        self._texts = PromptMemory(self.encoder, self.bundle.captions)
+        self._texts = PromptMemory(self.encoder)
         normalizer = bundle.normalizer
         self._mean, self._std = (normalizer[name].to(self.device) for name in ("feature_mean", "feature_std"))
         self._seed, self._timeline = request.seed, request.timeline
@@ -188,7 +187,7 @@ class MotionStream(Iterator[Segment]):
         """What the user should know about the prompts of the timeline, or about the last one given."""
         prompts = tuple(dict.fromkeys(self._timeline.prompts))
         pooled = torch.cat([self._texts(prompt).pooled for prompt in prompts])
-        return (*too_long(self.encoder, prompts, self.bundle.captions), *unfamiliar(self.bundle, prompts, pooled))
+        return (*too_long(self.encoder, prompts), *unfamiliar(self.bundle, prompts, pooled))
 
     def state(self) -> Snapshot:
         """Everything that the next segments depend on, also those that were made ahead of the reader."""
@@ -205,7 +204,6 @@ class MotionStream(Iterator[Segment]):
                 "prompts": {str(j): self._prompts[j] for j in progress.active},
                 "places": {str(j): self._places[j] for j in progress.active},
                 "course": self._denoise.course.state(),
-                "gone": self._gone,
                 "sampler": progress.numbers(),
                 **self._decoder.state(),
                 "waiting": [{k: v for k, v in vars(made).items() if k != "motion"} for made in waiting],
@@ -250,7 +248,6 @@ class MotionStream(Iterator[Segment]):
                 self._denoise.enter(segment, prompt, place)
             if "course" in numbers:
                 self._denoise.course.restored(numbers["course"])
-            self._gone = float(numbers.get("gone", 0.0))  # states from before ways had corners have none
             self._decoder.restore(numbers)
             for k, made in enumerate(numbers["waiting"]):
                 turned, root = (snapshot.tensors[f"waiting.{k}.{part}"] for part in ("rotations", "root"))
@@ -308,7 +305,7 @@ class MotionStream(Iterator[Segment]):
     def _go_on(self, state: StreamState | None, given: int) -> None:
         """A sampler from this state on, of which the first ``given`` segments are none of the stream's own."""
         config, settings = self.bundle.config, self._settings
-        self._given, self._told, self._gone = given, 0, 0.0
+        self._given, self._told = given, 0
         self._prompts: dict[int, str] = {}
         self._places: dict[int, tuple[int, int, int]] = {}
         self._denoise = SegmentDenoise(
@@ -346,12 +343,6 @@ class MotionStream(Iterator[Segment]):
             # Outside, so that what users get are ordinary tensors.
             features = features.cpu().clone()
             finished = self._sampler.progress.finished - 1
-            if not self._places[finished][2]:
-                self._gone = 0.0  # since the sentence began, in metres
-            way = way_of(features, self.codec)
-            if steering := self._texts.steering(self._prompts[finished]):
-                features = steering.piece(features, self.codec, self._turned(finished), self._gone)
-            self._gone += way
             motion = self._decoder(features)
             self._denoise.leave(finished)
             self._places.pop(finished)
@@ -361,10 +352,6 @@ class MotionStream(Iterator[Segment]):
             return Segment(
                 number, number * frames, frames, self._prompts.pop(finished), motion, round(spent * 1e3, 3), evaluations
             )
-
-    def _turned(self, segment: int) -> float:
-        """Radians from where the sentence of a segment in work begins to where the segment does."""
-        return float(self._denoise.course.turned(segment, torch.tensor([self._places[segment][2]])))
 
     def _enter(self, segment: int) -> Tensor | None:
         """Called by the sampler when a segment enters: its prompt, which stays."""

@@ -23,7 +23,6 @@ from moveset.models.segment_transformer import told_of
 from moveset.models.symmetric import Symmetric
 from moveset.motion.clip import Motion
 from moveset.motion.stream_decoder import StreamDecoder
-from moveset.motion.way import way_of
 from moveset.pipelines.course import Course
 from moveset.pipelines.device import pick_device
 from moveset.pipelines.prompt_memory import PromptMemory
@@ -65,7 +64,6 @@ class Lane:
         left: (1, n, D) the last finished segment, normalised.
         left_pooled: (1, C) the sentence embedding of what it was told.
         turned: radians by which its way has turned since its sentence began.
-        gone: metres that it has come since then.
         reading_ms: what encoding took since the last segment.
     """
 
@@ -80,7 +78,6 @@ class Lane:
     left: Tensor | None = None
     left_pooled: Tensor | None = None
     turned: float = 0.0
-    gone: float = 0.0
     mirrored: TextEmbedding | None = None
     reading_ms: float = 0.0
 
@@ -134,7 +131,7 @@ class StreamGroup:
         self.bundle, self.settings = bundle, settings
         self.codec, self.device = config.native_codec(), pick_device(str(device))
         self.encoder = encoder or get_text_encoder(config.text_encoder, device=self.device)
-        self._texts = PromptMemory(self.encoder, self.bundle.captions)
+        self._texts = PromptMemory(self.encoder)
         self._mean, self._std = (bundle.normalizer[name].to(self.device) for name in ("feature_mean", "feature_std"))
         self._network = bundle.module(settings.network, self.device)
         self._even = isinstance(self._network, Symmetric)
@@ -182,7 +179,7 @@ class StreamGroup:
         """What the user should know about a lane's prompt."""
         prompts = tuple(dict.fromkeys(lane.line.prompts))
         pooled = torch.cat([self._texts(prompt).pooled for prompt in prompts])
-        return (*too_long(self.encoder, prompts, self.bundle.captions), *unfamiliar(self.bundle, prompts, pooled))
+        return (*too_long(self.encoder, prompts), *unfamiliar(self.bundle, prompts, pooled))
 
     def advance(self, lanes: Sequence[Lane]) -> list[Piece]:
         """The next segment of every lane."""
@@ -194,7 +191,7 @@ class StreamGroup:
             features = clean * self._std + self._mean
         # Outside, so that what users get are ordinary tensors.
         features = features.cpu().clone()
-        decoded = [self._decoded(*row) for row in zip(lanes, features, strict=True)]
+        decoded = [(lane.decoder(x), lane.decoder.planted(x)) for lane, x in zip(lanes, features, strict=True)]
         spent = (time.perf_counter() - start) * 1e3
         return [self._piece(*row, spent) for row in zip(lanes, clean, decoded, strict=True)]
 
@@ -207,23 +204,14 @@ class StreamGroup:
             lane.mirrored = self._texts.mirrored(prompt).to(self.device) if self._even else None
             lane.reading_ms += (time.perf_counter() - start) * 1e3
 
-    def _decoded(self, lane: Lane, features: Tensor) -> tuple[Motion, Tensor, float]:
-        """A piece's motion, its planted feet, and how long its way is."""
-        way = way_of(features, self.codec)
-        if steering := self._texts.steering(lane.prompt):
-            turned, gone = (lane.turned, lane.gone) if lane.behind else (0.0, 0.0)
-            features = steering.piece(features, self.codec, turned, gone)
-        return lane.decoder(features), lane.decoder.planted(features), way
-
-    def _piece(self, lane: Lane, clean: Tensor, decoded: tuple[Motion, Tensor, float], spent: float) -> Piece:
-        motion, planted, way = decoded
+    def _piece(self, lane: Lane, clean: Tensor, decoded: tuple[Motion, Tensor], spent: float) -> Piece:
+        motion, planted = decoded
         number, frames = lane.number, len(motion)
         twice = self._even or (lane.guidance and not self._guided)
         evaluations = self.settings.steps * (2 if twice else 1)
         latency = round(spent + lane.reading_ms, 3)
         lane.left, lane.left_pooled = clean[None].clone(), lane.text.pooled
         lane.turned = float(self._course.turn(clean[None])) + (lane.turned if lane.behind else 0.0)
-        lane.gone = way + (lane.gone if lane.behind else 0.0)
         lane.number, lane.reading_ms = number + 1, 0.0
         return Piece(Segment(number, number * frames, frames, lane.prompt, motion, latency, evaluations), planted)
 

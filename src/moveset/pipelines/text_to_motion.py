@@ -20,17 +20,13 @@ from moveset.motion.cleanup import lock_feet
 from moveset.motion.clip import Motion
 from moveset.motion.contacts import PLANTED
 from moveset.motion.features import get_codec
-from moveset.motion.footfalls import stand_on
 from moveset.motion.join import join
 from moveset.pcm.sampler import item_noise
 from moveset.pipelines.bundle import DEFAULT_MODEL, Bundle
 from moveset.pipelines.denoise import Denoise
 from moveset.pipelines.device import Stopwatch, pick_device
-from moveset.pipelines.reading import read
 from moveset.pipelines.request import Method, Request, check_method, check_request, check_whole
-from moveset.pipelines.synonyms import Bend, Reading
 from moveset.pipelines.warnings import too_long, unfamiliar
-from moveset.text.ellipsis import in_full
 from moveset.text.encoder import TextEmbedding, TextEncoder, get_text_encoder, stack
 
 
@@ -184,10 +180,8 @@ class TextToMotion:
         clock = Stopwatch(self.device)
 
         prompts = [prompt for request in requests for prompt in request.prompts]
-        readings = {prompt: self._read(prompt) for prompt in dict.fromkeys(prompts)}
-        known = {prompt: self.encoder.encode([reading.text]) for prompt, reading in readings.items()}
-        frames = [n for request in requests for n in self._frames(request, known, readings)]
-        wanted = [n for request in requests for n in request.frames]
+        known = {prompt: self.encoder.encode([prompt]) for prompt in dict.fromkeys(prompts)}
+        frames = [n for request in requests for n in self._frames(request, known)]
         warnings = {request.prompts: self._warnings(request.prompts, known) for request in requests}
         clock.lap("text")
 
@@ -205,8 +199,7 @@ class TextToMotion:
         decoded = []
         for z, part in zip(latents, rows, strict=True):
             pause()
-            bends = [readings[prompt].bent for prompt in prompts[part]]
-            decoded.append(self._decode(vae, z, frames[part], bends, wanted[part]))
+            decoded.append(self._decode(vae, z, frames[part]))
             done += 1
         clips = iter([clip for batch_of_clips in decoded for clip in batch_of_clips])
         clock.lap("decode")
@@ -240,21 +233,11 @@ class TextToMotion:
         """The text encoder that the model was trained with."""
         return get_text_encoder(self.bundle.config.text_encoder, device=self.device)
 
-    def _read(self, prompt: str) -> Reading:
-        """A prompt as the networks are told it: in full, and in words that they know."""
-        return read(in_full(prompt), self.bundle.captions)
-
-    def _frames(
-        self, request: Request, known: Mapping[str, TextEmbedding], readings: Mapping[str, Reading]
-    ) -> list[int]:
-        """Frames of each clip as the networks make it: as asked for, or as its reading needs, or as the text says."""
+    def _frames(self, request: Request, known: Mapping[str, TextEmbedding]) -> list[int]:
+        """Frames of each clip: as asked for, or as predicted from the text."""
         config = self.bundle.config
         frames = []
         for prompt, wanted in zip(request.prompts, request.frames, strict=True):
-            reading = readings[prompt]
-            if reading.seconds and (reading.cut or wanted is None):
-                usual = round(reading.seconds * get_codec(config.codec).fps)
-                wanted = min(max(usual, wanted or 0), config.max_frames)
             if wanted is None:
                 predictor = cast(LengthPredictor, self.bundle.module("length", self.device))
                 likely = int(predictor.predict(known[prompt].pooled.to(self.device)))
@@ -264,31 +247,14 @@ class TextToMotion:
 
     def _warnings(self, prompts: tuple[str, ...], known: Mapping[str, TextEmbedding]) -> tuple[str, ...]:
         pooled = torch.cat([known[prompt].pooled for prompt in prompts])
-        return (*too_long(self.encoder, prompts, self.bundle.captions), *unfamiliar(self.bundle, prompts, pooled))
+        return (*too_long(self.encoder, prompts), *unfamiliar(self.bundle, prompts, pooled))
 
-    def _decode(
-        self,
-        vae: nn.Module,
-        z_BND: Tensor,
-        frames: Sequence[int],
-        bends: Sequence[tuple[Bend, ...]],
-        wanted: Sequence[int | None],
-    ) -> list[tuple[Motion, Tensor]]:
-        """Motions of ``frames[k]`` frames of normalised latents (B, N, d), and their planted feet (F, 4).
-
-        Those that are cut have as many frames as are wanted, if somebody wants so many.
-        """
+    def _decode(self, vae: nn.Module, z_BND: Tensor, frames: Sequence[int]) -> list[tuple[Motion, Tensor]]:
+        """Motions of ``frames[k]`` frames of normalised latents (B, N, d), and their planted feet (F, 4)."""
         n = {name: value.to(self.device) for name, value in self.bundle.normalizer.items()}
         lengths = torch.tensor(frames, device=self.device)
         x_BFD = vae.decode(torch.addcmul(n["latent_mean"], z_BND, n["latent_std"]), lengths, max(frames))
         x_BFD = torch.addcmul(n["feature_mean"], x_BFD, n["feature_std"]).cpu()
         codec = get_codec(self.bundle.config.codec)
-        out = []
-        for x, length, bent, asked in zip(x_BFD, frames, bends, wanted, strict=True):
-            features = x[:length]
-            for bend in bent:
-                features = bend.steering.clip(features, codec)
-            if asked is not None and len(features) != asked:
-                features = stand_on(features, codec, asked)
-            out.append((codec.decode(features), features[:, codec.groups["contacts"]] > PLANTED))
-        return out
+        clips = [x[:length] for x, length in zip(x_BFD, frames, strict=True)]
+        return [(codec.decode(x), x[:, codec.groups["contacts"]] > PLANTED) for x in clips]

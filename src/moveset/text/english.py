@@ -55,15 +55,6 @@ def inflect(verb: str, form: str) -> str:
     return verb + verb[-1] * _doubles(verb) + "ed"
 
 
-def inflections(*verbs: str) -> dict[str, str]:
-    """Every form of these verbs, and which of ``FORMS`` it is; the last of them where several are alike.
-
-    >>> inflections("run")
-    {'runs': 'present', 'running': 'ing', 'run': 'base', 'ran': 'past'}
-    """
-    return {inflect(verb, form): form for verb in verbs for form in FORMS}
-
-
 def inflect_marked(phrase: str, form: str) -> str:
     """A phrase with all its verbs, which brackets mark, in a form of ``inflect``.
 

@@ -5,14 +5,13 @@ Shapes: ``K`` known captions, ``P`` width of a pooled embedding.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import torch
 from torch import Tensor
 from torch.nn.functional import normalize
 
 from moveset.errors import InputError
-from moveset.text.vocabulary import figures_of, forms_of, objects_of, unread
+from moveset.text.vocabulary import figures_of, unread
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,29 +59,6 @@ class KnownPrompts:
         if figures and any(map(figures_of, self.sentences)):
             figures = []
         return (*words, *dict.fromkeys(figures))
-
-    def unpaired(self, sentence: str) -> tuple[str, ...]:
-        """Things done to what no caption does them to, though it has the words: "throws a ball" of those that throw a
-        punch and kick a ball.
-
-        Nothing is said of words that were in no caption (``unread``).
-        """
-        out = []
-        for verb, words, said in objects_of(sentence):
-            done, *held = (forms_of(word) & self._all_forms for word in (verb, *words))
-            if not (done and all(held)):
-                continue
-            if not any(done & caption and any(form & caption for form in held) for caption in self._forms):
-                out.append(said)
-        return tuple(dict.fromkeys(out))
-
-    @cached_property
-    def _forms(self) -> tuple[frozenset[str], ...]:
-        return tuple(map(forms_of, self.sentences))
-
-    @cached_property
-    def _all_forms(self) -> frozenset[str]:
-        return frozenset().union(*self._forms)
 
 
 @dataclass(frozen=True)

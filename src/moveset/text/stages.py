@@ -7,12 +7,20 @@ turn to one side is no stage of its own where somebody walks or runs before it: 
 
 import re
 
-from moveset.text.ellipsis import in_full
-from moveset.text.subject import PRONOUNS, SUBJECT
-
 MOST = 8  # stages of a sentence; what is beyond them stays with the last
 
-_PRONOUN = re.compile(rf"(?P<who>{PRONOUNS})\s+(?:(?:is|are|am|'s|'re)\s+)?", re.I)
+_NOUNS = (
+    "person|man|woman|human|figure|character|guy|girl|boy|child|kid|lady|gentleman|dancer|performer|individual|"
+    "subject|actor|actress|robot|zombie|soldier|hero|player|walker|runner|toddler|teenager|people"
+)
+_PRONOUNS = "he|she|they|it|you|we|i"
+# Whom a sentence is about, where it says so first: "a tall man", "someone", "they".
+_SUBJECT = re.compile(
+    rf"(?:(?:a|an|the|this|that|one|some|our)\s+(?:[\w'-]+\s+){{0,3}}?(?:{_NOUNS})|someone|somebody|{_PRONOUNS})\b",
+    re.I,
+)
+
+_PRONOUN = re.compile(rf"(?P<who>{_PRONOUNS})\s+(?:(?:is|are|am|'s|'re)\s+)?", re.I)
 _BESIDES = re.compile(
     r"^(?:(?:is|are|was|were)\s+)?(?:first(?:ly)?,?\s+|(?:starts|begins)\s+(?:off\s+)?(?:by|with)\s+)", re.I
 )
@@ -68,15 +76,14 @@ def split_stages(sentence: str) -> tuple[str, ...]:
     ('a woman walks and waves',)
     >>> split_stages("someone runs, then turns left, then bows")
     ('someone runs and then turns left', 'someone bows')
-    >>> split_stages("she raises her left arm, then her right")
-    ('she raises her left arm', 'she raises her right arm')
     """
-    text = in_full(sentence).strip().rstrip(".!")
-    subject = SUBJECT.match(text)
+    # A run of spaces would be searched from each of them to its end, and again.
+    text = " ".join(sentence.split()).rstrip(".!")
+    subject = _SUBJECT.match(text)
     who = subject.group() if subject else ""
     pieces = [text]
     if opening := _AFTER_FIRST.match(text):
-        found = SUBJECT.match(opening["second"])
+        found = _SUBJECT.match(opening["second"])
         who = found.group() if found else ""
         pieces = [opening["first"], opening["second"]]
     ordered: list[str] = []
@@ -95,7 +102,7 @@ def _on_their_way(parts: list[str]) -> list[str]:
     out: list[str] = []
     turned = False
     for part in parts:
-        who = SUBJECT.match(bare := _bare(part))
+        who = _SUBJECT.match(bare := _bare(part))
         turns = _TURNS.match(bare[who.end() :].strip() if who else bare)
         if out and turns and not turned and _TRAVELS.search(out[-1]):
             out[-1], turned = f"{_bare(out[-1])} and then {bare}", True
@@ -117,7 +124,7 @@ def _alone(part: str, who: str) -> str:
         # "they wave" has the form of a command, and "a person wave" would be no English.
         if pronoun["who"].lower() not in ("he", "she", "it") and not part.split(" ", 1)[0].endswith("ing"):
             return part
-    elif subject := SUBJECT.match(part):
+    elif subject := _SUBJECT.match(part):
         who, part = subject.group(), part[subject.end() :].strip()
     part = _BESIDES.sub("", part)
     if limb := _LIMB.fullmatch(part):

@@ -3,7 +3,6 @@
 import re
 from collections.abc import Iterable
 from functools import lru_cache
-from itertools import takewhile
 
 _WORD = re.compile(r"[^\W\d_]+(?:['’-][^\W\d_]+)*")
 _SUFFIXES = ("s", "es", "ed", "d", "ing", "ly", "er", "ers")
@@ -22,11 +21,6 @@ def words_of(sentence: str) -> list[str]:
     found = (word.replace("’", "'").lower() for word in _WORD.findall(sentence))
     return [word.removesuffix("'s") for word in found]
 
-
-_CLAUSE = re.compile(r"[,.;:!?]")
-_BEFORE_OBJECTS = frozenset(("a", "an", "the", "his", "her", "their", "some"))
-_SIDES = frozenset(("left", "right", "other"))
-_PARTICLES = frozenset(("up", "down", "off", "out", "away", "back", "over"))
 
 # Words that only hold a sentence together, or say no more than that somebody does it: no motion hangs on them. On "not"
 # all of it does.
@@ -84,35 +78,6 @@ def unread(sentence: str, vocabulary: Iterable[str]) -> tuple[str, ...]:
         if not is_known(word) and not ("-" in word and all(is_known(part) for part in word.split("-")))
     )
     return tuple(dict.fromkeys(missing))
-
-
-def objects_of(sentence: str) -> list[tuple[str, tuple[str, ...], str]]:
-    """What is done to something: a verb, the words of its object without grammar, and both as they are written.
-
-    An object begins with an article or "his", "her", "their", "some", after the verb and perhaps "up", "down" or the
-    like; after other words of grammar nothing is one ("in a circle").
-
-    >>> objects_of("A person picks up the big box, then throws a ball in a circle")
-    [('picks', ('big', 'box'), 'picks up the big box'), ('throws', ('ball',), 'throws a ball')]
-    """
-    out = []
-    for clause in _CLAUSE.split(sentence):
-        words, free = words_of(clause), 0
-        for at, word in enumerate(words):
-            verb = at - 2 if at > 1 and words[at - 1] in _PARTICLES else at - 1
-            # What was held a moment ago does nothing itself: "raises a ball over the head".
-            if word not in _BEFORE_OBJECTS or verb < free or words[verb] in _GRAMMAR:
-                continue
-            named = [*takewhile(lambda held: held not in _GRAMMAR or held in _SIDES, words[at + 1 :])]
-            if held := tuple(word for word in named if word not in _SIDES):
-                free = at + 1 + len(named)
-                out.append((words[verb], held, " ".join(words[verb:free])))
-    return out
-
-
-def forms_of(sentence: str) -> frozenset[str]:
-    """Every stem that a word of a sentence may have, to be compared with another's."""
-    return frozenset().union(*map(_stems_of, words_of(sentence)))
 
 
 @lru_cache(maxsize=8)
