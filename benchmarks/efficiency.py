@@ -39,7 +39,7 @@ from efficiency_methods import HORIZON, PARALLELOGRAM, ROWS, SIZES, TRIANGLE, Me
 from efficiency_tally import Meter, Tally
 from moveset.errors import exit_code_of
 from moveset.evaluation.machine import cpu_name, peak_mb
-from moveset.pipelines.verified_folder import json_object
+from moveset.io.manifest import json_object
 
 LENGTH_ROWS = (
     *(Row(f"RDM-{n}", TRIANGLE) for n in (4, 7, 14)),

@@ -10,11 +10,11 @@ import torch
 
 from moveset import MotionStream, TextToMotion
 from moveset.io import load
+from moveset.io.manifest import VerifiedFolder
 from moveset.pipelines.bundle import DEFAULT_MODEL, Bundle, shipped
 from moveset.pipelines.stream_bundle import DEFAULT_STREAM, StreamBundle
 from moveset.pipelines.stream_group import StreamGroup
 from moveset.pipelines.stream_settings import check_stream
-from moveset.pipelines.verified_folder import VerifiedFolder
 
 ROOT = Path(__file__).resolve().parents[1]
 EXAMPLES = sorted((ROOT / "examples").glob("0*.py"))

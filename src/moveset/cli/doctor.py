@@ -77,8 +77,8 @@ def _device(name: str) -> dict[str, Any]:
 
 
 def _weights() -> dict[str, Any]:
+    from moveset.io.manifest import VerifiedFolder
     from moveset.pipelines.model_folder import shipped
-    from moveset.pipelines.verified_folder import VerifiedFolder
 
     folders = shipped()
     if not folders:

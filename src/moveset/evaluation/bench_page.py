@@ -11,7 +11,7 @@ from moveset.evaluation.plots import COLOURS, GREY, STYLE
 from moveset.evaluation.published import tables
 from moveset.evaluation.quality_time import Judged, pareto
 from moveset.io.limits import atomic_write, read_limited
-from moveset.pipelines.verified_folder import json_object
+from moveset.io.manifest import json_object
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

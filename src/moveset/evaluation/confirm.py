@@ -17,7 +17,7 @@ from moveset.errors import FormatError
 from moveset.evaluation import same_code
 from moveset.evaluation.results import CODE, COUNTS, REMEDY, Results, depends
 from moveset.io.limits import read_limited
-from moveset.pipelines.verified_folder import json_object
+from moveset.io.manifest import json_object
 
 Make = Callable[[int], Mapping[str, Any]]
 RELATIVE = 1e-5

@@ -24,7 +24,7 @@ from moveset.evaluation import same_code
 from moveset.evaluation.intervals import Interval
 from moveset.evaluation.protocol import Session
 from moveset.io.limits import atomic_write, read_limited
-from moveset.pipelines.verified_folder import json_object
+from moveset.io.manifest import json_object
 
 #: What turns motions into numbers: a change here makes repeats anew.
 _MEASURES = (

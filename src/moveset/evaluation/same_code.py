@@ -17,7 +17,7 @@ from typing import Any
 from moveset.errors import FormatError
 from moveset.io.limits import atomic_write, read_limited
 from moveset.io.lock import locked
-from moveset.pipelines.verified_folder import json_object
+from moveset.io.manifest import json_object
 
 FILE = "same-code.json"
 MEASURES = "measures"

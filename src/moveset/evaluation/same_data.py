@@ -21,7 +21,7 @@ from moveset.evaluation.protocol import Protocol, run_repeat
 from moveset.evaluation.results import REMEDY, head
 from moveset.evaluation.suites import REAL
 from moveset.io.limits import read_limited
-from moveset.pipelines.verified_folder import json_object
+from moveset.io.manifest import json_object
 
 _ALIKE = ("items", "distinct_texts", "labels", "evaluator")
 

@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Generic, TypeVar
 
 from moveset.errors import FormatError, InputError
+from moveset.io.manifest import json_object
 from moveset.pipelines.model_folder import shipped
-from moveset.pipelines.verified_folder import json_object
 
 CLIPS, STREAMS = "motionpcm-small", "rdm-small"
 REAL, RECONSTRUCTION = "real", "vae"

@@ -20,7 +20,7 @@ from moveset.evaluation.suites import REAL, RECONSTRUCTION, Row, RowResult, Suit
 from moveset.evaluation.targets import Check, Difference, checks, differences
 from moveset.io.limits import atomic_write
 from moveset.io.lock import locked
-from moveset.pipelines.verified_folder import json_object
+from moveset.io.manifest import json_object
 
 ROWS = "rows.json"
 OWN = ("result", "missing")  # of an entry of that file, beside the row itself

@@ -25,11 +25,11 @@ from safetensors.torch import save as save_safetensors
 from torch import Tensor, nn
 
 from moveset.errors import FormatError, InputError
+from moveset.io.manifest import VerifiedFolder, json_bytes, json_object, write_whole
 from moveset.models.packed import PACKABLE, can_pack, pack
 from moveset.motion.features import get_codec
 from moveset.motion.native import NativeCodec
 from moveset.pipelines.stored_weights import halved, restored, subtracted
-from moveset.pipelines.verified_folder import VerifiedFolder, json_bytes, json_object, write_whole
 from moveset.text.familiarity import KnownPrompts
 
 FORMAT = 1

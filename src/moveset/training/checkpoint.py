@@ -5,27 +5,33 @@ are fsynced, the folder is renamed to ``step_N/``, the parent is fsynced. A fold
 ``manifest.json`` is there and every file it names has that size and hash; "the latest" is the highest N of those.
 """
 
-import hashlib
-import json
 import os
 import re
 import shutil
 import warnings
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import safetensors.torch
-from safetensors import SafetensorError
 from torch import Tensor, nn
 
 from moveset.errors import FormatError, InputError, MovesetError
+from moveset.io.limits import read_limited
+from moveset.io.manifest import (
+    MANIFEST,
+    MAX_JSON,
+    VerifiedFolder,
+    json_bytes,
+    json_object,
+    parse_tensors,
+    sync_folder,
+    write_files,
+)
 
-MANIFEST = "manifest.json"
-MAX_JSON_BYTES = 16 << 20
 _STEP = re.compile(r"step_(0|[1-9]\d*)")
 _TEMPORARY = ".tmp-"
-_PLAIN_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]*")
+_REMEDY = "use another checkpoint"
 
 
 def write(
@@ -50,19 +56,9 @@ def write(
     try:
         folder.mkdir(parents=True, exist_ok=True)
         temporary.mkdir()
-        files = {}
-        for name, values in tensors.items():
-            # Cloning resolves tensors that share memory, which safetensors rightly refuses.
-            content = {key: value.detach().cpu().clone().contiguous() for key, value in values.items()}
-            files[f"{name}.safetensors"] = _write_file(
-                temporary, f"{name}.safetensors", safetensors.torch.save(content)
-            )
-        for name, document in documents.items():
-            files[f"{name}.json"] = _write_file(temporary, f"{name}.json", _json_bytes(document))
-        _write_file(temporary, MANIFEST, _json_bytes({"format": 1, "step": step, "files": files}))
-        _sync_folder(temporary)
+        write_files(temporary, _contents(tensors, documents), {"format": 1, "step": step})
         os.rename(temporary, target)
-        _sync_folder(folder)
+        sync_folder(folder)
     except OSError as error:
         shutil.rmtree(temporary, ignore_errors=True)
         raise MovesetError(
@@ -87,20 +83,11 @@ def verify(path: Path) -> dict[str, Any]:
     """
     if not path.is_dir():
         raise InputError(f"there is no checkpoint at {path}; give a folder step_N written by `moveset train`")
-    manifest = _read_json(path / MANIFEST)
-    files = manifest.get("files")
-    if manifest.get("format") != 1 or not isinstance(files, dict):
-        raise FormatError(f"{path / MANIFEST} is not a checkpoint manifest of format 1; the checkpoint cannot be used")
-    for name, entry in files.items():
-        if not _PLAIN_NAME.fullmatch(name) or not isinstance(entry, dict):
-            raise FormatError(f"{path / MANIFEST} lists {name!r}, which is not a plain file name with size and hash")
-        file = path / name
-        if not file.is_file() or file.stat().st_size != entry.get("bytes"):
-            size = file.stat().st_size if file.is_file() else "no"
-            raise FormatError(f"{file} should have {entry.get('bytes')} bytes and has {size}; use another checkpoint")
-        if _hash_file(file) != entry.get("sha256"):
-            raise FormatError(f"{file} does not have the sha256 that its manifest names; use another checkpoint")
-    return manifest
+    folder = VerifiedFolder(path, "checkpoint", _REMEDY)
+    if folder.document.get("format") != 1:
+        raise FormatError(f"{path / MANIFEST} is not a checkpoint manifest of format 1; {_REMEDY}")
+    folder.verify()
+    return folder.document
 
 
 def steps(folder: Path) -> list[int]:
@@ -150,15 +137,15 @@ def read_tensors(path: Path, name: str) -> dict[str, Tensor]:
     if not file.is_file():
         have = sorted(item.stem for item in path.glob("*.safetensors"))
         raise InputError(f"{path} holds no {name!r}; it holds {', '.join(have) or 'nothing'}")
-    try:
-        return safetensors.torch.load(file.read_bytes())
-    except SafetensorError as error:
-        raise FormatError(f"{file} is not a safetensors file ({error}); use another checkpoint") from error
+    return parse_tensors(file.read_bytes(), file, _REMEDY)
 
 
 def read_document(path: Path, name: str) -> dict[str, Any]:
     """The JSON object in ``NAME.json`` of a checkpoint. Raises FormatError if it is missing or damaged."""
-    return _read_json(path / f"{name}.json")
+    file = path / f"{name}.json"
+    if not file.is_file():
+        raise FormatError(f"{file} is missing, so its folder is not a complete checkpoint; {_REMEDY}")
+    return json_object(read_limited(file, MAX_JSON), file, _REMEDY)
 
 
 def load_module(module: nn.Module, path: Path, name: str, lacking: Collection[str] = ()) -> None:
@@ -213,44 +200,12 @@ def clean(folder: Path) -> None:
             item.unlink()
 
 
-def _write_file(folder: Path, name: str, content: bytes) -> dict[str, Any]:
-    if not _PLAIN_NAME.fullmatch(name):
-        raise ValueError(f"{name!r} cannot be the name of a checkpoint file")
-    with open(folder / name, "xb") as file:
-        file.write(content)
-        file.flush()
-        os.fsync(file.fileno())
-    return {"bytes": len(content), "sha256": hashlib.sha256(content).hexdigest()}
-
-
-def _sync_folder(folder: Path) -> None:
-    if os.name == "nt":  # Windows cannot open folders; its rename is journaled
-        return
-    descriptor = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
-
-
-def _hash_file(file: Path) -> str:
-    with open(file, "rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()
-
-
-def _json_bytes(document: Mapping[str, Any]) -> bytes:
-    return (json.dumps(document, indent=1, allow_nan=False) + "\n").encode()
-
-
-def _read_json(file: Path) -> dict[str, Any]:
-    if not file.is_file():
-        raise FormatError(f"{file} is missing, so its folder is not a complete checkpoint; use another one")
-    if (size := file.stat().st_size) > MAX_JSON_BYTES:
-        raise FormatError(f"{file} has {size} bytes, more than the {MAX_JSON_BYTES} that are read; use another one")
-    try:
-        document = json.loads(file.read_bytes())
-    except (ValueError, RecursionError) as error:
-        raise FormatError(f"{file} is not JSON ({error}); use another checkpoint") from error
-    if not isinstance(document, dict):
-        raise FormatError(f"{file} holds no JSON object; use another checkpoint")
-    return document
+def _contents(
+    tensors: Mapping[str, Mapping[str, Tensor]], documents: Mapping[str, Mapping[str, Any]]
+) -> Iterator[tuple[str, bytes]]:
+    for name, values in tensors.items():
+        # Cloning resolves tensors that share memory, which safetensors rightly refuses.
+        content = {key: value.detach().cpu().clone().contiguous() for key, value in values.items()}
+        yield f"{name}.safetensors", safetensors.torch.save(content)
+    for name, document in documents.items():
+        yield f"{name}.json", json_bytes(document, allow_nan=False)

@@ -11,12 +11,12 @@ from typing import Any
 from safetensors.torch import save as save_safetensors
 
 from moveset.errors import InputError, exit_code_of
+from moveset.io.manifest import json_bytes, write_whole
 from moveset.models.registry import describe, require_range
 from moveset.pipelines.bundle import Bundle
 from moveset.pipelines.model_folder import FORMAT, TEXT_TO_MOTION, ModelSpec, find_folder, task_of
 from moveset.pipelines.stored_weights import MAX_ERROR, subtracted
 from moveset.pipelines.stream_bundle import StreamBundle
-from moveset.pipelines.verified_folder import json_bytes, write_whole
 from moveset.training import frozen
 from moveset.training.pack import check_phases, student_phases
 from moveset.training.pack_stream import by_network
