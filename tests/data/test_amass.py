@@ -74,5 +74,5 @@ def test_a_shape_file_is_no_motion(tmp_path):
     np.savez(tmp_path / "shape.npz", betas=np.zeros(16))
     with pytest.raises(FormatError, match="poses"):
         read_amass(tmp_path / "shape.npz")
-    with pytest.raises(InputError, match="no file"):
+    with pytest.raises(InputError, match="No such file"):
         read_amass(tmp_path / "nothing.npz")

@@ -22,7 +22,7 @@ from moveset.data.compose import add_compositions
 from moveset.data.corpus import Corpus, CorpusWriter
 from moveset.data.raw import find_takes, unpacked
 from moveset.errors import FormatError, InputError
-from moveset.io.lock import locked
+from moveset.io.process import locked
 
 
 @given(st.integers(1, 5000))

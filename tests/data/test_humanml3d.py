@@ -95,7 +95,7 @@ def test_what_is_wrong_is_said(tmp_path):
         (lambda: data.features("thin"), "262"),
         (lambda: data.captions("odd"), "odd.txt"),
         (lambda: data.captions("nobody"), "nobody.txt"),
-        (lambda: data.features("nobody"), "no file"),
+        (lambda: data.features("nobody"), "No such file"),
         (lambda: data.items("dev"), "no split"),
         (lambda: HumanML3D.open(good, KIT).mean, "251"),
     ):

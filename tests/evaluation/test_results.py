@@ -307,7 +307,7 @@ def test_what_nobody_has_thought_of_is_told_with_its_repeat(job, tmp_path, monke
 
 PARENT = """
 import multiprocessing, os, time
-from moveset.io.parent import end_with_parent
+from moveset.io.process import end_with_parent
 
 def idle():
     end_with_parent()

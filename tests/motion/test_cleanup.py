@@ -9,8 +9,8 @@ from moveset.motion import measures, rotations
 from moveset.motion.cleanup import lock_feet, move_feet, smooth
 from moveset.motion.clip import Motion
 from moveset.motion.contacts import stances
-from moveset.motion.inertia import decay, settle
 from moveset.motion.skeleton import HML22, Skeleton
+from moveset.motion.smoothing import decay, settle
 from tests.motions import gait, shaken, smooth_noise, wander
 
 LEGS = [1, 2, 4, 5]

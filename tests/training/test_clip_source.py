@@ -12,7 +12,7 @@ from moveset.data.corpus import Corpus
 from moveset.data.humanml3d import HUMANML3D, KIT
 from moveset.data.synthetic import synthetic_corpus
 from moveset.errors import InputError
-from moveset.io.lock import locked
+from moveset.io.process import locked
 from moveset.motion.features import get_codec
 from moveset.training import checkpoint, clips
 from moveset.training.clip_source import CorpusClips, FolderClips, clip_weights, open_clips

@@ -9,7 +9,7 @@ import torch
 from torch import nn
 
 from moveset.errors import InputError, MovesetError
-from moveset.io.lock import locked
+from moveset.io.process import locked
 from moveset.training import checkpoint, resume
 from moveset.training.engine import EngineConfig, Task, run, stream_seed
 from tests.training.tiny_task import TinyConfig, TinyTask, train

@@ -5,8 +5,8 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from moveset.data.numpy_files import read_npz
 from moveset.errors import FormatError
+from moveset.io.arrays import read_arrays
 from moveset.motion import rotations
 from moveset.motion.clip import Motion
 from moveset.motion.skeleton import HML22
@@ -31,7 +31,7 @@ def read_amass(path: str | Path, fps: float = 20.0) -> Motion:
         InputError: the file is missing, or fps is out of range.
         FormatError: arrays are missing, do not belong together, are not finite or too long.
     """
-    found = read_npz(path, ("poses", "trans", "mocap_framerate", "mocap_frame_rate"))
+    found = read_arrays(path, ("poses", "trans", "mocap_framerate", "mocap_frame_rate"))
     rate = found.get("mocap_framerate", found.get("mocap_frame_rate"))
     missing = [n for n in ("poses", "trans") if n not in found] + ["mocap_framerate"] * (rate is None)
     if missing or rate is None:

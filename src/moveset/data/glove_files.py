@@ -8,9 +8,9 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from moveset.data.numpy_files import read_npy
 from moveset.data.plain_pickle import read_plain_pickle
 from moveset.errors import FormatError, InputError
+from moveset.io.arrays import read_array
 
 PREFIX = "our_vab"
 MAX_WORDS = 2_000_000
@@ -46,7 +46,7 @@ def read_vocabulary(folder: str | Path) -> tuple[tuple[str, ...], Tensor]:
     words, rows = read_plain_pickle(names["words.pkl"]), read_plain_pickle(names["idx.pkl"])
     if not isinstance(words, list) or not all(isinstance(word, str) for word in words) or not words:
         raise FormatError(f"{names['words.pkl']} is no list of words; restore the original")
-    vectors = read_npy(names["data.npy"])
+    vectors = read_array(names["data.npy"])
     if vectors.ndim != 2 or not 1 <= vectors.shape[1] <= MAX_WIDTH or not torch.isfinite(vectors).all():
         raise FormatError(
             f"{names['data.npy']} of shape {tuple(vectors.shape)} is no table of finite vectors; restore it"

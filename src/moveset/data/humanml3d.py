@@ -14,8 +14,8 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from moveset.data.numpy_files import npy_shape, read_npy
 from moveset.errors import FormatError, InputError
+from moveset.io.arrays import array_shape, read_array
 
 _MAX_TEXT = 2**20
 
@@ -196,7 +196,7 @@ class HumanML3D:
             raise InputError(f"there is no split {split!r}; use 'train', 'val' or 'test'")
         items = []
         for name in self.splits[split]:
-            frames = (npy_shape(self.folder / "new_joint_vecs" / f"{name}.npy") or (0,))[0]
+            frames = (array_shape(self.folder / "new_joint_vecs" / f"{name}.npy") or (0,))[0]
             if not self._fits(frames):
                 continue
             captions = self.captions(name)
@@ -227,7 +227,7 @@ class HumanML3D:
         return self.layout.shortest <= frames < self.layout.too_long
 
     def _statistic(self, name: str) -> Tensor:
-        values = read_npy(self.folder / name)
+        values = read_array(self.folder / name)
         if tuple(values.shape) != (self.layout.features,) or not torch.isfinite(values).all():
             raise FormatError(
                 f"{self.folder / name} holds {tuple(values.shape)} numbers, not {self.layout.features} finite ones"
@@ -235,7 +235,7 @@ class HumanML3D:
         return values
 
     def _checked(self, path: Path, shape: tuple[int, ...]) -> Tensor:
-        values = read_npy(path)
+        values = read_array(path)
         if values.ndim != len(shape) + 1 or tuple(values.shape[1:]) != shape or len(values) < 1:
             raise FormatError(f"{path} has the shape {tuple(values.shape)}, not {('F', *shape)}; restore the original")
         if not torch.isfinite(values).all():
@@ -245,7 +245,7 @@ class HumanML3D:
 
 def _layout_of(folder: Path, name: str) -> Layout:
     source = folder / "Mean.npy"
-    width = npy_shape(source if source.is_file() else folder / "new_joint_vecs" / f"{name}.npy")[-1:]
+    width = array_shape(source if source.is_file() else folder / "new_joint_vecs" / f"{name}.npy")[-1:]
     for layout in (HUMANML3D, KIT):
         if width == (layout.features,):
             return layout

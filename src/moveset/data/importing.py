@@ -15,7 +15,7 @@ from moveset.data import bandai_namco, cmu
 from moveset.data.takes import RejectedTake, TakeRef
 from moveset.errors import FormatError, MovesetError
 from moveset.io.limits import atomic_write
-from moveset.io.parent import end_with_parent
+from moveset.io.process import end_with_parent
 from moveset.motion.clip import Motion
 
 #: Part of every imported take's stamp: raise it when an importer changes.

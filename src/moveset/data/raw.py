@@ -10,7 +10,7 @@ from pathlib import Path
 from moveset.data import bandai_namco, cmu
 from moveset.data.takes import TakeRef
 from moveset.errors import FormatError, InputError
-from moveset.io.lock import locked
+from moveset.io.process import locked
 
 _ARCHIVES = {"bandai-namco.tar.xz": ("dataset-1", "dataset-2"), "cmu.tar.xz": ("cmu",)}
 _MAX_UNPACKED = 16 * 2**30

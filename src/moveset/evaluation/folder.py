@@ -17,10 +17,10 @@ import torch
 from torch import Tensor
 
 from moveset.data.humanml3d import Caption, parse_caption
-from moveset.data.numpy_files import read_npy
 from moveset.errors import FormatError, InputError
 from moveset.evaluation.generators import resampled
 from moveset.evaluation.items import Item, ItemSet
+from moveset.io.arrays import read_array
 from moveset.io.limits import read_limited
 from moveset.motion.features import get_codec
 from moveset.motion.hml import HmlCodec
@@ -82,7 +82,7 @@ def _item(name: str, joints: Tensor, caption: Caption | str, codec: HmlCodec) ->
 
 
 def _joints(path: Path, codec: HmlCodec, fps: float) -> Tensor:
-    joints, count = read_npy(path), len(codec.skeleton)
+    joints, count = read_array(path), len(codec.skeleton)
     if joints.ndim != 3 or tuple(joints.shape[1:]) != (count, 3):
         raise InputError(
             f"{path} holds {tuple(joints.shape)}, not joints (frames, {count}, 3); give joints in HumanML3D's order"

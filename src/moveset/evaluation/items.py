@@ -19,9 +19,9 @@ from moveset.data.captions import heldout_captions, heldout_composed_captions
 from moveset.data.corpus import Corpus
 from moveset.data.humanml3d import Caption, HumanML3D
 from moveset.data.humanml3d import Item as FolderItem
-from moveset.data.numpy_files import npy_shape
 from moveset.data.splits import Split
 from moveset.errors import InputError
+from moveset.io.arrays import array_shape
 from moveset.motion.clip import Motion
 from moveset.motion.features import get_codec
 from moveset.motion.hml import HmlCodec
@@ -228,7 +228,7 @@ def long_items(data: HumanML3D, split: Split) -> ItemSet:
     assert isinstance(codec, HmlCodec)
     found = []
     for name in data.splits[split]:
-        rows = npy_shape(data.folder / "new_joint_vecs" / f"{name}.npy")[0]
+        rows = array_shape(data.folder / "new_joint_vecs" / f"{name}.npy")[0]
         whole = tuple(c for c in data.captions(name) if c.start == 0 and c.end == 0)
         if rows >= data.layout.too_long and whole:
             found.append(FolderItem(name, 0, rows, whole))

@@ -21,7 +21,7 @@ from moveset.evaluation.items import ItemSet, open_items
 from moveset.evaluation.protocol import Protocol, Session, run_repeat
 from moveset.evaluation.results import Results
 from moveset.evaluation.rollout import run_rollout
-from moveset.io.parent import end_with_parent
+from moveset.io.process import end_with_parent
 from moveset.pipelines.bundle import DEFAULT_MODEL, SOLVERS, Bundle
 from moveset.pipelines.device import pick_device
 from moveset.pipelines.model_folder import BASELINE, STREAM, find_folder, task_of

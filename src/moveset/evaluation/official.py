@@ -22,9 +22,9 @@ from torch import Tensor
 
 from moveset.data.glove_files import read_glove
 from moveset.data.humanml3d import HUMANML3D, KIT, Layout
-from moveset.data.numpy_files import read_npy
 from moveset.errors import FormatError, InputError
 from moveset.evaluation.evaluator import Evaluator, EvaluatorCard
+from moveset.io.arrays import read_array
 from moveset.models.evaluator import CONTACTS, EvaluatorConfig, MatchingEvaluator
 from moveset.text.glove import GloveWords
 
@@ -234,7 +234,7 @@ def _either(folder: Path, name: str) -> Path:
 
 
 def _read_statistic(path: Path, features: int) -> Tensor:
-    values = read_npy(path)
+    values = read_array(path)
     # Standard deviations of exactly 0 would come out as infinite features.
     positive = path.stem.lower() == "mean" or bool((values > 0).all())
     if tuple(values.shape) != (features,) or not torch.isfinite(values).all() or not positive:

@@ -16,8 +16,8 @@ from typing import Any
 
 from moveset.errors import FormatError
 from moveset.io.limits import atomic_write, read_limited
-from moveset.io.lock import locked
 from moveset.io.manifest import json_object
+from moveset.io.process import locked
 
 FILE = "same-code.json"
 MEASURES = "measures"

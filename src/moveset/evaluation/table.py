@@ -19,8 +19,8 @@ from moveset.evaluation.repeat_pairs import RepeatPairs, Values, repeat_pairs
 from moveset.evaluation.suites import REAL, RECONSTRUCTION, Row, RowResult, Suite, get_suite
 from moveset.evaluation.targets import Check, Difference, checks, differences
 from moveset.io.limits import atomic_write
-from moveset.io.lock import locked
 from moveset.io.manifest import json_object
+from moveset.io.process import locked
 
 ROWS = "rows.json"
 OWN = ("result", "missing")  # of an entry of that file, beside the row itself

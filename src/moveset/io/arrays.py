@@ -2,14 +2,15 @@
 
 F frames, J joints. A native npz holds ``rotations`` (F, J, 4) xyzw and ``root`` (F, 3) m, both float32, ``fps``,
 ``skeleton`` (its name), ``joints`` (J,) names, ``parents`` (J,) with -1 for the root, ``offsets`` (J, 3) m of the rest
-pose, and ``metadata``, a JSON object.
+pose, and ``metadata``, a JSON object. Arrays that are no motion (statistics, features, word vectors) are read as they
+are by ``read_array`` and ``read_arrays``.
 """
 
 import json
 import math
 import zipfile
 import zlib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from io import BytesIO
 from pathlib import Path
 from typing import IO, Any, NoReturn
@@ -17,6 +18,7 @@ from typing import IO, Any, NoReturn
 import numpy as np
 import roma
 import torch
+from torch import Tensor
 
 from moveset.errors import FormatError, InputError
 from moveset.io.limits import (
@@ -142,6 +144,40 @@ def read_npy(path: str | Path, *, fps: float = 20.0) -> Motion:
     return solve_rotations(torch.from_numpy(joints.astype(np.float32)), fps)
 
 
+def read_array(path: str | Path) -> Tensor:
+    """The real numbers in an npy file of any shape, as float32; NaN and infinities are whoever's who asks.
+
+    Raises:
+        InputError: the file is missing or unreadable.
+        FormatError: no npy file of real numbers, damaged, or over 512 MB.
+    """
+    data = read_limited(path, MAX_NPZ_BYTES)
+    return _float32(_array(BytesIO(data), len(data), str(path), "fiu", finite=False))
+
+
+def read_arrays(path: str | Path, names: Iterable[str]) -> dict[str, Tensor]:
+    """The named arrays of an npz that exist in it, as ``read_array``; others (objects, strings) are never touched.
+
+    Raises:
+        InputError, FormatError: as ``read_array``, for the file or a named array.
+    """
+    with _Npz(path) as npz:
+        return {name: _float32(npz.array(name, "fiu", None, finite=False)) for name in names if name in npz.names}
+
+
+def array_shape(path: str | Path) -> tuple[int, ...]:
+    """The shape of the array in an npy file, from its header alone.
+
+    Raises:
+        InputError, FormatError: as ``read_array``.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(f"there is no file {path}; check the path")
+    with path.open("rb") as file:
+        return _header(file, path.stat().st_size, str(path), "fiu")[0]
+
+
 def npz_metadata(path: str | Path) -> dict[str, Any]:
     """The metadata of a native npz; empty for others.
 
@@ -224,8 +260,8 @@ class _Npz:
     def fail(self, message: str) -> NoReturn:
         raise FormatError(f"{self.path}: {message}")
 
-    def array(self, name: str, kinds: str, shape: tuple[int | None, ...]) -> np.ndarray:
-        """An array of one of the dtype kinds and of a shape, None standing for any size."""
+    def array(self, name: str, kinds: str, shape: tuple[int | None, ...] | None, *, finite: bool = True) -> np.ndarray:
+        """An array of one of the dtype kinds and of a shape, in which None stands for any size."""
         if name not in self.names:
             self.fail(f"it lacks {name!r}; save it again")
         member = self.names[name]
@@ -233,21 +269,19 @@ class _Npz:
             self.fail(f"{name!r} is encrypted or packed in an unusual way; save it with numpy.savez")
         try:
             with self.zip.open(member) as file:
-                values = _array(file, member.file_size, f"{self.path}, {name!r}", kinds)
+                values = _array(file, member.file_size, f"{self.path}, {name!r}", kinds, finite=finite)
         except (zipfile.BadZipFile, zlib.error, EOFError, OSError, ValueError, NotImplementedError) as error:
             raise FormatError(f"{self.path}: {name!r} is damaged ({error}); save it again") from error
-        if len(values.shape) != len(shape) or any(w not in (None, h) for h, w in zip(values.shape, shape, strict=True)):
+        if shape is not None and (
+            len(values.shape) != len(shape) or any(w not in (None, h) for h, w in zip(values.shape, shape, strict=True))
+        ):
             wanted = ", ".join("any" if size is None else str(size) for size in shape)
             self.fail(f"{name!r} has shape {values.shape} and not ({wanted}); it is damaged")
         return values
 
 
-def _array(file: IO[bytes], size: int, where: str, kinds: str) -> np.ndarray:
-    """An npy array from a stream of ``size`` bytes whose header is judged before anything is allocated.
-
-    Raises:
-        FormatError: another type than ``kinds`` (numpy's letters), sizes that disagree, numbers not finite or absurd.
-    """
+def _header(file: IO[bytes], size: int, where: str, kinds: str) -> tuple[tuple[int, ...], bool, np.dtype]:
+    """Shape, whether in Fortran order, and type of an npy array; the rest of ``size`` bytes are its numbers."""
     try:
         version = np.lib.format.read_magic(file)
         if version not in ((1, 0), (2, 0)):
@@ -258,14 +292,31 @@ def _array(file: IO[bytes], size: int, where: str, kinds: str) -> np.ndarray:
         raise FormatError(f"{where}: no npy header ({str(error)[:80]}); save it again with numpy") from error
     if dtype.kind not in kinds or dtype.hasobject:
         raise FormatError(f"{where}: its type is {dtype}, not numbers of the kind needed; save it as plain numbers")
-    count = math.prod(shape)
-    if min(shape, default=0) < 0 or count * dtype.itemsize > min(size, MAX_NPZ_BYTES):
-        raise FormatError(f"{where}: shape {shape} needs more bytes than the file has; it is truncated or damaged")
-    raw = file.read(count * dtype.itemsize)
-    if len(raw) != count * dtype.itemsize:
+    needed, rest = math.prod(shape) * dtype.itemsize, size - file.tell()
+    if min(shape, default=0) < 0 or needed > min(rest, MAX_NPZ_BYTES):
+        raise FormatError(f"{where}: shape {shape} needs more bytes than the file has, or the limit; it is damaged")
+    if needed != rest:
+        raise FormatError(f"{where}: shape {shape} needs {needed} bytes and the file has {rest}; it is damaged")
+    return shape, fortran, dtype
+
+
+def _array(file: IO[bytes], size: int, where: str, kinds: str, *, finite: bool = True) -> np.ndarray:
+    """An npy array from a stream of ``size`` bytes whose header is judged before anything is allocated.
+
+    Raises:
+        FormatError: another type than ``kinds`` (numpy's letters), sizes that disagree, or, if they must be
+            ``finite``, numbers that are not or absurd.
+    """
+    shape, fortran, dtype = _header(file, size, where, kinds)
+    raw = file.read(math.prod(shape) * dtype.itemsize)
+    if len(raw) != math.prod(shape) * dtype.itemsize:
         raise FormatError(f"{where}: {len(raw)} bytes for shape {shape} of {dtype}; it is truncated")
     values = np.frombuffer(raw, dtype=dtype).reshape(shape, order="F" if fortran else "C")
     # The limit itself would be infinite in float16.
-    if dtype.kind == "f" and not (np.abs(values) <= np.float64(MAX_NUMBER)).all():
+    if finite and dtype.kind == "f" and not (np.abs(values) <= np.float64(MAX_NUMBER)).all():
         raise FormatError(f"{where}: it holds NaN, infinite or absurd numbers; save it again")
     return values
+
+
+def _float32(values: np.ndarray) -> Tensor:
+    return torch.from_numpy(np.array(values, dtype=np.float32, order="C"))

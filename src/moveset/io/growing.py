@@ -7,11 +7,12 @@ piece that it was writing.
 
 import os
 from bisect import bisect_right
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import accumulate
 from pathlib import Path
+from typing import BinaryIO
 
-from moveset.errors import InputError
+from moveset.errors import FormatError, InputError
 
 _BINARY = getattr(os, "O_BINARY", 0)  # Windows would write line ends of its own
 
@@ -123,6 +124,28 @@ class GrowingText:
     def _seal(self) -> None:
         """Bring the part to the last byte of the file that it becomes."""
         self._file.cut()
+
+
+def recover_text(path: Path, mend: Callable[[BinaryIO], int]) -> int:
+    """Make ``path.part``, which nobody writes any more, ``path``; the number of its frames.
+
+    Args:
+        mend: cuts an open file after its last whole frame, makes it valid and counts its frames; 0 leaves it as it is.
+
+    Raises:
+        InputError: it is still being written.
+        FormatError: it holds no whole frame, or is no take.
+        OSError: it cannot be read or written.
+    """
+    part = part_of(path)
+    with part.open("r+b") as file:
+        claim(file.fileno(), part)
+        if not (frames := mend(file)):
+            raise FormatError(f"{part} holds no whole frame of a take; delete it")
+        file.flush()
+        os.fsync(file.fileno())
+    os.replace(part, path)
+    return frames
 
 
 def part_of(path: Path) -> Path:

@@ -161,7 +161,7 @@ def sync_folder(folder: Path) -> None:
 
 
 def json_bytes(data: Mapping[str, object], *, allow_nan: bool = True) -> bytes:
-    """A JSON object as it is written. Raises ValueError for numbers that JSON does not have, unless they are allowed."""
+    """A JSON object as it is written. Raises ValueError for numbers that JSON lacks, unless they are allowed."""
     return (json.dumps(data, indent=1, ensure_ascii=False, allow_nan=allow_nan) + "\n").encode()
 
 

@@ -1,11 +1,10 @@
 """A take as BVH: rows are appended as they come, and the number of frames, in a field of fixed width, follows them."""
 
-import os
 from pathlib import Path
+from typing import BinaryIO
 
-from moveset.errors import FormatError
 from moveset.io.bvh import BvhText
-from moveset.io.growing import GrowingText, claim, part_of
+from moveset.io.growing import GrowingText, recover_text
 from moveset.io.limits import MAX_BYTES, MAX_LINE
 from moveset.motion.clip import Motion
 from moveset.motion.skeleton import Skeleton
@@ -47,35 +46,27 @@ class BvhTake(GrowingText):
 
 
 def recover_bvh(path: Path) -> int:
-    """Cut ``path.part`` after its last whole frame, make it ``path``, and return the number of its frames.
+    """Cut ``path.part`` after its last whole frame and make it ``path``, as ``recover_text`` does."""
+    return recover_text(path, _mend)
 
-    Raises:
-        InputError: it is still being written.
-        FormatError: it holds no whole frame, or is no take.
-        OSError: it cannot be read or written.
-    """
-    part = part_of(path)
-    with part.open("r+b") as file:
-        claim(file.fileno(), part)
-        count_at = -1
-        for _ in range(_HEAD_LINES):
-            line = file.readline(MAX_LINE)
-            if line.startswith(b"Frames: ") and len(line) == len(f"Frames: {_COUNT.format(0)}\n"):
-                count_at = file.tell() - len(line) + len("Frames: ")
-            if line.startswith(b"Frame Time: ") or not line:
-                break
-        end = start = file.tell()
-        frames = 0
-        while block := file.read(_BLOCK):
-            if (last := block.rfind(b"\n")) >= 0:
-                end = start + last + 1
-            frames, start = frames + block.count(b"\n"), start + len(block)
-        if count_at < 0 or not frames:
-            raise FormatError(f"{part} holds no whole frame of a take; delete it")
-        file.seek(count_at)
-        file.write(_COUNT.format(frames).encode())
-        file.truncate(end)
-        file.flush()
-        os.fsync(file.fileno())
-    os.replace(part, path)
+
+def _mend(file: BinaryIO) -> int:
+    count_at = -1
+    for _ in range(_HEAD_LINES):
+        line = file.readline(MAX_LINE)
+        if line.startswith(b"Frames: ") and len(line) == len(f"Frames: {_COUNT.format(0)}\n"):
+            count_at = file.tell() - len(line) + len("Frames: ")
+        if line.startswith(b"Frame Time: ") or not line:
+            break
+    end = start = file.tell()
+    frames = 0
+    while block := file.read(_BLOCK):
+        if (last := block.rfind(b"\n")) >= 0:
+            end = start + last + 1
+        frames, start = frames + block.count(b"\n"), start + len(block)
+    if count_at < 0 or not frames:
+        return 0
+    file.seek(count_at)
+    file.write(_COUNT.format(frames).encode())
+    file.truncate(end)
     return frames

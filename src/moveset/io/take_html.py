@@ -3,12 +3,11 @@
 The tail is written again behind every piece, so that the part is a whole page itself between two calls.
 """
 
-import os
 from collections.abc import Mapping
 from pathlib import Path
+from typing import BinaryIO
 
-from moveset.errors import FormatError
-from moveset.io.growing import GrowingText, claim, part_of
+from moveset.io.growing import GrowingText, recover_text
 from moveset.io.html import FRAMES_BEGIN, close_page, frame_lines, open_page
 from moveset.io.limits import MAX_BYTES, read_limited
 from moveset.io.packets import HEADER
@@ -60,27 +59,18 @@ class HtmlTake(GrowingText):
 
 
 def recover_html(path: Path) -> int:
-    """Close the page in ``path.part`` after its last whole frame, make it ``path``; the number of its frames.
+    """Close the page in ``path.part`` after its last whole frame and make it ``path``, as ``recover_text`` does."""
+    return recover_text(path, _mend)
 
-    Raises:
-        InputError: it is still being written.
-        FormatError: it holds no whole frame, or is no take.
-        OSError: it cannot be read or written.
-    """
-    part = part_of(path)
-    with part.open("r+b") as file:
-        claim(file.fileno(), part)
-        data = read_limited(part)
-        begun = data.find(FRAMES_BEGIN) + len(FRAMES_BEGIN)
-        frames, end = 0, begun
-        while begun >= len(FRAMES_BEGIN) and data.startswith(b',"', end) and (stop := data.find(b'"\n', end)) > 0:
-            frames, end = frames + 1, stop + 2
-        if not frames:
-            raise FormatError(f"{part} holds no whole frame of a take; delete it")
+
+def _mend(file: BinaryIO) -> int:
+    data = read_limited(file.name)
+    begun = data.find(FRAMES_BEGIN) + len(FRAMES_BEGIN)
+    frames, end = 0, begun
+    while begun >= len(FRAMES_BEGIN) and data.startswith(b',"', end) and (stop := data.find(b'"\n', end)) > 0:
+        frames, end = frames + 1, stop + 2
+    if frames:
         file.seek(end)
         file.write(close_page())
         file.truncate()
-        file.flush()
-        os.fsync(file.fileno())
-    os.replace(part, path)
     return frames

@@ -11,11 +11,10 @@ from moveset.motion import rotations
 from moveset.motion.clip import Motion
 from moveset.motion.contacts import stances
 from moveset.motion.hover import SOLE, set_down
-from moveset.motion.inertia import settle
 from moveset.motion.kinematics import global_to_local
 from moveset.motion.positions import HINGES
 from moveset.motion.skeleton import Skeleton
-from moveset.motion.smoothing import gaussian_smooth
+from moveset.motion.smoothing import gaussian_smooth, settle
 from moveset.motion.two_bone_ik import two_bone
 
 _BLEND = 0.25  # seconds for a foot to leave or reach its locked place

@@ -20,8 +20,8 @@ from moveset.motion.cleanup import ALONE, LANDING, move_feet, step_heights
 from moveset.motion.clip import Motion
 from moveset.motion.contacts import stances
 from moveset.motion.hover import SOLE, Hovering, lowered
-from moveset.motion.inertia import decay
 from moveset.motion.skeleton import Skeleton
+from moveset.motion.smoothing import decay
 
 _BLEND = 0.3  # seconds in which a foot leaves its locked place
 _SLACK = 0.17  # metres from its locked place at which a foot is let go

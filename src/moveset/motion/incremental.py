@@ -17,8 +17,8 @@ from torch import Tensor
 from moveset.errors import InputError
 from moveset.motion import rotations
 from moveset.motion.clip import Motion
-from moveset.motion.inertia import decay
 from moveset.motion.native import NativeCodec
+from moveset.motion.smoothing import decay
 
 _SEAM = 0.5  # frames from the seam to either neighbour
 _TAIL = 3  # frames on either side of a seam by which it is judged

@@ -16,8 +16,8 @@ from torch import Tensor
 from moveset.errors import InputError
 from moveset.motion import rotations
 from moveset.motion.clip import Motion
-from moveset.motion.inertia import decay
 from moveset.motion.retarget import retarget
+from moveset.motion.smoothing import decay
 
 _SEAM = 0.5  # frames outside the clips
 _TREND = 0.5  # share of the acceleration at its edge with which a clip is taken to go on

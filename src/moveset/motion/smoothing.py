@@ -1,4 +1,7 @@
-"""Gaussian smoothing over time. T frames, C channels."""
+"""Smoothing over time: Gaussian, and offsets that die away (inertialisation; Bollo, "Inertialization", GDC 2018).
+
+T frames, C channels.
+"""
 
 import torch
 from torch import Tensor
@@ -20,3 +23,46 @@ def gaussian_smooth(x: Tensor, sigma: float, truncate: float = 4.0) -> Tensor:
     index = torch.arange(-radius, len(x) + radius, device=x.device).clamp(0, len(x) - 1)
     kernel = (weights / weights.sum())[None, None]
     return torch.nn.functional.conv1d(x[index].mT[:, None], kernel)[:, 0].mT
+
+
+def decay(offset: Tensor, velocity: Tensor, duration: float, at: Tensor) -> Tensor:
+    """An offset that starts with a velocity and without acceleration and ends at rest, at zero, after ``duration``.
+
+    Args:
+        offset: (...) its value at time 0.
+        velocity: (...) its rate of change there.
+        duration: above 0, in the unit of ``at``.
+        at: (N,) times from 0; zero offset after ``duration``.
+
+    Returns:
+        (N, ...) values of the quintic.
+    """
+    s = (at / duration).clamp(0.0, 1.0).reshape(-1, *(1,) * offset.ndim)
+    value = 1.0 - s**3 * (10.0 - s * (15.0 - 6.0 * s))
+    slope = s - s**3 * (6.0 - s * (8.0 - 3.0 * s))
+    return value * offset + slope * duration * velocity
+
+
+def settle(x: Tensor, fixed: Tensor, blend: int) -> Tensor:
+    """Fill an offset track (F, C): given in the frames ``fixed`` (F,) bool, elsewhere dying away from them.
+
+    From each run of fixed frames the offset continues with its velocity and reaches zero within ``blend`` frames, or
+    earlier where the next run begins. Runs keep their values.
+    """
+    out = torch.where(fixed[:, None], x, 0.0)
+    edges = torch.diff(fixed.int(), prepend=fixed.new_zeros(1).int(), append=fixed.new_zeros(1).int())
+    starts, ends = torch.nonzero(edges == 1)[:, 0].tolist(), torch.nonzero(edges == -1)[:, 0].tolist()
+    for k, (start, end) in enumerate(zip(starts, ends, strict=True)):
+        last, first = end - 1, start
+        inside = end - start > 1
+        before = ends[k - 1] - 1 if k > 0 else -blend
+        after = starts[k + 1] if k + 1 < len(starts) else len(x) + blend
+        for edge, step, room in ((last, 1, after - last), (first, -1, first - before)):
+            duration = min(blend, room)
+            frames = [edge + step * n for n in range(1, duration) if 0 <= edge + step * n < len(x)]
+            if not frames:
+                continue
+            velocity = x[edge] - x[edge - step] if inside else torch.zeros_like(x[edge])
+            times = torch.arange(1, len(frames) + 1, dtype=x.dtype)
+            out[frames] += decay(x[edge], velocity, float(duration), times)
+    return out

@@ -18,7 +18,7 @@ from torch import Tensor
 
 from moveset.errors import FormatError, InputError
 from moveset.io.limits import atomic_write
-from moveset.io.lock import locked
+from moveset.io.process import locked
 from moveset.text.encoder import TextEmbedding, TextEncoder, check_sentences
 
 _FORMAT = "moveset text cache 1"

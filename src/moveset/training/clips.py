@@ -21,7 +21,7 @@ from tqdm import tqdm
 from moveset.data.augment import MAX_FRAMES
 from moveset.data.corpus import Corpus
 from moveset.errors import FormatError, InputError, MovesetError
-from moveset.io.lock import LOCKS, locked
+from moveset.io.process import LOCKS, locked
 from moveset.motion.features import FeatureCodec, Normalizer
 from moveset.training.clip_source import ClipSource, as_clips
 from moveset.training.clip_source import clip_weights as clip_weights

@@ -23,7 +23,7 @@ import torch
 from torch import Tensor, nn
 
 from moveset.errors import InputError
-from moveset.io.lock import locked
+from moveset.io.process import locked
 from moveset.training import checkpoint, resume
 from moveset.training.fabric import launch
 from moveset.training.log import TrainingLog

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import torch
 
-from moveset.data.numpy_files import npy_shape, read_npy, read_npz
 from moveset.errors import FormatError, InputError
+from moveset.io.arrays import array_shape, read_array, read_arrays
 
 BROKEN_HEADERS = (b"{'descr': (", b"{[]: 1}", b"{" + b"-" * 40)
 
@@ -19,8 +19,8 @@ BROKEN_HEADERS = (b"{'descr': (", b"{[]: 1}", b"{" + b"-" * 40)
 def test_numbers_of_any_kind_are_read(tmp_path, dtype, order):
     values = np.asarray(np.arange(60).reshape(5, 4, 3), dtype=dtype, order=order)
     np.save(tmp_path / "a.npy", values)
-    assert npy_shape(tmp_path / "a.npy") == (5, 4, 3)
-    assert torch.equal(read_npy(tmp_path / "a.npy"), torch.arange(60.0).reshape(5, 4, 3))
+    assert array_shape(tmp_path / "a.npy") == (5, 4, 3)
+    assert torch.equal(read_array(tmp_path / "a.npy"), torch.arange(60.0).reshape(5, 4, 3))
 
 
 def test_a_small_file_that_claims_a_huge_array_allocates_nothing(tmp_path):
@@ -31,9 +31,9 @@ def test_a_small_file_that_claims_a_huge_array_allocates_nothing(tmp_path):
         archive.writestr("poses.npy", header.getvalue())
     tracemalloc.start()
     with pytest.raises(FormatError, match="limit"):
-        read_npy(tmp_path / "bomb.npy")
+        read_array(tmp_path / "bomb.npy")
     with pytest.raises(FormatError, match="limit"):
-        read_npz(tmp_path / "bomb.npz", ["poses"])
+        read_arrays(tmp_path / "bomb.npz", ["poses"])
     assert tracemalloc.get_traced_memory()[1] < 2**20
     tracemalloc.stop()
 
@@ -54,26 +54,26 @@ def test_damage_is_noticed(tmp_path):
     ):
         (tmp_path / "b.npy").write_bytes(damaged)
         with pytest.raises(FormatError):
-            read_npy(tmp_path / "b.npy")
+            read_array(tmp_path / "b.npy")
     np.savez(tmp_path / "a.npz", poses=np.zeros((10, 3)))
     data = (tmp_path / "a.npz").read_bytes()
     for damaged in (data[: len(data) // 2], b"not a zip", data[:60] + b"\xff" * 40 + data[100:]):
         (tmp_path / "b.npz").write_bytes(damaged)
         with pytest.raises(FormatError):
-            read_npz(tmp_path / "b.npz", ["poses"])
+            read_arrays(tmp_path / "b.npz", ["poses"])
 
 
 def test_objects_are_never_unpickled(tmp_path):
     np.save(tmp_path / "a.npy", np.array([{}], dtype=object), allow_pickle=True)
-    with pytest.raises(FormatError, match="real numbers"):
-        read_npy(tmp_path / "a.npy")
+    with pytest.raises(FormatError, match="kind needed"):
+        read_array(tmp_path / "a.npy")
     np.savez(tmp_path / "a.npz", gender=np.array([object()]), trans=np.ones((2, 3)))
-    assert read_npz(tmp_path / "a.npz", ["trans", "poses"]).keys() == {"trans"}
-    with pytest.raises(FormatError, match="real numbers"):
-        read_npz(tmp_path / "a.npz", ["gender"])
+    assert read_arrays(tmp_path / "a.npz", ["trans", "poses"]).keys() == {"trans"}
+    with pytest.raises(FormatError, match="kind needed"):
+        read_arrays(tmp_path / "a.npz", ["gender"])
 
 
 def test_missing_files(tmp_path):
-    for read in (read_npy, npy_shape, lambda p: read_npz(p, ["poses"])):
-        with pytest.raises(InputError, match="no file"):
+    for read in (read_array, array_shape, lambda p: read_arrays(p, ["poses"])):
+        with pytest.raises(InputError, match=r"(?i)no( such)? file"):
             read(tmp_path / "nothing.npy")

@@ -1,5 +1,8 @@
-"""One process at a time in a folder: a lock that the system releases even when its holder is killed."""
+"""Several processes at work: one at a time in a folder, and helpers that end with the one that started them."""
 
+import multiprocessing
+import os
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib.util import find_spec
@@ -13,7 +16,7 @@ LOCKS = find_spec("fcntl") is not None
 
 @contextmanager
 def locked(folder: Path, busy: str | None = None) -> Iterator[None]:
-    """Holds ``folder/.lock``; the folder is made if it is not there.
+    """Holds ``folder/.lock``, which the system releases even when its holder is killed; makes the folder if need be.
 
     Args:
         busy: what to say if another process holds it; None waits for that one.
@@ -34,3 +37,18 @@ def locked(folder: Path, busy: str | None = None) -> Iterator[None]:
         except BlockingIOError as error:
             raise InputError(str(busy)) from error
         yield
+
+
+def end_with_parent() -> None:
+    """Let this process, which another one started by ``multiprocessing``, end as soon as that one is gone.
+
+    Whoever is killed cannot stop its helpers any more.
+    """
+    parent = multiprocessing.parent_process()
+
+    def follow() -> None:
+        if parent is not None:
+            parent.join()
+        os._exit(1)
+
+    threading.Thread(target=follow, daemon=True).start()
