@@ -11,10 +11,11 @@ import torch
 
 from arguments import Parser, at_least, report_path, write_report
 from moveset.data.corpus import Corpus
+from moveset.data.dataset import CorpusDataset
+from moveset.data.feature_store import Crop, FeatureStore
 from moveset.errors import InputError, exit_code_of
 from moveset.motion.features import Normalizer, get_codec
 from moveset.pipelines.bundle import Bundle
-from moveset.training.clips import Crop, FeatureStore
 from moveset.training.vae import MotionVAE, reconstruction_report
 
 
@@ -30,7 +31,9 @@ def main() -> None:
     torch.set_num_threads(given.threads)
     bundle, corpus = Bundle.find(given.model), Corpus.open(given.corpus)
     codec = get_codec(bundle.config.codec)
-    store = FeatureStore.of(corpus, codec, given.cache / f"features-{bundle.config.codec}", progress=True)
+    store = FeatureStore.of(
+        CorpusDataset(corpus), codec, given.cache / f"features-{bundle.config.codec}", progress=True
+    )
     n = bundle.normalizer
     trained = Normalizer(n["feature_mean"], n["feature_std"])
     if not (torch.allclose(trained.mean, store.normalizer.mean) and torch.allclose(trained.std, store.normalizer.std)):

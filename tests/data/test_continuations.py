@@ -8,10 +8,10 @@ import torch
 from moveset.data.captions import train_captions
 from moveset.data.compose import add_compositions, add_continuations
 from moveset.data.corpus import Corpus, CorpusWriter, TakeEntry
+from moveset.data.dataset import CorpusDataset, corpus_weights
 from moveset.data.labels import mirror_label
 from moveset.data.splits import Split
 from moveset.data.synthetic import synthetic_motion
-from moveset.training.clip_source import CorpusClips, clip_weights
 from moveset.training.pack import caption_lengths
 
 CONTENTS = ("walk", "run", "wave-left-hand", "walk-turn-left")
@@ -115,14 +115,14 @@ def test_the_same_takes_give_the_same_clips(corpus):
 
 def test_they_count_as_clips_of_their_content_and_not_as_compositions(corpus):
     records = corpus.indices("train")
-    weights = clip_weights(corpus, records, power=0.5, composed_share=0.4)
+    weights = corpus_weights(corpus, records, power=0.5, composed_share=0.4)
     two = torch.tensor([len(corpus.records[k].contents) == 2 for k in records])
     assert float(weights[two].sum()) == pytest.approx(0.4)
     walks = {float(w) for k, w in zip(records, weights, strict=True) if corpus.records[k].contents == ("walk",)}
     assert max(walks) == pytest.approx(min(walks))
-    source = CorpusClips(corpus)
-    assert all(source.divisible(2 * k) for k in going_on(corpus))
-    assert not any(source.divisible(2 * int(k)) for k, both in zip(records, two, strict=True) if both)
+    source = CorpusDataset(corpus)
+    assert all(source.clip(2 * k).croppable for k in going_on(corpus))
+    assert not any(source.clip(2 * int(k)).croppable for k, both in zip(records, two, strict=True) if both)
 
 
 def test_they_say_nothing_of_how_long_an_action_lasts(before, corpus):

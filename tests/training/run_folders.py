@@ -6,19 +6,19 @@ from pathlib import Path
 from torch import nn
 
 from moveset.data.corpus import Corpus
+from moveset.data.dataset import CorpusDataset
+from moveset.data.feature_store import FeatureStore
 from moveset.data.synthetic import synthetic_corpus
-from moveset.motion.features import get_codec
 from moveset.text.cache import EmbeddingCache
 from moveset.text.encoder import get_text_encoder
 from moveset.training import checkpoint
-from moveset.training.clips import FeatureStore
 from moveset.training.pack import known_captions
 
 
 def write_corpus(folder: Path) -> None:
     """``corpus.safetensors``, and ``runs/cache`` with its features and captions."""
     corpus = Corpus.open(synthetic_corpus(folder / "corpus.safetensors", clips=12, seed=0))
-    FeatureStore.of(corpus, get_codec("native"), folder / "runs" / "cache" / "features-native")
+    FeatureStore.cached(CorpusDataset(corpus), "native", folder / "runs" / "cache")
     captions = known_captions(corpus)
     EmbeddingCache.build(get_text_encoder("minilm"), captions, folder / "runs" / "cache" / "text-minilm.safetensors")
 

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from moveset.data.compose import plan_bodies
+from moveset.data.dataset import open_for_training
+from moveset.data.feature_store import FeatureStore
 from moveset.errors import MovesetError
 from moveset.motion.features import get_codec
 from moveset.training import compositions
-from moveset.training.clip_source import open_clips
-from moveset.training.clips import FeatureStore
 from moveset.training.compositions import composed_rows
 from tests.training.segment_corpus import write_corpus
 
@@ -18,7 +18,7 @@ CODEC = get_codec("native")
 @pytest.fixture(scope="module")
 def opened(tmp_path_factory):
     folder = tmp_path_factory.mktemp("corpus")
-    source = open_clips(write_corpus(folder))
+    source = open_for_training(write_corpus(folder))
     return source.corpus, FeatureStore.of(source, CODEC, folder / "features"), folder / "made"
 
 

@@ -5,13 +5,13 @@ from dataclasses import replace
 import pytest
 import torch
 
+from moveset.data.feature_store import FeatureStore
 from moveset.errors import InputError
 from moveset.evaluation.evaluator import Evaluator
 from moveset.motion.features import get_codec
 from moveset.recipes import tiny
 from moveset.training import evaluator as training
 from moveset.training import frozen
-from moveset.training.clips import FeatureStore
 from moveset.training.engine import run
 from moveset.training.evaluator import contrast
 from moveset.training.pack_evaluator import pack_evaluator

@@ -5,11 +5,11 @@ from dataclasses import replace
 import pytest
 import torch
 
+from moveset.data.segments import SegmentBatch
 from moveset.diffusion.phases import PhaseGrid
 from moveset.errors import InputError
 from moveset.training import own_past
 from moveset.training.own_past import OwnPast
-from moveset.training.segments import SegmentBatch
 
 BATCH, FRAMES, FEATURES = 6, 4, 3
 W = torch.arange(BATCH) / 10

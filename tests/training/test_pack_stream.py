@@ -8,6 +8,8 @@ from pathlib import Path
 import pytest
 import torch
 
+from moveset.data.feature_store import FeatureStore
+from moveset.data.segments import CuttingConfig
 from moveset.data.synthetic import synthetic_corpus
 from moveset.errors import FormatError, InputError
 from moveset.models.flow import FlowConfig
@@ -19,10 +21,8 @@ from moveset.text.cache import EmbeddingCache
 from moveset.text.encoder import get_text_encoder
 from moveset.text.vocabulary import words_of
 from moveset.training import checkpoint, pack_stream
-from moveset.training.clips import FeatureStore
 from moveset.training.rdm import RDMConfig
 from moveset.training.rdm_student import RDMStudentConfig
-from moveset.training.segments import CuttingConfig
 from moveset.training.stills import SENTENCES
 from tests.training.run_folders import write_corpus, write_run
 

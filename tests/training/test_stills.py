@@ -5,17 +5,12 @@ import torch
 
 from moveset.data.corpus import Corpus
 from moveset.data.synthetic import synthetic_corpus, synthetic_motion
-from moveset.errors import InputError
 from moveset.motion import rotations
 from moveset.motion.clip import Motion
 from moveset.motion.features import Normalizer, get_codec
 from moveset.motion.skeleton import HML22
 from moveset.training import stills
-from moveset.training.clip_source import open_clips
-from moveset.training.clips import FeatureStore
-from moveset.training.segments import CuttingConfig, SegmentSet
 from moveset.training.stills import SENTENCES, make_stills, quiet_moment, swaying
-from tests.training.hml_folder import write_folder
 
 CODEC = get_codec("native")
 FPS = 20.0
@@ -118,25 +113,3 @@ def test_the_same_seed_makes_the_same_clips(standing):
 def test_where_nobody_stands_long_enough_there_are_none(corpus, monkeypatch):
     monkeypatch.setattr(stills, "LEAST", 1000)
     assert make_stills(corpus, "train", CODEC, plain(), 8) == []
-
-
-def test_segments_of_them_are_drawn_as_often_as_asked_for(tmp_path):
-    # Its waves and bows begin and end at rest.
-    source = open_clips(synthetic_corpus(tmp_path / "corpus.safetensors", clips=24, seed=0))
-    store = FeatureStore.of(source, CODEC, tmp_path / "features")
-    cutting = CuttingConfig(continuations=0, stills=20, still_share=0.3)
-    made = SegmentSet(source, "train", store, CODEC, 28, cutting, tmp_path)
-    assert float(made.weights.sum()) == pytest.approx(1.0)
-    assert float(made.weights[-20:].sum()) == pytest.approx(0.3)
-    batch = made.batch(400, 0, 0)
-    said = sum(caption in SENTENCES for caption in batch.captions)
-    assert 40 < said < 160
-    assert set(SENTENCES) <= set(made.all_captions())
-
-
-def test_a_folder_of_motions_cannot_stand_still(tmp_path):
-    folder = write_folder(tmp_path / "set")
-    source = open_clips(folder)
-    store = FeatureStore.of(source, get_codec("hml"), tmp_path / "features")
-    with pytest.raises(InputError, match=r"--set cutting\.stills=0"):
-        SegmentSet(source, "train", store, get_codec("hml"), 28, CuttingConfig(continuations=0, stills=3), tmp_path)

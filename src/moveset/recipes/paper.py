@@ -18,6 +18,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 
+from moveset.data.segments import SEGMENT_FRAMES, CuttingConfig
 from moveset.models.dip_decoder import DipDecoderConfig
 from moveset.models.discriminator import DiscriminatorConfig
 from moveset.models.flow import FlowConfig
@@ -31,7 +32,6 @@ from moveset.training.distill import DistillationConfig
 from moveset.training.engine import EngineConfig
 from moveset.training.evaluator import EvaluatorTrainingConfig, MovementTrainingConfig
 from moveset.training.rdm import RDMConfig
-from moveset.training.segments import SEGMENT_FRAMES, CuttingConfig
 from moveset.training.tasks import Recipe
 from moveset.training.teacher import TeacherConfig
 from moveset.training.vae import VAETrainingConfig

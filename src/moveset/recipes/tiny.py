@@ -4,6 +4,8 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 
+from moveset.data.disturbance import Disturbance
+from moveset.data.segments import SEGMENT_FRAMES, CuttingConfig
 from moveset.models.dip_decoder import DipDecoderConfig
 from moveset.models.evaluator import EvaluatorConfig, MovementConfig
 from moveset.models.flow import FlowConfig
@@ -19,8 +21,6 @@ from moveset.training.engine import EngineConfig
 from moveset.training.evaluator import EvaluatorTrainingConfig, MovementTrainingConfig
 from moveset.training.rdm import RDMConfig
 from moveset.training.rdm_student import RDMStudentConfig
-from moveset.training.reading import Disturbance
-from moveset.training.segments import SEGMENT_FRAMES, CuttingConfig
 from moveset.training.tasks import Recipe
 from moveset.training.teacher import TeacherConfig
 from moveset.training.vae import VAETrainingConfig

@@ -10,13 +10,13 @@ from itertools import pairwise
 import torch
 from torch import Tensor, nn
 
+from moveset.data.segments import SegmentBatch
 from moveset.diffusion.guidance import cfg
 from moveset.diffusion.steps import add_noise, denoise_step
 from moveset.models.segment_transformer import UNKNOWN, told_of
 from moveset.rdm.transport import Transport
 from moveset.text.encoder import TextEmbedding, stack
 from moveset.training.rdm import SCHEDULE
-from moveset.training.segments import SegmentBatch
 
 NEARER = 0.75
 """Share of the level at which the teacher is asked that a noisy past is told at."""

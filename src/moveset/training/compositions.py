@@ -5,7 +5,6 @@ They are made once, and kept in half precision. F frames, D features.
 
 import json
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
@@ -15,24 +14,13 @@ from tqdm import tqdm
 from moveset.data.captions import composed_captions
 from moveset.data.compose import plan_bodies, plan_continuations
 from moveset.data.corpus import Corpus, compose
+from moveset.data.feature_store import FeatureStore
 from moveset.data.records import Recipe
+from moveset.data.segments import Row
 from moveset.data.splits import Split
 from moveset.io.limits import atomic_write
 from moveset.motion.clip import Motion
 from moveset.motion.features import FeatureCodec
-from moveset.training.clips import FeatureStore
-
-
-@dataclass(frozen=True, eq=False)
-class Row:
-    """A clip: its normalised features (F, D), the sentences of each part, which ends at a frame, and those of all of
-    it, if any. Of a clip that ``goes_on`` all parts are one thing, and its time is that of the clip."""
-
-    features: np.ndarray
-    ends: tuple[int, ...]
-    said: tuple[tuple[str, ...], ...]
-    whole: tuple[str, ...]
-    goes_on: bool = False
 
 
 def composed_rows(

@@ -4,13 +4,17 @@ Shapes: B rows, m clean frames, n frames to be denoised after them, D features.
 Source: CLoSD (Tevet et al. 2024, arXiv 2410.03441), Section 4.1.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
+from moveset.data.dataset import Dataset
+from moveset.data.disturbance import AS_WRITTEN, Disturbance
+from moveset.data.feature_store import FeatureStore
+from moveset.data.segments import ClipSet, CuttingConfig, Row
 from moveset.data.splits import Split
 from moveset.diffusion.schedule import cosine
 from moveset.diffusion.steps import add_noise
@@ -20,16 +24,12 @@ from moveset.models.registry import describe
 from moveset.motion.features import FeatureCodec
 from moveset.rdm.losses import masked_mse
 from moveset.text.encoder import TextEmbedding
-from moveset.training.clip_source import ClipSource, CorpusClips
-from moveset.training.clips import FeatureStore
 from moveset.training.ema import Ema, ema_warmup
 from moveset.training.engine import Loop, Task
 from moveset.training.optim import cosine_lr
 from moveset.training.rdm import feature_weights
-from moveset.training.reading import AS_WRITTEN, MAX_TOKENS, Disturbance
-from moveset.training.segment_data import SegmentData
-from moveset.training.segments import ClipSet, CuttingConfig
-from moveset.training.stills import idle_pose
+from moveset.training.reading import MAX_TOKENS
+from moveset.training.segment_data import Added, SegmentData
 from moveset.training.tasks import Sources
 
 
@@ -44,7 +44,6 @@ class DiPConfig:
         constant_lr: no cosine decay.
         text_drop: share of captions replaced by "", for guidance.
         standing: share of pieces that are a clip's first frames, after a person who stands: how sampling begins.
-            Corpora only.
         root: weight of the four root features.
         max_tokens: as in ``RDMConfig``.
     """
@@ -95,27 +94,25 @@ class PieceSet(ClipSet):
         standing: share of pieces whose m frames are the idle pose, and whose n frames are the first of their clip.
 
     Raises:
-        InputError: no clip is as long, people are to stand in a folder of features, or as for ``ClipSet``.
+        InputError: no clip is as long.
     """
 
     def __init__(
         self,
-        source: ClipSource,
+        dataset: Dataset,
         split: Split,
         store: FeatureStore,
         codec: FeatureCodec,
-        model: DipDecoderConfig,
         cutting: CuttingConfig,
-        folder: Path,
+        model: DipDecoderConfig,
         disturbance: Disturbance = AS_WRITTEN,
+        added: Sequence[tuple[list[Row], float]] = (),
         standing: float = 0.0,
     ) -> None:
-        super().__init__(source, split, store, codec, cutting, folder, disturbance)
+        super().__init__(dataset, split, store, codec, cutting, disturbance, added)
         self.prefix, self.frames, self.standing = model.prefix, model.frames, standing
         if standing:
-            if not isinstance(source, CorpusClips):
-                raise InputError("only a corpus has people who stand; train on a folder with --set standing=0")
-            self.idle = idle_pose(source, store, codec).expand(self.prefix, -1)
+            self.idle = idle_pose(dataset, store, codec).expand(self.prefix, -1)
         needed = self.prefix + self.frames
         self.weights = self.weights * torch.tensor([len(row.features) >= needed for row in self.rows])
         if not self.weights.any():
@@ -143,16 +140,31 @@ class PieceData(SegmentData):
     def cut(
         self,
         config: DiPConfig,
-        source: ClipSource,
+        dataset: Dataset,
         split: Split,
         store: FeatureStore,
-        folder: Path,
         disturbance: Disturbance,
+        added: Added,
     ) -> PieceSet:
         """Pieces of a split."""
         return PieceSet(
-            source, split, store, self.codec, config.model, config.cutting, folder, disturbance, config.standing
+            dataset, split, store, self.codec, config.cutting, config.model, disturbance, added, config.standing
         )
+
+
+def idle_pose(dataset: Dataset, store: FeatureStore, codec: FeatureCodec) -> Tensor:
+    """Normalised features (D,) of standing still: the first frame nearest to the mean of all, at rest.
+
+    Of captures of the training split, no mirror images.
+    """
+    starts = [store.clips[clip].start for clip in dataset.split("train", captured_only=True)]
+    first_ND = torch.from_numpy(np.array(store.features[starts], np.float32))
+    nearest = first_ND[(first_ND - first_ND.mean(dim=0)).square().sum(dim=1).argmin()]
+    pose = store.normalizer.denormalize(nearest)
+    for steps in ("root_yaw", "root_velocity", "velocities"):
+        pose[codec.groups[steps]] = 0.0
+    pose[codec.groups["contacts"]] = 1.0
+    return store.normalizer.normalize(pose)
 
 
 class DiPTask(Task):

@@ -9,6 +9,8 @@ from dataclasses import dataclass, field, replace
 import torch
 from torch import Tensor, nn
 
+from moveset.data.disturbance import Disturbance
+from moveset.data.latents import LatentBatch
 from moveset.diffusion.phases import PhaseGrid
 from moveset.diffusion.schedule import scaled_linear
 from moveset.diffusion.steps import add_noise, ddim_timesteps
@@ -36,9 +38,7 @@ from moveset.text.encoder import TextEmbedding, stack
 from moveset.training import frozen
 from moveset.training.ema import Ema
 from moveset.training.engine import Loop, Task
-from moveset.training.latents import LatentBatch
 from moveset.training.optim import cosine_lr
-from moveset.training.reading import Disturbance
 from moveset.training.tasks import Sources
 from moveset.training.teacher import LatentData
 

@@ -51,7 +51,7 @@ class EngineConfig:
         device: "auto", "cpu", "cuda" or "mps".
         devices: processes on this machine; under ``torchrun`` its own number counts.
         threads: CPU threads of torch, 0 to leave them alone.
-        workers: processes that make batches ahead, for tasks of segments on a fast device (``training.ahead``); 0 makes
+        workers: processes that make batches ahead, for tasks of segments on a fast device (``data.loader``); 0 makes
             each where it is used.
         seed: of everything random.
         tensorboard: write TensorBoard events too, where it is installed.

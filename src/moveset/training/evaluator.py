@@ -16,6 +16,9 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as fn
 
+from moveset.data.crops import CropSampler
+from moveset.data.dataset import Dataset, open_for_training
+from moveset.data.feature_store import Crop, FeatureStore
 from moveset.data.glove_files import read_glove
 from moveset.errors import InputError
 from moveset.models.evaluator import EvaluatorConfig, MatchingEvaluator, MovementConfig
@@ -26,8 +29,6 @@ from moveset.text.encoder import get_text_encoder
 from moveset.text.glove import GloveWords
 from moveset.text.words import as_words
 from moveset.training import frozen
-from moveset.training.clip_source import ClipSource, FolderClips, open_clips
-from moveset.training.clips import Crop, CropSampler, FeatureStore
 from moveset.training.ema import Ema, ema_warmup
 from moveset.training.engine import Loop, Task
 from moveset.training.optim import cosine_lr
@@ -99,14 +100,14 @@ class MovementTask(Task):
 
     def __init__(self, config: MovementTrainingConfig, sources: Sources, loop: Loop) -> None:
         self.config, self.steps = config, loop.config.steps
-        source = open_clips(sources.corpus)
-        self.store = _features(source, config.codec, sources.cache, loop)
+        dataset = open_for_training(sources.corpus)
+        self.store = _features(dataset, config.codec, sources.cache, loop)
         self.scale = _emphasis(self.store.normalizer, config.codec, config.feat_bias).to(loop.device)
         self.autoencoder = config.model.build().to(loop.device)
         # Betas are Adam's own; T2M gives none.
         self.optimizer = torch.optim.Adam(self.autoencoder.parameters(), config.lr)
         self.train_clips, self.val_clips = (
-            [clip for clip in source.clips(split) if self.store.clips[clip].frames >= config.window]
+            [clip for clip in dataset.split(split) if self.store.clips[clip].frames >= config.window]
             for split in ("train", "val")
         )
         self.seed = loop.config.seed * 64 + loop.rank
@@ -158,8 +159,8 @@ class EvaluatorTask(Task):
     def __init__(self, config: EvaluatorTrainingConfig, sources: Sources, loop: Loop) -> None:
         movement = frozen.load(sources.teacher, "movement")
         self.config = config = replace(config, codec=movement.task["codec"], feat_bias=movement.task["feat_bias"])
-        self.steps, self.source = loop.config.steps, open_clips(sources.corpus)
-        self.store = _features(self.source, config.codec, sources.cache, loop)
+        self.steps, self.dataset = loop.config.steps, open_for_training(sources.corpus)
+        self.store = _features(self.dataset, config.codec, sources.cache, loop)
         self.scale = _emphasis(self.store.normalizer, config.codec, config.feat_bias).to(loop.device)
         self.evaluator: MatchingEvaluator = config.model.build().to(loop.device)
         self.evaluator.movement.load_state_dict(movement.module.encoder.state_dict())
@@ -169,13 +170,13 @@ class EvaluatorTask(Task):
         self.ema = Ema(self.evaluator, config.ema)
         trained = [parameter for parameter in self.evaluator.parameters() if parameter.requires_grad]
         self.optimizer = torch.optim.Adam(trained, config.lr)
-        train, self.val = self.source.clips("train"), self.source.clips("val")
-        weights = self.source.weights(train, power=0.5, composed_share=0.4)
+        train, self.val = self.dataset.split("train"), self.dataset.split("val")
+        weights = self.dataset.weights(train, power=0.5, composed_share=0.4)
         self.seed = loop.config.seed * 64 + loop.rank
         # Whole clips, or for those that may be divided most of them: a shorter window may miss what its sentence says.
         self.sampler = CropSampler(self.store, train, weights, config.batch, self.seed, whole=0.5, shortest=(0.7, 24))
         with loop.fabric.rank_zero_first():
-            self.read = reader(config, self.source, (*train, *self.val), sources.cache)
+            self.read = reader(config, self.dataset, (*train, *self.val), sources.cache)
 
     def modules(self) -> dict[str, nn.Module]:
         return {"evaluator": self.evaluator}
@@ -213,7 +214,7 @@ class EvaluatorTask(Task):
         return {"loss": sum(losses) / len(losses), "nearest": sum(rights) / len(rights)}
 
     def _undivided(self, crop: Crop) -> Crop:
-        return crop if self.source.divisible(crop.clip) else self.store.whole(crop.clip)
+        return crop if self.dataset.clip(crop.clip).croppable else self.store.whole(crop.clip)
 
     def _embed(
         self, network: MatchingEvaluator, crops: Sequence[Crop], generator: torch.Generator, loop: Loop
@@ -224,7 +225,7 @@ class EvaluatorTask(Task):
         words, classes = words.to(loop.device), None if classes is None else classes.to(loop.device)
         motion = network.embed_motion(features * self.scale, lengths).float()
         said = network.embed_text(words, classes, counts).float()
-        return motion, said, [self.source.label(crop.clip) for crop in crops]
+        return motion, said, [self.dataset.clip(crop.clip).group for crop in crops]
 
     def _shift(self, batch: int, generator: torch.Generator) -> int | None:
         return int(torch.randint(1, batch, (), generator=generator)) if self.config.negatives == "roll" else None
@@ -234,7 +235,7 @@ class EvaluatorTask(Task):
 Reader = Callable[[Sequence[int], Sequence[float]], tuple[Tensor, Tensor | None, Tensor]]
 
 
-def reader(config: EvaluatorTrainingConfig, source: ClipSource, clips: Sequence[int], cache: Path) -> Reader:
+def reader(config: EvaluatorTrainingConfig, dataset: Dataset, clips: Sequence[int], cache: Path) -> Reader:
     """How sentences of these clips are read in training: token states from a cache, or words from a table.
 
     Raises:
@@ -242,7 +243,7 @@ def reader(config: EvaluatorTrainingConfig, source: ClipSource, clips: Sequence[
     """
     kind, _, path = config.words.partition(":")
     if kind == "glove":
-        if not isinstance(source, FolderClips):
+        if not all(dataset.clip(clip).tagged for clip in clips):
             raise InputError(
                 f"{config.words!r}: a corpus' captions have no parts of speech, which a table of words needs; train "
                 "on a HumanML3D or KIT-ML folder, or with a text encoder's words"
@@ -250,16 +251,18 @@ def reader(config: EvaluatorTrainingConfig, source: ClipSource, clips: Sequence[
         table = GloveWords(*read_glove(Path(path)))
 
         def read_words(clips: Sequence[int], pick: Sequence[float]) -> tuple[Tensor, Tensor | None, Tensor]:
-            return table.read([_picked(source.tagged(clip), share) for clip, share in zip(clips, pick, strict=True)])
+            return table.read(
+                [_picked(dataset.clip(clip).tagged, share) for clip, share in zip(clips, pick, strict=True)]
+            )
 
         return read_words
 
-    said = sorted({text for clip in clips for text in source.captions(clip)})
+    said = sorted({text for clip in clips for text in dataset.clip(clip).captions})
     file = cache / f"evaluator-{cache_file(cache, config.words).name}"
     text = EmbeddingCache.build(get_text_encoder(config.words), said, file)
 
     def read_tokens(clips: Sequence[int], pick: Sequence[float]) -> tuple[Tensor, Tensor | None, Tensor]:
-        captions = [_picked(source.captions(clip), share) for clip, share in zip(clips, pick, strict=True)]
+        captions = [_picked(dataset.clip(clip).captions, share) for clip, share in zip(clips, pick, strict=True)]
         return as_words(text.lookup(captions, config.max_words), config.max_words)
 
     return read_tokens
@@ -296,10 +299,10 @@ def contrast(
     return own.square().mean() + negative, right.float().mean()
 
 
-def _features(source: ClipSource, codec: str, cache: Path, loop: Loop) -> FeatureStore:
+def _features(dataset: Dataset, codec: str, cache: Path, loop: Loop) -> FeatureStore:
     # Whoever comes first makes the cache; the other processes open it.
     with loop.fabric.rank_zero_first():
-        return FeatureStore.of(source, get_codec(codec), cache / f"features-{codec}", progress=loop.rank == 0)
+        return FeatureStore.cached(dataset, codec, cache, progress=loop.rank == 0)
 
 
 def _emphasis(normalizer: Normalizer, codec: str, feat_bias: float) -> Tensor:

@@ -20,9 +20,9 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from moveset.data.segments import SegmentBatch
 from moveset.diffusion.phases import PhaseGrid
 from moveset.errors import InputError
-from moveset.training.segments import SegmentBatch
 
 SEGMENTS = 32
 """Segments for which a stream goes on with one sentence, on average."""

@@ -11,18 +11,19 @@ from torch import nn
 
 from moveset.data.captions import heldout_captions
 from moveset.data.corpus import Corpus
+from moveset.data.dataset import CorpusDataset
+from moveset.data.disturbance import Disturbance, wordings
+from moveset.data.feature_store import FeatureStore
+from moveset.data.latents import LatentSet
 from moveset.data.rewordings import all_words, reword
 from moveset.errors import InputError, exit_code_of
-from moveset.motion.features import get_codec
 from moveset.pipelines.bundle import BundleConfig, save_folder
 from moveset.text.encoder import get_text_encoder
 from moveset.text.familiarity import calibrate
 from moveset.text.vocabulary import words_of
 from moveset.training import checkpoint, frozen
-from moveset.training.clips import FeatureStore
-from moveset.training.latents import LatentSet
 from moveset.training.length import LengthTraining, train_length
-from moveset.training.reading import Disturbance, embedded, wordings
+from moveset.training.reading import embedded
 from moveset.training.tasks import Sources
 
 KNOWN_CAPTIONS = 2000
@@ -65,9 +66,13 @@ def pack(
     phases = {student: student_phases(student) for student in students}
     corpus = Corpus.open(sources.corpus)
     vae = frozen.load(sources.vae, "vae_ema")
-    store = FeatureStore.of(corpus, get_codec(vae.task["codec"]), sources.cache / f"features-{vae.task['codec']}")
+    store = FeatureStore.cached(CorpusDataset(corpus), vae.task["codec"], sources.cache)
     latents = LatentSet.of(
-        corpus, "train", store, vae.module, sources.cache / f"latents-{vae.digest[:12]}-train.safetensors"
+        CorpusDataset(corpus),
+        "train",
+        store,
+        vae.module,
+        sources.cache / f"latents-{vae.digest[:12]}-train.safetensors",
     )
     shipped = frozen.load(decoder, "vae_ema") if decoder else vae
     teacher = frozen.load(sources.teacher, "teacher_ema")

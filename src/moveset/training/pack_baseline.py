@@ -6,15 +6,15 @@ from pathlib import Path
 from typing import Any
 
 from moveset.data.corpus import Corpus
+from moveset.data.dataset import CorpusDataset
+from moveset.data.feature_store import FeatureStore
 from moveset.errors import InputError, exit_code_of
 from moveset.motion.features import get_codec
 from moveset.pipelines.baseline_bundle import DENOISER, IDLE, BaselineConfig, save_baseline
 from moveset.training import checkpoint, frozen
-from moveset.training.clip_source import CorpusClips
-from moveset.training.clips import FeatureStore
+from moveset.training.dip import idle_pose
 from moveset.training.pack import familiarity_limit, known_captions
 from moveset.training.reading import embedded
-from moveset.training.stills import idle_pose
 
 
 def pack_baseline(
@@ -43,12 +43,12 @@ def pack_baseline(
         raise InputError(f"{run} takes all {task['levels']} steps of its schedule; leave --steps out")
     steps = 50 if steps is None else steps
     corpus, codec = Corpus.open(corpus_path), get_codec(task["codec"])
-    store = FeatureStore.of(corpus, codec, cache / f"features-{codec.name}")
+    store = FeatureStore.cached(CorpusDataset(corpus), codec.name, cache)
     known = known_captions(corpus)
     pooled = embedded(cache, task["text_encoder"], known).pooled_of(known)
     statistics = {"feature_mean": store.normalizer.mean, "feature_std": store.normalizer.std}
     if chunks:
-        statistics[IDLE] = idle_pose(CorpusClips(corpus), store, codec)
+        statistics[IDLE] = idle_pose(CorpusDataset(corpus), store, codec)
     sampling: dict[str, Any] = (
         {"frames": task["model"]["frames"], "prefix": task["model"]["prefix"], "schedule": "cosine", "eta": 1.0,
          "timesteps": task["levels"], "sampler_steps": task["levels"]}

@@ -9,12 +9,12 @@ from pathlib import Path
 from torch import nn
 
 from moveset.data.corpus import Corpus
+from moveset.data.dataset import CorpusDataset
+from moveset.data.feature_store import FeatureStore
 from moveset.errors import InputError, exit_code_of
-from moveset.motion.features import get_codec
 from moveset.pipelines.stream_bundle import DEFAULT_STREAM, FLOW, StreamConfig, save_stream_bundle
 from moveset.text.vocabulary import words_of
 from moveset.training import frozen
-from moveset.training.clips import FeatureStore
 from moveset.training.pack import familiarity_limit, known_captions, trained_words
 from moveset.training.reading import embedded
 from moveset.training.stills import SENTENCES
@@ -95,7 +95,7 @@ def pack_stream(
     if len(points) > 1:
         raise InputError(f"the students were distilled on grids of {sorted(points)} points; pack those of one grid")
     corpus, encoder = Corpus.open(corpus_path), rdm.task["text_encoder"]
-    store = FeatureStore.of(corpus, get_codec(rdm.task["codec"]), cache / f"features-{rdm.task['codec']}")
+    store = FeatureStore.cached(CorpusDataset(corpus), rdm.task["codec"], cache)
     known, words = known_captions(corpus), trained_words(corpus, rdm.task)
     if rdm.task["cutting"].get("stills"):
         known = sorted({*known, *SENTENCES})

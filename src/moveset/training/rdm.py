@@ -11,6 +11,8 @@ from typing import Literal, cast, get_args
 import torch
 from torch import Tensor, nn
 
+from moveset.data.disturbance import Disturbance
+from moveset.data.segments import CuttingConfig, SegmentBatch
 from moveset.diffusion.schedule import linear
 from moveset.errors import InputError
 from moveset.models.flow import CouplingFlow, FlowConfig
@@ -29,9 +31,8 @@ from moveset.training.feet import foot_error
 from moveset.training.heading import bend, heading_error
 from moveset.training.momo import MomoAdam
 from moveset.training.optim import cosine_lr
-from moveset.training.reading import MAX_TOKENS, Disturbance
-from moveset.training.segment_data import SegmentData
-from moveset.training.segments import CuttingConfig, SegmentBatch
+from moveset.training.reading import MAX_TOKENS
+from moveset.training.segment_data import SegmentData, forecast, spectrum
 from moveset.training.tasks import Sources
 from moveset.training.telling import stray, told_place, told_turn
 
@@ -152,10 +153,10 @@ class RDMTask(Task):
                 raise InputError(
                     'noise="coloured" is for the segment transformer; this denoiser knows white noise only'
                 )
-            self.denoiser.spectrum.copy_(self.data.train.spectrum())  # type: ignore[operator]
+            self.denoiser.spectrum.copy_(spectrum(self.data.train))  # type: ignore[operator]
         if config.forecast and isinstance(self.denoiser, SegmentTransformer):
             with torch.no_grad():
-                self.denoiser.forecast.copy_(self.data.train.forecast())
+                self.denoiser.forecast.copy_(forecast(self.data.train))
         self.ema = Ema(self.denoiser, config.ema)
         self.flow: CouplingFlow | None = None if config.flow is None else config.flow.build().to(loop.device)
         self.flow_ema = None if self.flow is None else Ema(self.flow, config.ema)

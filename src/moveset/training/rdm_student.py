@@ -11,6 +11,8 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from moveset.data.disturbance import Disturbance
+from moveset.data.segments import CuttingConfig, SegmentBatch
 from moveset.diffusion.phases import PhaseGrid
 from moveset.diffusion.steps import add_noise, over, predict_eps, renoise
 from moveset.errors import InputError
@@ -35,9 +37,7 @@ from moveset.training.heading import bend, heading_error
 from moveset.training.optim import cosine_lr
 from moveset.training.own_past import OwnPast
 from moveset.training.rdm import SCHEDULE, RDMConfig, feature_weights
-from moveset.training.reading import Disturbance
 from moveset.training.segment_data import SegmentData
-from moveset.training.segments import CuttingConfig, SegmentBatch
 from moveset.training.tasks import Sources
 from moveset.training.telling import stray, told_place, told_turn
 

@@ -1,46 +1,17 @@
 """Captions as networks read them in training: looked up, and roughened where the corpus has few words."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import torch
 
-from moveset.data.paraphrase import paraphrase
-from moveset.data.rewordings import reword
+from moveset.data.disturbance import Disturbance, wordings
 from moveset.errors import InputError
 from moveset.text.cache import EmbeddingCache, cache_file
 from moveset.text.encoder import TextEmbedding, get_text_encoder
 from moveset.text.live import LiveEmbeddings
 
 MAX_TOKENS = 32
-
-
-@dataclass(frozen=True, kw_only=True)
-class Disturbance:
-    """How captions are roughened in training, for corpora of few words; the published methods do none of it.
-
-    Args:
-        paraphrased: share of captions said otherwise (``data.paraphrase``).
-        reworded: share of captions whose phrases are other ones, each time others (``data.rewordings``). They are
-            encoded as they come, and no text cache is made; one that is there is used.
-        word_drop: mean share of a sentence's token states that go missing.
-        blur: mean standard deviation of the noise on token states (MiniLM's own is 0.38).
-    """
-
-    paraphrased: float = 0.0
-    reworded: float = 0.0
-    word_drop: float = 0.0
-    blur: float = 0.0
-
-
-AS_WRITTEN = Disturbance()
-
-
-def wordings(captions: Sequence[str], disturbance: Disturbance) -> set[str]:
-    """The captions, and their paraphrases where training uses any: what must be in the text cache."""
-    said = set(captions)
-    return said | {paraphrase(caption) for caption in said if disturbance.paraphrased}
 
 
 def open_text(
@@ -77,20 +48,6 @@ def open_text(
 def embedded(folder: Path, encoder: str, captions: Sequence[str]) -> EmbeddingCache:
     """Captions as they are, from a training's text cache, or added to it: a training that rewords leaves none."""
     return EmbeddingCache.build(get_text_encoder(encoder), captions, cache_file(folder, encoder))
-
-
-def say(options: Sequence[str], disturbance: Disturbance, pick: float, chance: float) -> str:
-    """One of the captions as it is said, by two numbers in [0, 1): which one, and whether otherwise."""
-    place = pick * len(options)
-    caption = options[int(place)]
-    if chance < disturbance.paraphrased:
-        return paraphrase(caption)
-    if chance < disturbance.paraphrased + disturbance.reworded:
-        # What chooses the caption has digits left to choose a wording of it.
-        key = int(place % 1 * 2**16)
-        said = reword(caption, key)
-        return paraphrase(said, key) if key % 2 else said
-    return caption
 
 
 def read_captions(

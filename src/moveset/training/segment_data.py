@@ -6,18 +6,22 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from moveset.data.dataset import CorpusDataset, Dataset, open_for_training
+from moveset.data.disturbance import AS_WRITTEN, Disturbance
+from moveset.data.feature_store import FeatureStore
+from moveset.data.loader import Ahead
+from moveset.data.segments import CuttingConfig, Row, SegmentSet
 from moveset.data.splits import Split
+from moveset.diffusion.coloured import temporal_spectrum
 from moveset.errors import InputError
-from moveset.motion.features import get_codec
+from moveset.motion.features import FeatureCodec, get_codec
 from moveset.text.cache import EmbeddingCache
 from moveset.text.encoder import TextEmbedding
 from moveset.text.live import LiveEmbeddings
-from moveset.training.ahead import Ahead
-from moveset.training.clip_source import ClipSource, open_clips
-from moveset.training.clips import FeatureStore
+from moveset.training.compositions import composed_rows
 from moveset.training.engine import Loop
-from moveset.training.reading import AS_WRITTEN, MAX_TOKENS, Disturbance, open_text, read_captions
-from moveset.training.segments import SegmentSet
+from moveset.training.reading import MAX_TOKENS, open_text, read_captions
+from moveset.training.stills import make_stills
 from moveset.training.tasks import Sources
 
 
@@ -42,27 +46,27 @@ class SegmentData:
             self.text = self._open(sources, config, loop.rank == 0)
 
     def _open(self, sources: Sources, config: Any, progress: bool) -> EmbeddingCache | LiveEmbeddings:
-        source, codec = open_clips(sources.corpus), get_codec(config.codec)
-        folder = sources.cache / f"features-{codec.name}"
-        store = FeatureStore.of(source, codec, folder, progress)
+        dataset, codec = open_for_training(sources.corpus), get_codec(config.codec)
+        store = FeatureStore.cached(dataset, codec.name, sources.cache, progress)
         self.codec, self.normalizer = codec, store.normalizer
-        self.train = self.cut(config, source, "train", store, folder, config.disturbance)
-        self.val = self.cut(config, source, "val", store, folder, AS_WRITTEN)
+        folder = sources.cache / f"features-{codec.name}"
+        added = {split: _added(config.cutting, dataset, split, store, codec, folder) for split in ("train", "val")}
+        self.train = self.cut(config, dataset, "train", store, config.disturbance, added["train"])
+        self.val = self.cut(config, dataset, "val", store, AS_WRITTEN, added["val"])
         captions, others = self.train.all_captions(), self.val.all_captions()
         return open_text(sources.cache, config.text_encoder, captions, others, config.disturbance, self.device)
 
     def cut(
         self,
         config: Any,
-        source: ClipSource,
+        dataset: Dataset,
         split: Split,
         store: FeatureStore,
-        folder: Path,
         disturbance: Disturbance,
+        added: "Added",
     ) -> Any:
         """Segments of a split."""
-        frames, cutting = config.grid.frames, config.cutting
-        return SegmentSet(source, split, store, self.codec, frames, cutting, folder, disturbance)
+        return SegmentSet(dataset, split, store, self.codec, config.cutting, config.grid.frames, disturbance, added)
 
     def training_batch(self, size: int, step: int) -> Any:
         """The batch of a training step, where the training computes, its text ready to be read."""
@@ -79,3 +83,58 @@ class SegmentData:
     def pooled(self, captions: list[str]) -> Tensor:
         """Sentence embeddings (B, C) of captions."""
         return self.text.pooled_of(captions)
+
+
+Added = list[tuple[list[Row], float]]
+
+
+def _added(
+    cutting: CuttingConfig, dataset: Dataset, split: Split, store: FeatureStore, codec: FeatureCodec, folder: Path
+) -> Added:
+    """Clips that are made besides those of the dataset, and what share of segments they get."""
+    wanted = {
+        "continuations": (cutting.continuations, cutting.continuation_share),
+        "bodies": (cutting.bodies, cutting.body_share),
+        "stills": (cutting.stills, cutting.still_share),
+    }
+    made = []
+    for kind, (count, share) in wanted.items():
+        # A folder of features has no motions to make others of.
+        if not count or not isinstance(dataset, CorpusDataset):
+            continue
+        count = count if split == "train" else count // 10
+        if kind == "stills":
+            rows = make_stills(dataset.corpus, split, codec, store.normalizer, count)
+        else:
+            rows = composed_rows(kind, dataset.corpus, split, store, codec, count, folder)
+        made.append((rows, share))
+    return made
+
+
+def spectrum(data: SegmentSet, segments: int = 4096) -> Tensor:
+    """(n, D) spectrum of whole segments (``diffusion.coloured``).
+
+    Raises:
+        InputError: there is none.
+    """
+    batch = data.batch(segments, 0, 0)
+    whole = batch.clean[batch.valid.all(dim=1)]
+    if not len(whole):
+        raise InputError(f"no clip has {data.frames} frames; use fewer frames a segment")
+    return temporal_spectrum(whole)
+
+
+def forecast(data: SegmentSet, segments: int = 8192) -> Tensor:
+    """(2, n, D) least-squares weights, in each frame, of the last frame before a segment and of the step to it.
+
+    A little ridge keeps features that hardly change from large weights; all are zero where no segment follows
+    another.
+    """
+    batch = data.batch(segments, 0, 1)
+    rows = batch.valid.all(dim=1) & (batch.index > 0)
+    clean, last = batch.clean[rows].double(), batch.previous[rows, -1].double()
+    step = last - batch.previous[rows, -2].double()
+    known = torch.stack((last, step))  # (2, B, D)
+    square = torch.einsum("ibd,jbd->dij", known, known)
+    square += 1e-3 * max(len(clean), 1) * torch.eye(2, dtype=torch.float64)
+    return torch.linalg.solve(square, torch.einsum("ibd,bnd->din", known, clean)).permute(1, 2, 0).float()

@@ -8,21 +8,17 @@ do. Half of the clips are that, a quarter end in it after an action, and a quart
 import random
 from dataclasses import replace
 
-import numpy as np
 import torch
-from torch import Tensor
 
 from moveset.data.augment import compose_in_time
 from moveset.data.compose import ON_THE_SPOT, TRAVELLING
 from moveset.data.corpus import Corpus
+from moveset.data.segments import Row
 from moveset.data.splits import Split
 from moveset.motion import rotations
 from moveset.motion.clip import Motion
 from moveset.motion.features import FeatureCodec, Normalizer
 from moveset.motion.skeleton import HML22
-from moveset.training.clip_source import CorpusClips
-from moveset.training.clips import FeatureStore
-from moveset.training.compositions import Row
 
 SENTENCES = (
     "a person stands still", "a person stands", "a person is standing", "a person is standing still", "someone stands",
@@ -96,21 +92,6 @@ def quiet_moment(motion: Motion) -> tuple[int, int] | None:
             best = max(best, (begun, frame + 1), key=lambda found: found[1] - found[0])
             begun = None
     return best if best[1] - best[0] >= LEAST else None
-
-
-def idle_pose(source: CorpusClips, store: FeatureStore, codec: FeatureCodec) -> Tensor:
-    """Normalised features (D,) of standing still: of the takes' first frames, the one nearest to their mean, at rest.
-
-    It is of the training split, and no mirror image.
-    """
-    starts = [store.clips[clip].start for clip in source.clips("train", plain=True)]
-    first_ND = torch.from_numpy(np.array(store.features[starts], np.float32))
-    nearest = first_ND[(first_ND - first_ND.mean(dim=0)).square().sum(dim=1).argmin()]
-    pose = store.normalizer.denormalize(nearest)
-    for steps in ("root_yaw", "root_velocity", "velocities"):
-        pose[codec.groups[steps]] = 0.0
-    pose[codec.groups["contacts"]] = 1.0
-    return store.normalizer.normalize(pose)
 
 
 def swaying(motion: Motion, frames: int, phase: int = 0) -> Motion:

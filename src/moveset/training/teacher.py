@@ -6,21 +6,21 @@ from pathlib import Path
 import torch
 from torch import Tensor, nn
 
+from moveset.data.dataset import open_for_training
+from moveset.data.disturbance import Disturbance
+from moveset.data.feature_store import FeatureStore
+from moveset.data.latents import LatentBatch, LatentSet
 from moveset.diffusion.schedule import scaled_linear
 from moveset.diffusion.steps import add_noise
 from moveset.models.latent_denoiser import LatentDenoiserConfig
 from moveset.models.registry import describe
 from moveset.models.token_denoiser import TokenDenoiserConfig
-from moveset.motion.features import get_codec
 from moveset.text.encoder import TextEmbedding
 from moveset.training import frozen
-from moveset.training.clip_source import open_clips
-from moveset.training.clips import FeatureStore
 from moveset.training.ema import Ema, ema_warmup
 from moveset.training.engine import Loop, Task
-from moveset.training.latents import LatentBatch, LatentSet
 from moveset.training.optim import cosine_lr
-from moveset.training.reading import Disturbance, open_text, read_captions
+from moveset.training.reading import open_text, read_captions
 from moveset.training.tasks import Sources
 
 
@@ -55,12 +55,12 @@ class LatentData:
             self._open(sources, text_encoder, loop.rank == 0)
 
     def _open(self, sources: Sources, text_encoder: str, progress: bool) -> None:
-        clips, vae, codec = open_clips(sources.corpus), self.vae, self.vae.task["codec"]
-        store = FeatureStore.of(clips, get_codec(codec), sources.cache / f"features-{codec}", progress)
+        dataset, vae = open_for_training(sources.corpus), self.vae
+        store = FeatureStore.cached(dataset, vae.task["codec"], sources.cache, progress)
         latents = sources.cache / f"latents-{vae.digest[:12]}"
-        self.train = LatentSet.of(clips, "train", store, vae.module, Path(f"{latents}-train.safetensors"))
+        self.train = LatentSet.of(dataset, "train", store, vae.module, Path(f"{latents}-train.safetensors"))
         self.train.disturbance = self.disturbance
-        self.val = LatentSet.of(clips, "val", store, vae.module, Path(f"{latents}-val.safetensors"), windows=0)
+        self.val = LatentSet.of(dataset, "val", store, vae.module, Path(f"{latents}-val.safetensors"), windows=0)
         captions, others = self.train.all_captions(), self.val.all_captions()
         self.text = open_text(sources.cache, text_encoder, captions, others, self.disturbance, self.device)
 

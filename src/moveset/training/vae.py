@@ -6,6 +6,9 @@ from typing import Literal, Protocol, cast
 import torch
 from torch import Tensor, nn
 
+from moveset.data.crops import CropSampler
+from moveset.data.dataset import open_for_training
+from moveset.data.feature_store import Crop, FeatureStore
 from moveset.errors import InputError
 from moveset.models.registry import describe
 from moveset.models.timed_vae import TimedVAEConfig
@@ -14,8 +17,6 @@ from moveset.motion.features import FeatureCodec, get_codec
 from moveset.motion.measures import jerk, skating
 from moveset.motion.native import NativeCodec
 from moveset.training import frozen
-from moveset.training.clip_source import open_clips
-from moveset.training.clips import Crop, CropSampler, FeatureStore
 from moveset.training.ema import Ema, ema_warmup
 from moveset.training.engine import Loop, Task
 from moveset.training.optim import cosine_lr
@@ -84,24 +85,22 @@ class VAETask(Task):
                 f"loss=kinematic is for native features, not for {config.codec!r} ones; set loss=published"
             )
         self.config, self.steps = config, loop.config.steps
-        source = open_clips(sources.corpus)
+        dataset = open_for_training(sources.corpus)
         self.codec = get_codec(config.codec)
         # Whoever comes first makes the cache; the other processes open it.
         with loop.fabric.rank_zero_first():
-            self.store = FeatureStore.of(
-                source, self.codec, sources.cache / f"features-{config.codec}", progress=loop.rank == 0
-            )
+            self.store = FeatureStore.cached(dataset, config.codec, sources.cache, progress=loop.rank == 0)
         self.vae = config.model.build().to(loop.device)
         self.ema = Ema(self.vae, config.ema)
         self.noise = loop.generator("noise", device=loop.device)
         self.optimizer = torch.optim.AdamW(
             self.vae.parameters(), config.lr, betas=(0.9, 0.99), weight_decay=config.weight_decay
         )
-        clips = source.clips("train")
-        weights = source.weights(clips, power=config.balance, composed_share=config.composed_share)
+        clips = dataset.split("train")
+        weights = dataset.weights(clips, power=config.balance, composed_share=config.composed_share)
         seed = loop.config.seed * 64 + loop.rank
         self.sampler = CropSampler(self.store, clips, weights, config.batch, seed)
-        held_out = (self.store.whole(clip) for clip in source.clips("val", plain=True))
+        held_out = (self.store.whole(clip) for clip in dataset.split("val", captured_only=True))
         self.held_out = sorted(held_out, key=lambda crop: crop.frames)
 
     def modules(self) -> dict[str, nn.Module]:

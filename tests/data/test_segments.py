@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 import torch
 
+from moveset.data.dataset import CorpusDataset, open_for_training
+from moveset.data.disturbance import Disturbance
+from moveset.data.feature_store import FeatureStore
 from moveset.data.humanml3d import KIT
+from moveset.data.segments import SEGMENT_FRAMES, ClipSet, CuttingConfig, Row, SegmentSet
 from moveset.errors import InputError
 from moveset.models.dip_decoder import DipDecoderConfig
 from moveset.motion.features import get_codec
-from moveset.training.clip_source import CorpusClips, open_clips
-from moveset.training.clips import FeatureStore
-from moveset.training.compositions import Row
 from moveset.training.dip import PieceSet
-from moveset.training.reading import Disturbance
-from moveset.training.segments import SEGMENT_FRAMES, ClipSet, CuttingConfig, SegmentSet
+from moveset.training.segment_data import forecast, spectrum
 from tests.training.hml_folder import write_folder
 from tests.training.segment_corpus import write_corpus
 
@@ -29,11 +29,11 @@ class Opened:
     """A source with its features."""
 
     def __init__(self, path, codec, cache):
-        self.source, self.codec, self.folder = open_clips(path), get_codec(codec), cache
+        self.source, self.codec = open_for_training(path), get_codec(codec)
         self.store = FeatureStore.of(self.source, self.codec, cache)
 
     def cut(self, cutting, frames=N, split="train", **more):
-        return SegmentSet(self.source, split, self.store, self.codec, frames, cutting, self.folder, **more)
+        return SegmentSet(self.source, split, self.store, self.codec, cutting, frames, **more)
 
 
 @pytest.fixture(scope="module")
@@ -123,7 +123,7 @@ def test_segments_are_those_of_the_store(corpus):
 def test_a_part_of_a_clip_is_told_by_its_own_sentence(corpus):
     opened = corpus.source.corpus
     found = corpus.cut(replace(PLAIN, composed_share=0.9))
-    clips = corpus.source.clips("train")
+    clips = corpus.source.split("train")
     two = [(clip, row) for clip, row in zip(clips, found.rows, strict=True) if len(row.ends) == 2]
     assert {len(row.said) for _, row in two} == {2}
     assert two
@@ -150,7 +150,7 @@ def test_a_segment_lies_in_the_time_of_its_sentence(corpus):
     frames = np.arange(100, dtype=np.float32)[:, None]
     found.rows = [
         Row(frames, (50, 100), (("one",), ("two",)), ("both",)),
-        Row(frames, (40, 100), (("on",), ("on",)), ("on",), goes_on=True),
+        Row(frames, (40, 100), (("on",), ("on",)), ("on",), looped=True),
     ]
     found.weights = torch.ones(2, dtype=torch.float64)
     batch, seen = found.batch(400, seed=0, step=0), set()
@@ -195,20 +195,12 @@ def test_the_sentence_before_is_that_of_the_segment_before(corpus):
     assert pairs == {("one", "one"), ("one", "two"), ("two", "two")}
 
 
-@pytest.mark.parametrize("kind", ["continuations", "bodies"])
-def test_no_compositions_are_no_rows(corpus, kind):
-    found = corpus.cut(replace(PLAIN, **{kind: 6}), split="val")  # a tenth of six is none
-    assert len(found.rows) == len(corpus.source.clips("val"))
-    assert found.batch(8, 0, 0).valid.any(dim=1).all()
-
-
-def test_compositions_get_their_shares(corpus):
-    cutting = replace(PLAIN, continuations=6, continuation_share=0.5, bodies=4, body_share=0.25)
-    found = corpus.cut(cutting)
-    kinds = [len(corpus.source.clips("train")), 6, 4]
-    assert len(found.rows) == sum(kinds)
-    shares = [float(part.sum()) for part in found.weights.split(kinds)]
-    assert shares == pytest.approx([0.75 * 0.5, 0.75 * 0.5, 0.25])
+def test_added_clips_get_their_shares(corpus):
+    more = [Row(np.zeros((40, 1), np.float32), (40,), (("added",),), ("added",))] * 4
+    found = corpus.cut(PLAIN, added=[(more[:3], 0.5), ([], 0.3), (more[3:], 0.25)])
+    weights = found.weights.split([len(found.rows) - 4, 3, 1])
+    assert [float(part.sum()) for part in weights] == pytest.approx([0.375, 0.375, 0.25])
+    assert "added" in found.all_captions()
 
 
 def test_batches_are_functions_of_seed_and_step(corpus):
@@ -226,8 +218,8 @@ def test_batches_are_functions_of_seed_and_step(corpus):
 
 def test_rows_and_chances_are_those_of_the_clips(corpus):
     found = corpus.cut(replace(PLAIN, composed_share=0.3))
-    assert isinstance(corpus.source, CorpusClips)
-    clips = corpus.source.clips("train")
+    assert isinstance(corpus.source, CorpusDataset)
+    clips = corpus.source.split("train")
     assert [len(row.features) for row in found.rows] == [corpus.store.clips[clip].frames for clip in clips]
     composed = torch.tensor([corpus.source.corpus.records[clip // 2].kind != "take" for clip in clips])
     assert float(found.weights.sum()) == pytest.approx(1)
@@ -242,29 +234,27 @@ def test_a_folder_is_cut_like_a_corpus(kit):
     assert batch.clean.shape == (64, N, 251)
     assert set(batch.captions) <= set(found.all_captions())
     assert int(batch.index.max()) > 1
-    with pytest.raises(InputError, match=r"cutting\.continuations=0"):
-        kit.cut(replace(ALIGNED, continuations=1))
 
 
 def test_the_spectrum_is_of_whole_segments(corpus):
     found = corpus.cut(PLAIN)
-    spectrum = found.spectrum(256)
-    assert spectrum.shape == (N, 269)
+    made = spectrum(found, 256)
+    assert made.shape == (N, 269)
     # Motion is slow: of every feature's power most is in the lower half of the frequencies.
-    power = spectrum.square().sum(dim=1)
+    power = made.square().sum(dim=1)
     assert float(power[: N // 2].sum() / power.sum()) > 0.9
 
 
 def test_where_no_clip_has_a_whole_segment_there_is_no_spectrum_and_no_forecast(corpus):
     found = numbered(corpus.cut(PLAIN, frames=196), (100, 120))
     with pytest.raises(InputError, match="no clip has 196 frames; use fewer frames a segment"):
-        found.spectrum(64)
-    assert not found.forecast(64).any()
+        spectrum(found, 64)
+    assert not forecast(found, 64).any()
 
 
 def test_pieces_are_prefix_and_frames_in_a_row(corpus):
     model = DipDecoderConfig(prefix=5, frames=9)
-    found = PieceSet(corpus.source, "train", corpus.store, corpus.codec, model, PLAIN, corpus.folder)
+    found = PieceSet(corpus.source, "train", corpus.store, corpus.codec, PLAIN, model)
     numbered(found, [14, 100])
     batch = found.batch(300, 0, 0)
     whole = torch.cat((batch.prefix, batch.clean), dim=1)[..., 0]
@@ -278,7 +268,7 @@ def test_pieces_are_prefix_and_frames_in_a_row(corpus):
 
 def test_some_pieces_begin_with_their_clip_after_a_person_who_stands(corpus):
     model = DipDecoderConfig(prefix=5, frames=9)
-    found = PieceSet(corpus.source, "train", corpus.store, corpus.codec, model, PLAIN, corpus.folder, standing=0.3)
+    found = PieceSet(corpus.source, "train", corpus.store, corpus.codec, PLAIN, model, standing=0.3)
     assert found.idle.shape == (5, 269)
     numbered(found, [14, 100])
     found.idle = torch.full((5, 1), -1.0)
@@ -291,15 +281,17 @@ def test_some_pieces_begin_with_their_clip_after_a_person_who_stands(corpus):
     assert batch.captions == [f"clip {int(start) // 1000}" for start in first]
 
 
-def test_nobody_stands_in_a_folder_of_features(kit):
+def test_people_stand_in_a_folder_of_features_too(kit):
     model = DipDecoderConfig(prefix=5, frames=9)
-    with pytest.raises(InputError, match="only a corpus has people who stand"):
-        PieceSet(kit.source, "train", kit.store, kit.codec, model, PLAIN, kit.folder, standing=0.3)
+    found = PieceSet(kit.source, "train", kit.store, kit.codec, PLAIN, model, standing=0.3)
+    pose = kit.store.normalizer.denormalize(found.idle[0])
+    assert not pose[kit.codec.groups["velocities"]].abs().max() > 1e-4
+    assert pose[kit.codec.groups["contacts"]].tolist() == pytest.approx([1.0] * 4)
 
 
 def test_short_clips_have_no_pieces(corpus):
     model = DipDecoderConfig(prefix=20, frames=60)
-    found = PieceSet(corpus.source, "train", corpus.store, corpus.codec, model, PLAIN, corpus.folder)
+    found = PieceSet(corpus.source, "train", corpus.store, corpus.codec, PLAIN, model)
     short = torch.tensor([len(row.features) < 80 for row in found.rows])
     assert short.any()
     assert not found.weights[short].any()
@@ -307,5 +299,5 @@ def test_short_clips_have_no_pieces(corpus):
     assert found.batch(32, 0, 0).clean.shape == (32, 60, 269)
     long = replace(model, frames=1000)
     with pytest.raises(InputError, match="has 1020 frames"):
-        PieceSet(corpus.source, "train", corpus.store, corpus.codec, long, PLAIN, corpus.folder)
+        PieceSet(corpus.source, "train", corpus.store, corpus.codec, PLAIN, long)
     assert isinstance(found, ClipSet)

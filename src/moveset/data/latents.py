@@ -1,4 +1,4 @@
-"""The corpus as the diffusion models see it: VAE posteriors of clips and crops, with their captions, in one file.
+"""A dataset as the diffusion models see it: VAE posteriors of clips and crops, with their captions, in one file.
 
 Encoding a clip costs as much as a training step of the denoiser, and the encoder is frozen: so it happens once.
 Shapes: M entries, N latent tokens, d latent width, B batch.
@@ -15,13 +15,12 @@ from safetensors.torch import load_file, save
 from torch import Tensor
 from tqdm import tqdm
 
-from moveset.data.corpus import Corpus
+from moveset.data.dataset import Dataset
+from moveset.data.disturbance import AS_WRITTEN, say
+from moveset.data.feature_store import Crop, FeatureStore
 from moveset.data.splits import Split
 from moveset.errors import InputError
 from moveset.io.limits import atomic_write
-from moveset.training.clip_source import ClipSource, as_clips
-from moveset.training.clips import Crop, FeatureStore
-from moveset.training.reading import AS_WRITTEN, say
 
 _SOURCE = "moveset source"
 
@@ -53,27 +52,26 @@ class LatentSet:
         mean: (M, N, d) posterior means.
         std: (M, N, d) posterior standard deviations.
         frames: (M,) clip lengths.
-        clip: (M,) numbers of clips in the source and the feature store.
+        clip: (M,) numbers of clips in the dataset and the feature store.
         disturbance: what share of captions in a batch is said otherwise.
     """
 
     disturbance = AS_WRITTEN
 
-    def __init__(self, source: Corpus | ClipSource, split: Split, tensors: dict[str, Tensor]) -> None:
-        source = as_clips(source)
+    def __init__(self, dataset: Dataset, split: Split, tensors: dict[str, Tensor]) -> None:
         self.mean, self.std = tensors["mean"].float(), tensors["std"].float()
         self.frames, self.clip = tensors["frames"], tensors["clip"]
         self.center, self.scale = tensors["center"], tensors["scale"]
-        clips = source.clips(split)
-        weight = dict(zip(clips, source.weights(clips, power=0.5, composed_share=0.4).tolist(), strict=True))
-        copies = torch.bincount(self.clip, minlength=len(source)).double()
+        clips = dataset.split(split)
+        weight = dict(zip(clips, dataset.weights(clips, power=0.5, composed_share=0.4).tolist(), strict=True))
+        copies = torch.bincount(self.clip, minlength=len(dataset)).double()
         self.weights = torch.tensor([weight[int(c)] for c in self.clip], dtype=torch.float64) / copies[self.clip]
-        self._captions = {clip: source.captions(clip) for clip in set(self.clip.tolist())}
+        self._captions = {clip: dataset.clip(clip).captions for clip in set(self.clip.tolist())}
 
     @classmethod
     def of(
         cls,
-        source: Corpus | ClipSource,
+        dataset: Dataset,
         split: Split,
         store: FeatureStore,
         vae: Encoder,
@@ -84,26 +82,22 @@ class LatentSet:
         """Open ``path``, encoding the split first where it is missing.
 
         Raises:
-            InputError: the latents there are of another source's clips, or of another split.
+            InputError: the latents there are of another dataset's clips, or of another split.
         """
-        source = as_clips(source)
-        made_of = f"{source.fingerprint} {split}"
+        made_of = f"{dataset.fingerprint} {split}"
         if not path.is_file():
-            tensors = _encode(_entries(source, source.clips(split), store, windows), store, vae, batch)
+            tensors = _encode(_entries(dataset, dataset.split(split), store, windows), store, vae, batch)
             with atomic_write(path) as file:
                 file.write(save(tensors, {_SOURCE: made_of}))
-            return cls(source, split, load_file(path))
+            return cls(dataset, split, load_file(path))
         with safe_open(path, "pt") as file:
-            said = (file.metadata() or {}).get(_SOURCE)
-        tensors = load_file(path)
-        # An earlier version did not say; other clips would hardly have the same lengths one by one.
-        fits = said == made_of if said else _whole_clips(tensors, source.clips(split), store)
-        if not fits:
+            found = (file.metadata() or {}).get(_SOURCE)
+        if found != made_of:
             raise InputError(
                 f"{path} was made from other clips; delete {path.parent}/latents-*.safetensors, and they will be made "
                 "anew, or train in another folder"
             )
-        return cls(source, split, tensors)
+        return cls(dataset, split, load_file(path))
 
     def __len__(self) -> int:
         return len(self.clip)
@@ -129,23 +123,15 @@ class LatentSet:
         return LatentBatch(z0, self.frames[entries], captions)
 
 
-def _whole_clips(tensors: dict[str, Tensor], clips: Sequence[int], store: FeatureStore) -> bool:
-    """Whether these are latents of just these clips, each whole and perhaps windows of it."""
-    longest: dict[int, int] = {}
-    for clip, frames in zip(tensors["clip"].tolist(), tensors["frames"].tolist(), strict=True):
-        longest[clip] = max(frames, longest.get(clip, 0))
-    return longest.keys() == set(clips) and all(longest[clip] == store.whole(clip).frames for clip in clips)
-
-
-def _entries(source: ClipSource, clips: Sequence[int], store: FeatureStore, windows: int) -> list[Crop]:
-    """Every clip whole, and ``windows`` windows of 70-100 % of those that may be divided."""
+def _entries(dataset: Dataset, clips: Sequence[int], store: FeatureStore, windows: int) -> list[Crop]:
+    """Every clip whole, and ``windows`` windows of 70-100 % of those that may be cropped."""
     generator = torch.Generator().manual_seed(0)
     crops = []
     for clip in clips:
         crops.append(store.whole(clip))
         total = store.clips[clip].frames
         # A window of a short clip may miss what its caption says.
-        if not source.divisible(clip) or total < 48:
+        if not dataset.clip(clip).croppable or total < 48:
             continue
         for share, place in torch.rand(windows, 2, generator=generator).tolist():
             frames = int(total * (0.7 + 0.3 * share))

@@ -1,4 +1,4 @@
-"""A corpus and a HumanML3D or KIT-ML folder look alike to what is trained."""
+"""A corpus and a HumanML3D or KIT-ML folder look alike to what is trained and judged."""
 
 from pathlib import Path
 from threading import Thread
@@ -8,16 +8,18 @@ import pytest
 import torch
 
 from moveset.cli.__main__ import main
+from moveset.data import feature_store
 from moveset.data.corpus import Corpus
+from moveset.data.crops import CropSampler
+from moveset.data.dataset import CorpusDataset, FolderDataset, corpus_weights, open_for_training
+from moveset.data.feature_store import FeatureStore
 from moveset.data.humanml3d import HUMANML3D, KIT
+from moveset.data.latents import LatentSet
 from moveset.data.synthetic import synthetic_corpus
 from moveset.errors import InputError
 from moveset.io.process import locked
 from moveset.motion.features import get_codec
-from moveset.training import checkpoint, clips
-from moveset.training.clip_source import CorpusClips, FolderClips, clip_weights, open_clips
-from moveset.training.clips import CropSampler, FeatureStore
-from moveset.training.latents import LatentSet
+from moveset.training import checkpoint
 from tests.training.hml_folder import write_folder
 
 
@@ -40,28 +42,28 @@ def corpus(tmp_path_factory) -> Path:
 
 
 def test_what_a_path_holds_is_found_out(humanml3d, corpus, tmp_path):
-    assert isinstance(open_clips(humanml3d), FolderClips)
-    assert isinstance(open_clips(corpus), CorpusClips)
+    assert isinstance(open_for_training(humanml3d), FolderDataset)
+    assert isinstance(open_for_training(corpus), CorpusDataset)
     with pytest.raises(InputError, match="there is no corpus"):
-        open_clips(tmp_path / "nothing")
+        open_for_training(tmp_path / "nothing")
     with pytest.raises(InputError, match="new_joint_vecs"):
-        open_clips(tmp_path)
+        open_for_training(tmp_path)
 
 
 def test_items_of_a_folder_are_clips(humanml3d):
-    source = open_clips(humanml3d)
+    source = open_for_training(humanml3d)
     assert [(item.name, item.start, item.stop) for item in source.items] == [
         ("000001", 0, 120), ("000001", 20, 80), ("000002", 0, 64), ("M000002", 0, 64), ("long", 0, 199), ("e", 0, 90),
         ("val1", 0, 80), ("val2", 0, 40), ("test1", 0, 70),
     ]  # fmt: skip
-    assert (source.clips("train"), source.clips("val"), source.clips("test")) == ((0, 1, 2, 3, 4, 5), (6, 7), (8,))
-    assert source.captions(0) == ("the person walks forward.", "a person walks forward.")
-    assert source.captions(1) == ("a person turns around.",)
+    assert (source.split("train"), source.split("val"), source.split("test")) == ((0, 1, 2, 3, 4, 5), (6, 7), (8,))
+    assert source.clip(0).captions == ("the person walks forward.", "a person walks forward.")
+    assert source.clip(1).captions == ("a person turns around.",)
     assert source.weights((0, 1, 5), power=0.5, composed_share=0.3).tolist() == [1.0, 1.0, 1.0]
 
 
 def test_a_folder_is_stored_by_its_own_features_and_statistics(humanml3d, tmp_path):
-    source = open_clips(humanml3d)
+    source = open_for_training(humanml3d)
     store = FeatureStore.of(source, get_codec("hml"), tmp_path / "store")
     mean, std = (np.load(humanml3d / f"{name}.npy") for name in ("Mean", "Std"))
     assert store.normalizer.mean.tolist() == mean.tolist()
@@ -75,9 +77,9 @@ def test_a_folder_is_stored_by_its_own_features_and_statistics(humanml3d, tmp_pa
 
 
 def test_trainings_side_by_side_make_one_store(humanml3d, tmp_path, monkeypatch):
-    source, codec, folder, made = open_clips(humanml3d), get_codec("hml"), tmp_path / "cache" / "store", []
-    make = clips._make
-    monkeypatch.setattr(clips, "_make", lambda *given: made.append(given) or make(*given))
+    source, codec, folder, made = open_for_training(humanml3d), get_codec("hml"), tmp_path / "cache" / "store", []
+    make = feature_store._make
+    monkeypatch.setattr(feature_store, "_make", lambda *given: made.append(given) or make(*given))
     both = [Thread(target=FeatureStore.of, args=(source, codec, folder)) for _ in range(2)]
     with locked(folder.parent):
         for one in both:
@@ -91,10 +93,10 @@ def test_trainings_side_by_side_make_one_store(humanml3d, tmp_path, monkeypatch)
 
 
 def test_no_crop_is_longer_than_196_frames(humanml3d, tmp_path):
-    source = open_clips(humanml3d)
+    source = open_for_training(humanml3d)
     store = FeatureStore.of(source, get_codec("hml"), tmp_path / "store")
     assert (store.whole(4).frames, store.whole(0).frames) == (196, 120)
-    clips = source.clips("train")
+    clips = source.split("train")
     sampler = CropSampler(store, clips, source.weights(clips, 0.25, 0.3), batch=8, seed=0)
     crops = [crop for step in range(64) for crop in sampler.crops(step)]
     long = [crop for crop in crops if crop.clip == 4]
@@ -106,7 +108,7 @@ def test_no_crop_is_longer_than_196_frames(humanml3d, tmp_path):
 
 
 def test_latents_of_a_folder_are_whole_clips_with_their_sentences(humanml3d, tmp_path):
-    source = open_clips(humanml3d)
+    source = open_for_training(humanml3d)
     store = FeatureStore.of(source, get_codec("hml"), tmp_path / "store")
     latents = LatentSet.of(source, "train", store, Middle(), tmp_path / "train.safetensors")
     assert sorted(latents.clip.tolist()) == [0, 1, 2, 3, 4, 5]
@@ -121,27 +123,27 @@ def test_latents_of_a_folder_are_whole_clips_with_their_sentences(humanml3d, tmp
 
 def test_a_corpus_is_numbered_with_its_mirror_images(corpus):
     opened = Corpus.open(corpus)
-    source, records = CorpusClips(opened), opened.indices("train")
+    source, records = CorpusDataset(opened), opened.indices("train")
     assert len(source) == 2 * len(opened)
-    assert source.clips("train") == tuple(k for record in records for k in (2 * record, 2 * record + 1))
-    assert source.clips("val", plain=True) == tuple(2 * k for k in opened.indices("val", composed=False))
-    assert source.captions(2 * records[0] + 1) == opened.captions(records[0], mirrored=True)
-    want = clip_weights(opened, records, power=0.25, composed_share=0.3).repeat_interleave(2)
-    assert torch.equal(source.weights(source.clips("train"), 0.25, 0.3), want)
+    assert source.split("train") == tuple(k for record in records for k in (2 * record, 2 * record + 1))
+    assert source.split("val", captured_only=True) == tuple(2 * k for k in opened.indices("val", composed=False))
+    assert source.clip(2 * records[0] + 1).captions == opened.captions(records[0], mirrored=True)
+    want = corpus_weights(opened, records, power=0.25, composed_share=0.3).repeat_interleave(2)
+    assert torch.equal(source.weights(source.split("train"), 0.25, 0.3), want)
     composed = {2 * k for k in opened.indices("train", composed=True)}
-    assert {k for k in source.clips("train") if k % 2 == 0 and not source.divisible(k)} == composed != set()
+    assert {k for k in source.split("train") if k % 2 == 0 and not source.clip(k).croppable} == composed != set()
 
 
 def test_what_does_not_fit_is_said(humanml3d, corpus, tmp_path):
-    source = open_clips(humanml3d)
+    source = open_for_training(humanml3d)
     with pytest.raises(InputError, match=r"'hml' features .* not 'native' ones.*--set codec=hml"):
         FeatureStore.of(source, get_codec("native"), tmp_path / "native")
     assert {path.name for path in tmp_path.iterdir()} <= {".lock"}  # nothing half made
     FeatureStore.of(source, get_codec("hml"), tmp_path / "store")
     with pytest.raises(InputError, match="made from other clips"):
-        FeatureStore.of(Corpus.open(corpus), get_codec("hml"), tmp_path / "store")
+        FeatureStore.of(CorpusDataset(Corpus.open(corpus)), get_codec("hml"), tmp_path / "store")
     with pytest.raises(InputError, match="no split 'dev'"):
-        source.clips("dev")
+        source.split("dev")
 
 
 @pytest.mark.parametrize("missing", ["val.txt", "Mean.npy"])
@@ -149,7 +151,7 @@ def test_an_incomplete_folder_is_refused_at_once(tmp_path, missing):
     folder = write_folder(tmp_path / "data")
     (folder / missing).unlink()
     with pytest.raises(InputError, match=missing):
-        open_clips(folder)
+        open_for_training(folder)
 
 
 TINY = ("model.width=32", "model.layers=3", "model.heads=2", "model.feed_forward=16", "batch=4", "warmup=1")

@@ -1,7 +1,6 @@
 """Features and latents that are kept are of the clips that they are used for, and are written whole or not at all."""
 
 import errno
-import json
 import os
 import shutil
 
@@ -9,15 +8,15 @@ import numpy as np
 import pytest
 import torch
 
+from moveset.data import feature_store
 from moveset.data.captions import train_captions
 from moveset.data.corpus import Corpus, CorpusWriter, TakeEntry
+from moveset.data.dataset import CorpusDataset, FolderDataset, open_for_training
+from moveset.data.feature_store import FeatureStore
+from moveset.data.latents import LatentSet
 from moveset.data.synthetic import synthetic_motion
 from moveset.errors import InputError, MovesetError
 from moveset.motion.features import get_codec
-from moveset.training import clips, latents
-from moveset.training.clip_source import FolderClips, open_clips
-from moveset.training.clips import FeatureStore
-from moveset.training.latents import LatentSet
 from tests.training.hml_folder import write_folder
 
 NATIVE = get_codec("native")
@@ -40,14 +39,7 @@ def corpus(path, seed=0, frames=(40, 52, 48), splits=("train", "train", "val"), 
                 captions=train_captions("walk", plain=said), motion=synthetic_motion("walk", count, seed=seed + k),
             )
         )  # fmt: skip
-    return Corpus.open(writer.write(path))
-
-
-def forget(folder):
-    """Makes an index what earlier versions wrote."""
-    index = json.loads((folder / "index.json").read_text())
-    del index["source"]
-    (folder / "index.json").write_text(json.dumps(index))
+    return CorpusDataset(Corpus.open(writer.write(path)))
 
 
 def test_features_of_another_corpus_are_refused_though_it_has_as_many_clips(tmp_path):
@@ -61,29 +53,15 @@ def test_features_of_another_corpus_are_refused_though_it_has_as_many_clips(tmp_
     FeatureStore.of(corpus(tmp_path / "d", said=2), NATIVE, folder)
 
 
-def test_features_of_an_earlier_version_are_known_by_the_frames_of_their_clips(tmp_path):
-    for codec in (NATIVE, get_codec("hml")):
-        folder = tmp_path / "cache" / codec.name
-        FeatureStore.of(corpus(tmp_path / "a"), codec, folder)
-        forget(folder)
-        FeatureStore.of(corpus(tmp_path / "a"), codec, folder)
-        with pytest.raises(InputError, match="other clips"):
-            FeatureStore.of(corpus(tmp_path / "b", frames=(40, 48, 52)), codec, folder)
-        with pytest.raises(InputError, match="other clips"):
-            FeatureStore.of(corpus(tmp_path / "c", frames=(40, 52), splits=("train", "val")), codec, folder)
-
-
 @pytest.mark.parametrize("changed", ["Std.npy", "new_joint_vecs/000001.npy", "texts/000001.txt", None])
 def test_features_of_a_folder_that_has_changed_are_refused(tmp_path, changed):
     folder, store = write_folder(tmp_path / "data"), tmp_path / "cache" / "store"
     hml = get_codec("hml")
-    made = FeatureStore.of(open_clips(folder), hml, store)
+    made = FeatureStore.of(open_for_training(folder), hml, store)
     assert [clip.frames for clip in made.clips[:2]] == [120, 60]
     if changed is None:
         moved = folder.rename(tmp_path / "moved")
-        FeatureStore.of(open_clips(moved), hml, store)
-        forget(store)
-        FeatureStore.of(open_clips(moved), hml, store)
+        FeatureStore.of(open_for_training(moved), hml, store)
         return
     if changed.endswith(".npy"):
         np.save(folder / changed, np.load(folder / changed) * 2)
@@ -91,7 +69,7 @@ def test_features_of_a_folder_that_has_changed_are_refused(tmp_path, changed):
     else:  # the second part of the motion is another
         (folder / changed).write_text((folder / changed).read_text().replace("#4.0", "#5.0"))
     with pytest.raises(InputError, match="other clips"):
-        FeatureStore.of(open_clips(folder), hml, store)
+        FeatureStore.of(open_for_training(folder), hml, store)
 
 
 def test_latents_of_another_corpus_are_refused(tmp_path):
@@ -103,18 +81,6 @@ def test_latents_of_another_corpus_are_refused(tmp_path):
     assert torch.equal(LatentSet.of(one, "train", stores[0], Still(), path).mean, made.mean)
     with pytest.raises(InputError, match=r"latents-x-train.safetensors was made from other clips; delete"):
         LatentSet.of(other, "train", stores[1], Still(), path)
-
-
-def test_latents_of_an_earlier_version_are_known_by_their_clips(tmp_path, monkeypatch):
-    one, other = corpus(tmp_path / "a"), corpus(tmp_path / "b", frames=(40, 48, 52))
-    stores = [FeatureStore.of(source, NATIVE, tmp_path / name) for source, name in ((one, "one"), (other, "other"))]
-    path, save = tmp_path / "latents.safetensors", latents.save
-    monkeypatch.setattr(latents, "save", lambda tensors, metadata: save(tensors))
-    LatentSet.of(one, "train", stores[0], Still(), path)
-    assert sorted(set(LatentSet.of(one, "train", stores[0], Still(), path).clip.tolist())) == [0, 1, 2, 3]
-    for source, store, split in ((other, stores[1], "train"), (one, stores[0], "val")):
-        with pytest.raises(InputError, match="other clips"):
-            LatentSet.of(source, split, store, Still(), path)
 
 
 def test_what_a_killed_training_left_is_cleared_away(tmp_path):
@@ -152,7 +118,7 @@ def test_a_full_disk_is_one_sentence(tmp_path, monkeypatch, name):
         file = opened(path, mode)
         return Full(file) if path.name == name else file
 
-    monkeypatch.setattr(clips, "open", opener, raising=False)
+    monkeypatch.setattr(feature_store, "open", opener, raising=False)
     folder = tmp_path / "cache" / "store"
     with pytest.raises(MovesetError, match=r"store could not be written \(No space left on device\)"):
         FeatureStore.of(corpus(tmp_path / "a"), NATIVE, folder)
@@ -163,7 +129,7 @@ def test_features_are_stored_as_numpy_stores_them(tmp_path):
     source = corpus(tmp_path / "a")
     store = FeatureStore.of(source, NATIVE, tmp_path / "store")
     whole = np.concatenate(
-        [store.normalizer.normalize(NATIVE.encode(source.motion(k // 2, k % 2 == 1)).float()).numpy() for k in range(6)]
+        [store.normalizer.normalize(source.clip(k).features(NATIVE).float()).numpy() for k in range(6)]
     )
     np.testing.assert_allclose(np.load(tmp_path / "store" / "features.npy"), whole, atol=1e-6)
     np.save(tmp_path / "theirs.npy", np.load(tmp_path / "store" / "features.npy"))
@@ -173,15 +139,19 @@ def test_features_are_stored_as_numpy_stores_them(tmp_path):
 @pytest.mark.parametrize("splits", [("train", "train", "test"), ("val", "val", "test")])
 def test_a_corpus_without_a_split_is_refused_at_once(tmp_path, splits):
     corpus(tmp_path / "a", splits=splits)
-    with pytest.raises(InputError, match=f"no take of the {'val' if 'train' in splits else 'train'} split"):
-        open_clips(tmp_path / "a")
+    with pytest.raises(InputError, match=f"no usable clip of the {'val' if 'train' in splits else 'train'} split"):
+        open_for_training(tmp_path / "a")
 
 
 def test_what_a_source_says_of_itself_is_said_again(tmp_path):
     write_folder(tmp_path / "data")
-    one, again = open_clips(tmp_path / "data"), open_clips(tmp_path / "data")
-    assert isinstance(one, FolderClips)
+    one, again = open_for_training(tmp_path / "data"), open_for_training(tmp_path / "data")
+    assert isinstance(one, FolderDataset)
     assert one.fingerprint == again.fingerprint
     corpus(tmp_path / "a")
     shutil.copy(tmp_path / "a", tmp_path / "b")
-    assert open_clips(tmp_path / "a").fingerprint == open_clips(tmp_path / "b").fingerprint != one.fingerprint
+    assert (
+        open_for_training(tmp_path / "a").fingerprint
+        == open_for_training(tmp_path / "b").fingerprint
+        != one.fingerprint
+    )

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import pytest
 import torch
 
-from moveset.training.ahead import Ahead
+from moveset.data.loader import Ahead
 
 
 @dataclass

@@ -1,30 +1,24 @@
-"""The corpus as a recurrent model sees it: a segment, the one before it, and what is being said while it plays.
+"""A dataset as a recurrent model sees it: a segment, the one before it, and what is being said while it plays.
 
 A clip that shows one thing after another has a sentence for each, so the prompt of a segment is the sentence of the
-part that fills more of it: this is how a stream is steered. *Continuations* (the same content twice, ``data.compose``)
-show what comes when an action ends and its sentence stays; more clips composed by body part, what arms do on their way.
+part that fills more of it: this is how a stream is steered.
 
 Shapes: B rows, n frames of a segment, D features.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from pathlib import Path
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from moveset.data.augment import MAX_FRAMES
+from moveset.data.dataset import Dataset
+from moveset.data.disturbance import AS_WRITTEN, Disturbance, say
+from moveset.data.feature_store import FeatureStore
 from moveset.data.splits import Split
-from moveset.diffusion.coloured import temporal_spectrum
-from moveset.errors import InputError
 from moveset.motion.features import FeatureCodec
-from moveset.training.clip_source import ClipSource, CorpusClips
-from moveset.training.clips import FeatureStore
-from moveset.training.compositions import Row, composed_rows
-from moveset.training.reading import AS_WRITTEN, Disturbance, say
-from moveset.training.stills import make_stills
 
 # Frames of a segment by N, the number of segments of the longest clip.
 SEGMENT_FRAMES = {count: MAX_FRAMES // count for count in (1, 4, 7, 14)}
@@ -41,7 +35,8 @@ class CuttingConfig:
         horizon: when aligned, the longest clip; of longer ones so many frames in a row are shown.
         first_share: share of first segments, when not aligned; most of them start where their clip does.
         whole_caption: share of segments of clips in two parts that get the sentence for all of it.
-        continuations: clips to add in which an action goes on; 0 for none.
+        continuations: clips to add in which an action goes on; 0 for none. Like bodies and stills, of corpora alone: a
+            folder holds no motions to make others of.
         continuation_share: share of segments from them.
         bodies: clips to add in which the arms do one thing and the legs another, each pair of contents as often; 0 for
             none.
@@ -112,59 +107,48 @@ class SegmentBatch:
         )
 
 
+@dataclass(frozen=True, eq=False)
+class Row:
+    """A clip: its normalised features (F, D), the sentences of each part, which ends at a frame, and those of all of
+    it, if any. Of a clip that is ``looped`` all parts are one thing, and its time is that of the clip."""
+
+    features: np.ndarray
+    ends: tuple[int, ...]
+    said: tuple[tuple[str, ...], ...]
+    whole: tuple[str, ...]
+    looped: bool = False
+
+
 class ClipSet:
     """Clips of one split with their sentences by part, drawn by weight.
 
     Args:
-        folder: where continuations are kept once they are made.
+        added: clips besides those of the dataset, and what share of all that is drawn each kind of them gets.
         disturbance: what share of captions is said otherwise.
-
-    Raises:
-        InputError: continuations of clips that are not a corpus.
     """
 
     def __init__(
         self,
-        source: ClipSource,
+        dataset: Dataset,
         split: Split,
         store: FeatureStore,
         codec: FeatureCodec,
         cutting: CuttingConfig,
-        folder: Path,
         disturbance: Disturbance = AS_WRITTEN,
+        added: Sequence[tuple[list[Row], float]] = (),
     ) -> None:
         self.cutting, self.disturbance = cutting, disturbance
         yaw = codec.groups["root_yaw"]
         self._yaw = (yaw.start, float(store.normalizer.mean[yaw]), float(store.normalizer.std[yaw]))
-        clips = source.clips(split)
-        weights = source.weights(clips, power=0.5, composed_share=cutting.composed_share)
-        self.rows = [_row(source, clip, store) for clip in clips]
+        clips = dataset.split(split)
+        weights = dataset.weights(clips, power=0.5, composed_share=cutting.composed_share)
+        self.rows = [_row(dataset, clip, store) for clip in clips]
         self.weights = weights / weights.sum()
-        added = {
-            "continuations": (cutting.continuations, cutting.continuation_share),
-            "bodies": (cutting.bodies, cutting.body_share),
-            "stills": (cutting.stills, cutting.still_share),
-        }
-        for kind, (count, share) in added.items():
-            if not count:
-                continue
-            if not isinstance(source, CorpusClips):
-                raise InputError(
-                    "only a corpus can be continued, composed by body part or stand still; train on a folder with "
-                    "--set cutting.continuations=0 --set cutting.bodies=0 --set cutting.stills=0"
-                )
-            count = count if split == "train" else count // 10
-            if kind == "stills":
-                self._add(make_stills(source.corpus, split, codec, store.normalizer, count), share)
-            else:
-                self._add(composed_rows(kind, source.corpus, split, store, codec, count, folder), share)
-
-    def _add(self, rows: list[Row], share: float) -> None:
-        """Rows that get this share of what is drawn, if there are any."""
-        if rows:
-            added = torch.full((len(rows),), share / len(rows), dtype=torch.float64)
-            self.weights = torch.cat(((1 - share) * self.weights, added))
-            self.rows += rows
+        for rows, share in added:
+            if rows:
+                more = torch.full((len(rows),), share / len(rows), dtype=torch.float64)
+                self.weights = torch.cat(((1 - share) * self.weights, more))
+                self.rows += rows
 
     def all_captions(self) -> list[str]:
         """Every caption in use."""
@@ -184,7 +168,7 @@ class ClipSet:
 
     def span(self, clip: Row, start: int, frames: int, chance: Sequence[float]) -> tuple[int, int]:
         """First and last frame, exclusive, of what the sentence is said to that the same numbers choose."""
-        if self._of_all(clip, chance) or clip.goes_on:
+        if self._of_all(clip, chance) or clip.looped:
             return 0, clip.ends[-1]
         part = _part(clip, start, frames)
         return (0, *clip.ends)[part], clip.ends[part]
@@ -204,44 +188,17 @@ class SegmentSet(ClipSet):
 
     def __init__(
         self,
-        source: ClipSource,
+        dataset: Dataset,
         split: Split,
         store: FeatureStore,
         codec: FeatureCodec,
-        frames: int,
         cutting: CuttingConfig,
-        folder: Path,
+        frames: int,
         disturbance: Disturbance = AS_WRITTEN,
+        added: Sequence[tuple[list[Row], float]] = (),
     ) -> None:
-        super().__init__(source, split, store, codec, cutting, folder, disturbance)
+        super().__init__(dataset, split, store, codec, cutting, disturbance, added)
         self.frames = frames
-
-    def spectrum(self, segments: int = 4096) -> Tensor:
-        """(n, D) spectrum of whole segments (``diffusion.coloured``).
-
-        Raises:
-            InputError: there is none.
-        """
-        batch = self.batch(segments, 0, 0)
-        whole = batch.clean[batch.valid.all(dim=1)]
-        if not len(whole):
-            raise InputError(f"no clip has {self.frames} frames; use fewer frames a segment")
-        return temporal_spectrum(whole)
-
-    def forecast(self, segments: int = 8192) -> Tensor:
-        """(2, n, D) least-squares weights, in each frame, of the last frame before a segment and of the step to it.
-
-        A little ridge keeps features that hardly change from large weights; all are zero where no segment follows
-        another.
-        """
-        batch = self.batch(segments, 0, 1)
-        rows = batch.valid.all(dim=1) & (batch.index > 0)
-        clean, last = batch.clean[rows].double(), batch.previous[rows, -1].double()
-        step = last - batch.previous[rows, -2].double()
-        told = torch.stack((last, step))  # (2, B, D)
-        square = torch.einsum("ibd,jbd->dij", told, told)
-        square += 1e-3 * max(len(clean), 1) * torch.eye(2, dtype=torch.float64)
-        return torch.linalg.solve(square, torch.einsum("ibd,bnd->din", told, clean)).permute(1, 2, 0).float()
 
     def batch(self, size: int, seed: int, step: int) -> SegmentBatch:
         """The batch of a step: a pure function of (seed, step)."""
@@ -295,13 +252,9 @@ def _part(clip: Row, start: int, frames: int) -> int:
     return next((k for k, end in enumerate(clip.ends) if middle < end), len(clip.ends) - 1)
 
 
-def _row(source: ClipSource, clip: int, store: FeatureStore) -> Row:
-    place, whole = store.clips[clip], source.captions(clip)
-    features = store.features[place.start : place.start + place.frames]
-    if isinstance(source, CorpusClips):
-        corpus, mirrored = source.corpus, clip % 2 == 1
-        record = corpus.records[clip // 2]
-        if record.kind == "in_time" and record.recipe is not None and len(record.contents) == 2:
-            said = tuple(corpus.captions(part.clip, part.mirrored != mirrored) for part in record.recipe.parts)
-            return Row(features, (record.recipe.seam, len(features)), said, whole)
-    return Row(features, (len(features),), (whole,), whole)
+def _row(dataset: Dataset, item: int, store: FeatureStore) -> Row:
+    clip, features = dataset.clip(item), store.of_clip(item)
+    if not clip.parts:
+        return Row(features, (len(features),), (clip.captions,), clip.captions)
+    stops = (*(part.stop for part in clip.parts[:-1]), len(features))
+    return Row(features, stops, tuple(part.captions for part in clip.parts), clip.captions)

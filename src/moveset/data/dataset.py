@@ -1,0 +1,325 @@
+"""Where clips come from: a corpus file, or a HumanML3D or KIT-ML folder. What is trained or judged sees this alone.
+
+A dataset numbers its clips as networks see them: a mirror image is a clip of its own. F frames, J joints, D features.
+"""
+
+import hashlib
+import os
+from collections.abc import Callable, Hashable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Protocol
+
+import torch
+from torch import Tensor
+
+from moveset.data.corpus import Corpus
+from moveset.data.humanml3d import Caption, HumanML3D
+from moveset.data.splits import Split
+from moveset.errors import InputError
+from moveset.motion.clip import Motion
+from moveset.motion.features import FeatureCodec, Normalizer, get_codec
+
+_END = 4096  # bytes of a file that are looked at
+
+
+@dataclass(frozen=True)
+class Span:
+    """Some consecutive frames of a clip, up to ``stop``, with the sentences that tell just them."""
+
+    stop: int
+    captions: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Clip:
+    """A clip and what is known of it; motion and features are read when they are asked for.
+
+    Args:
+        name: unique in its dataset.
+        frames: of its motion; some codecs make one row of features less. Of a folder, rows of features.
+        captions: sentences for all of it.
+        group: what it shows: clips of one group may answer each other's sentences.
+        motion: itself; where a set holds features alone, what they decode to.
+        features: its features (F, D) in a codec, not normalised; raises InputError where the set has none of it.
+        joints: its joints (F, J, 3) in metres, in the axes of ``Motion``.
+        contents: labels of what is shown; None where unknown. Clips of equal ones are never told apart.
+        parts: where it shows one thing after another, each with sentences of its own.
+        croppable: whether its sentences also hold for most of it, so that a window of it may be learned from.
+        looped: whether it shows one thing over and over, for longer than that lasts.
+        tagged: its sentences with their words' parts of speech, where these are known.
+        stored: name of the codec of the features that are all a set holds of it; None where it holds the motion.
+    """
+
+    name: str
+    frames: int
+    captions: tuple[str, ...]
+    group: Hashable
+    motion: Callable[[], Motion]
+    features: Callable[[FeatureCodec], Tensor]
+    joints: Callable[[], Tensor]
+    contents: tuple[str, ...] | None = None
+    parts: tuple[Span, ...] = ()
+    croppable: bool = False
+    looped: bool = False
+    tagged: tuple[Caption, ...] = ()
+    stored: str | None = None
+
+
+class Dataset(Protocol):
+    """Clips 0 … len - 1 with features, sentences and a split.
+
+    ``name`` is that of the data, without its place; ``codec`` names the features that networks learn of it unless
+    something else is asked for, ``judged_by`` those that an evaluator reads.
+    """
+
+    name: str
+    codec: str
+    judged_by: str
+
+    def __len__(self) -> int:
+        """Number of clips, mirror images counted."""
+
+    def split(self, name: Split, *, captured_only: bool = False) -> tuple[int, ...]:
+        """Clips of a split; with ``captured_only`` those that stand for the captures: not composed, not our mirrorings.
+
+        Raises:
+            InputError: an unknown split.
+        """
+
+    def clip(self, item: int) -> Clip:
+        """What is known of a clip."""
+
+    def weights(self, items: Sequence[int], power: float, composed_share: float) -> Tensor:
+        """(len(items),) float64 chances to be drawn, up to a factor; see ``corpus_weights``."""
+
+    def normalizer(self, codec: FeatureCodec, features: Callable[[int], Tensor]) -> Normalizer:
+        """Statistics to normalise by, given a function that gives each clip's features."""
+
+    @property
+    def fingerprint(self) -> str:
+        """A hash of all clips' motions and splits, but not of their sentences, which are never kept."""
+
+    def sha256(self, split: Split) -> str:
+        """A hash of everything that a judgement by this split depends on, sentences included."""
+
+    def describe(self) -> str:
+        """How much it is, for people."""
+
+
+def open_dataset(path: Path) -> Dataset:
+    """What a path holds: a folder is HumanML3D or KIT-ML, a file a corpus.
+
+    Raises:
+        InputError: it is missing, or parts of it are.
+        FormatError: it is damaged.
+    """
+    return FolderDataset(HumanML3D.open(path)) if path.is_dir() else CorpusDataset(Corpus.open(path), path)
+
+
+def open_for_training(path: Path) -> Dataset:
+    """As ``open_dataset``.
+
+    Raises:
+        InputError: as there; there is nothing to train on or to validate with, or a folder has no statistics.
+        FormatError: as there.
+    """
+    found = open_dataset(path)
+    needed: tuple[Split, ...] = ("train", "val")
+    for split in needed:
+        if not found.split(split, captured_only=True):
+            raise InputError(
+                f"{path} has no usable clip of the {split} split; training needs some in train and in val: build a "
+                f"corpus from more performers, or give a folder whose {split}.txt names motions with sentences"
+            )
+    if isinstance(found, FolderDataset):
+        found.normalizer(get_codec(found.codec), lambda clip: torch.empty(0))
+    return found
+
+
+class CorpusDataset:
+    """A corpus: clip 2i is record i, clip 2i + 1 its mirror image."""
+
+    codec, judged_by = "native", "hml"
+
+    def __init__(self, corpus: Corpus, path: Path = Path("corpus")) -> None:
+        self.corpus, self._path, self.name = corpus, path, path.name
+        self._clips: dict[int, Clip] = {}
+
+    def __len__(self) -> int:
+        return 2 * len(self.corpus)
+
+    def split(self, name: Split, *, captured_only: bool = False) -> tuple[int, ...]:
+        if captured_only:
+            return tuple(2 * record for record in self.corpus.indices(name, composed=False))
+        return tuple(2 * record + mirrored for record in self.corpus.indices(name) for mirrored in (0, 1))
+
+    def clip(self, item: int) -> Clip:
+        # Kept, because mirroring sentences takes long.
+        if item not in self._clips:
+            self._clips[item] = self._clip(item // 2, item % 2 == 1)
+        return self._clips[item]
+
+    def _clip(self, number: int, mirrored: bool) -> Clip:
+        corpus = self.corpus
+        record = corpus.records[number]
+        captions, contents = corpus.captions(number, mirrored), corpus.contents(number, mirrored)
+        parts: tuple[Span, ...] = ()
+        if record.kind == "in_time" and record.recipe is not None and len(contents) == 2:
+            stops = (record.recipe.seam, record.frames)
+            said = (corpus.captions(part.clip, part.mirrored != mirrored) for part in record.recipe.parts)
+            parts = tuple(Span(stop, sentences) for stop, sentences in zip(stops, said, strict=True))
+        return Clip(
+            name=record.name + " mirrored" * mirrored,
+            frames=record.frames,
+            captions=captions,
+            group=contents,
+            motion=lambda: corpus.motion(number, mirrored),
+            features=lambda codec: codec.encode(corpus.motion(number, mirrored)),
+            joints=lambda: corpus.motion(number, mirrored).joints,
+            contents=contents,
+            parts=parts,
+            # A window of a clip that shows two things may miss half of what its caption says.
+            croppable=len(contents) == 1,
+            looped=record.goes_on,
+        )
+
+    def weights(self, items: Sequence[int], power: float, composed_share: float) -> Tensor:
+        records = list(dict.fromkeys(item // 2 for item in items))
+        found = corpus_weights(self.corpus, records, power, composed_share)
+        by_record = dict(zip(records, found.tolist(), strict=True))
+        return torch.tensor([by_record[item // 2] for item in items], dtype=torch.float64)
+
+    def normalizer(self, codec: FeatureCodec, features: Callable[[int], Tensor]) -> Normalizer:
+        """From the takes of the training split and their mirror images."""
+        fitted = (clip + mirrored for clip in self.split("train", captured_only=True) for mirrored in (0, 1))
+        return Normalizer.fit((features(clip) for clip in fitted), codec.groups)
+
+    @property
+    def fingerprint(self) -> str:
+        return self.corpus.fingerprint
+
+    def sha256(self, split: Split) -> str:
+        with self._path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+
+    def describe(self) -> str:
+        return f"{len(self.corpus.indices(composed=False))} clips, {self.corpus.seconds / 3600:.2f} h"
+
+
+class FolderDataset:
+    """A HumanML3D or KIT-ML folder: its own features, statistics and splits.
+
+    Clips are the items that the sets' own loaders draw from, all with the same chance: motions of 40 (KIT-ML: 24) to
+    199 frames, and the parts of them that have sentences of their own. Mirrored motions are files of their own.
+
+    Raises:
+        InputError: files are missing.
+        FormatError: a file is damaged.
+    """
+
+    def __init__(self, data: HumanML3D) -> None:
+        self.data, self.name = data, data.folder.name
+        self.codec = self.judged_by = data.layout.codec
+        splits: tuple[Split, ...] = ("train", "val", "test")
+        items = {split: data.items(split) for split in splits}
+        self.items = [item for split in splits for item in items[split]]
+        self._splits, start = {}, 0
+        for split in splits:
+            self._splits[split] = tuple(range(start, start + len(items[split])))
+            start += len(items[split])
+
+    def __len__(self) -> int:
+        return len(self.items)
+
+    def split(self, name: Split, *, captured_only: bool = False) -> tuple[int, ...]:
+        if name not in self._splits:
+            raise InputError(f"there is no split {name!r}; use 'train', 'val' or 'test'")
+        return self._splits[name]
+
+    def clip(self, item: int) -> Clip:
+        return folder_clip(self.data, self.items[item].name, self.items[item].start, self.items[item].stop,
+                           self.items[item].captions, item)  # fmt: skip
+
+    def weights(self, items: Sequence[int], power: float, composed_share: float) -> Tensor:
+        """All alike: nothing is known of their contents."""
+        return torch.ones(len(items), dtype=torch.float64)
+
+    def normalizer(self, codec: FeatureCodec, features: Callable[[int], Tensor]) -> Normalizer:
+        """The folder's Mean.npy and Std.npy."""
+        return Normalizer(self.data.mean, self.data.std)
+
+    @cached_property
+    def fingerprint(self) -> str:
+        """Files are known by their sizes and ends: the sets hold gigabytes."""
+        counts = [len(clips) for clips in self._splits.values()]
+        sha = hashlib.sha256(repr(counts).encode())
+        for name in dict.fromkeys(item.name for item in self.items):
+            with open(self.data.folder / "new_joint_vecs" / f"{name}.npy", "rb") as file:
+                size = file.seek(0, os.SEEK_END)
+                file.seek(max(0, size - _END))
+                sha.update(f"{name} {size} ".encode() + file.read())
+        for item in self.items:
+            sha.update(repr((item.name, item.start, item.stop)).encode())
+        for statistic in (self.data.mean, self.data.std):
+            sha.update(statistic.numpy().data)
+        return sha.hexdigest()
+
+    def sha256(self, split: Split) -> str:
+        """Of the names, features and texts of a split."""
+        sha = hashlib.sha256()
+        for name in self.data.splits[split]:
+            sha.update(name.encode())
+            for part, suffix in (("new_joint_vecs", "npy"), ("texts", "txt")):
+                path = self.data.folder / part / f"{name}.{suffix}"
+                sha.update(path.read_bytes() if path.is_file() else b"")
+        return sha.hexdigest()
+
+    def describe(self) -> str:
+        frames = sum(item.stop - item.start for item in self.items)
+        return f"{len(self)} clips of {self.name}, {frames / self.data.layout.fps / 3600:.2f} h"
+
+
+def folder_clip(data: HumanML3D, name: str, start: int, stop: int, captions: tuple[Caption, ...], number: int) -> Clip:
+    """Rows [start, stop) of a motion of a folder with the sentences that tell just them.
+
+    Sentences tell of one thing after another, and a window may miss some of it; nothing is known of what clips show.
+    """
+    layout = data.layout
+    codec = get_codec(layout.codec)
+
+    def features(wanted: FeatureCodec) -> Tensor:
+        if wanted.name != layout.codec:
+            raise InputError(
+                f"{data.folder} holds {layout.codec!r} features ({layout.features} a frame), not {wanted.name!r} ones; "
+                f"train with --set codec={layout.codec}, or with the recipe's own choice"
+            )
+        return data.features(name)[start:stop]
+
+    return Clip(
+        name=f"{number} {name}",
+        frames=stop - start,
+        captions=tuple(caption.text for caption in captions),
+        group=name,
+        motion=lambda: codec.decode(features(codec)),
+        features=features,
+        joints=lambda: codec.joints(features(codec)) * codec.reflection.float(),
+        tagged=captions,
+        stored=layout.codec,
+    )
+
+
+def corpus_weights(corpus: Corpus, records: Sequence[int], power: float, composed_share: float) -> Tensor:
+    """Sampling weights of records: each content by count^(1 - power), those that show two things together
+    ``composed_share``."""
+    chosen = [corpus.records[k] for k in records]
+    counts: dict[tuple[str, ...], int] = {}
+    for record in chosen:
+        counts[record.contents] = counts.get(record.contents, 0) + 1
+    weights = torch.tensor([counts[record.contents] ** -power for record in chosen], dtype=torch.float64)
+    composed = torch.tensor([len(record.contents) > 1 for record in chosen])
+    for part, share in ((composed, composed_share), (~composed, 1.0 - composed_share)):
+        if part.any():
+            weights[part] *= share / weights[part].sum()
+    return weights
