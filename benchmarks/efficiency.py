@@ -37,8 +37,8 @@ import torch
 from arguments import Parser, at_least, positive, report_path
 from efficiency_methods import HORIZON, PARALLELOGRAM, ROWS, SIZES, TRIANGLE, Methods, Row, expected, pieces, staircase
 from efficiency_tally import Meter, Tally
+from moveset.bench.machine import cpu_name, peak_mb
 from moveset.errors import exit_code_of
-from moveset.evaluation.machine import cpu_name, peak_mb
 from moveset.io.manifest import json_object
 
 LENGTH_ROWS = (

@@ -17,7 +17,7 @@ from itertools import pairwise
 from torch import Tensor, nn
 from torch.nn.attention import SDPBackend, sdpa_kernel
 
-from moveset.evaluation.operations import counter
+from moveset.bench.flops import counter
 from moveset.models.flow import CouplingFlow
 
 

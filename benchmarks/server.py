@@ -25,8 +25,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from arguments import Parser, at_least, library, positive, report_path, write_report
+from moveset.bench.machine import describe_machine
 from moveset.errors import InputError, exit_code_of
-from moveset.evaluation.machine import describe_machine
 from moveset.server.wire import HEADER
 
 PROMPTS = ("a person walks forward", "a person waves with the left hand", "a man runs fast", "a person bows")

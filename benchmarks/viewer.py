@@ -28,8 +28,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from arguments import Parser, at_least, library, positive, report_path, write_report
+from moveset.bench.machine import describe_machine, load
 from moveset.errors import InputError, exit_code_of
-from moveset.evaluation.machine import describe_machine, load
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page

@@ -174,7 +174,7 @@ def test_the_report_is_whole_and_keeps_the_published_numbers_apart(tmp_path, mon
 @pytest.mark.usefixtures("methods")
 def test_memory_is_that_of_a_process_of_its_own():
     import efficiency
-    from moveset.evaluation.machine import peak_mb
+    from moveset.bench.machine import peak_mb
 
     # What this process holds besides is not in it.
     ballast = torch.ones(100_000_000)

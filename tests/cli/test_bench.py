@@ -56,7 +56,7 @@ def test_a_report_that_cannot_be_written_any_more_is_printed(models, tmp_path, m
     def full(*_):
         raise MovesetError("no space left")
 
-    monkeypatch.setattr("moveset.evaluation.bench_page.write_page", full)
+    monkeypatch.setattr("moveset.bench.page.write_page", full)
     command = ["bench", "--quick", "--parts", "streams", "--device", "cpu", "--json", *models]
     assert main([*command, "-o", str(tmp_path / "costs.json")]) == 1
     assert json.loads(capsys.readouterr().out)["streams"]

@@ -14,7 +14,7 @@ from moveset.cli.output import check_folder
 from moveset.errors import InputError
 
 if TYPE_CHECKING:
-    from moveset.evaluation.bench import Plan
+    from moveset.bench.run import Plan
 
 Part = Literal["clips", "streams", "lengths", "batches", "operations", "processes", "endless"]
 
@@ -54,8 +54,8 @@ def bench(
         device: auto, cpu, cuda or mps.
         json: Print the report as JSON on stdout and nothing else.
     """
-    from moveset.evaluation.bench import PARTS, Plan, shortest
-    from moveset.evaluation.bench_page import load_report, markdown, write_page
+    from moveset.bench.page import load_report, markdown, write_page
+    from moveset.bench.run import PARTS, Plan, shortest
     from moveset.evaluation.quality_time import judged, read_results
 
     for path in (output, redraw):
@@ -94,8 +94,8 @@ def bench(
 def _measure(plan: "Plan", threads: int | None) -> dict[str, Any]:
     import torch
 
-    from moveset.evaluation.bench import Bench
-    from moveset.evaluation.machine import cores
+    from moveset.bench.machine import cores
+    from moveset.bench.run import Bench
 
     if threads is not None:
         if not 1 <= threads <= 4 * cores():

@@ -5,18 +5,19 @@ import math
 import os
 import subprocess
 import sys
+from dataclasses import replace
 
 import pytest
 import torch
 from torch import nn
 
+from moveset.bench import latency, machine, page
+from moveset.bench import processes as processes_module
+from moveset.bench.flops import counted
+from moveset.bench.interleaved import interleave, summarise
+from moveset.bench.processes import run_process
+from moveset.bench.run import PARTS, Bench, Plan, shortest
 from moveset.errors import FormatError, InputError, MovesetError
-from moveset.evaluation import bench, bench_page, latency, machine
-from moveset.evaluation import processes as processes_module
-from moveset.evaluation.bench import PARTS, Bench, Plan, shortest
-from moveset.evaluation.interleaved import interleave, summarise
-from moveset.evaluation.operations import counted
-from moveset.evaluation.processes import run_process
 from moveset.evaluation.quality_time import Judged, judged, pareto, read_results
 from moveset.models.packed import PackedConv1d, PackedLinear, can_pack
 from moveset.pipelines.motion_stream import MotionStream
@@ -40,7 +41,7 @@ def plan(folders):
 @pytest.fixture(scope="module")
 def report(plan):
     """Everything but whole processes, which take seconds each."""
-    return Bench(bench.replace(plan, parts=tuple(p for p in PARTS if p != "processes"))).run()
+    return Bench(replace(plan, parts=tuple(p for p in PARTS if p != "processes"))).run()
 
 
 def test_every_round_runs_every_case_and_bursts_lose_their_first_call():
@@ -158,7 +159,7 @@ def test_the_commands_of_processes_are_those_of_the_rows(plan, monkeypatch):
         return {"seconds": float(len(asked)), "peak_mb": 100.0, **stream}
 
     monkeypatch.setattr(processes_module, "run_process", fake)
-    found = Bench(bench.replace(plan, parts=("processes",), count=2)).run()["processes"]
+    found = Bench(replace(plan, parts=("processes",), count=2)).run()["processes"]
     assert list(found) == [
         "pcm-1",
         "pcm-2",
@@ -193,7 +194,7 @@ def test_a_process_that_fails_is_no_measurement():
 
 def test_memory_is_that_of_the_process():
     code = """
-from moveset.evaluation.machine import peak_mb, resident_mb
+from moveset.bench.machine import peak_mb, resident_mb
 before = peak_mb()
 held = b"x" * 80_000_000
 print(before, peak_mb(), resident_mb())
@@ -352,9 +353,9 @@ def test_the_page_has_every_part_and_keeps_published_numbers_apart(report, resul
     }
     rows = judged(whole, read_results([results]))
     path = tmp_path / "costs.json"
-    written = bench_page.write_page(whole, rows, path)
+    written = page.write_page(whole, rows, path)
     assert [p.name for p in written] == ["costs.json", "costs.md", "costs.png"]
-    assert bench_page.load_report(path) == json.loads(json.dumps(whole))
+    assert page.load_report(path) == json.loads(json.dumps(whole))
     text = path.with_suffix(".md").read_text()
     measured, published = text.split("## The paper's own numbers")
     headings = ("A clip of 9.8 s", "A stream, 1.4 s", "Time by length", "Time of one clip by batch", "Whole processes")
@@ -374,18 +375,18 @@ def test_the_page_has_every_part_and_keeps_published_numbers_apart(report, resul
 
 def test_a_busy_machine_is_told(report):
     quiet, busy = ({**report, "load": {"before": b, "after": 9.0}} for b in (0.1, 3.0))
-    assert "busy" not in bench_page.machine(quiet)
-    assert "**the machine was busy" in bench_page.machine(busy)
-    assert "load" not in bench_page.machine({**report, "load": {"before": None, "after": None}})
+    assert "busy" not in page.machine(quiet)
+    assert "**the machine was busy" in page.machine(busy)
+    assert "load" not in page.machine({**report, "load": {"before": None, "after": None}})
 
 
 def test_a_report_of_some_parts_has_a_page_too(report, tmp_path):
     some = {k: v for k, v in report.items() if k not in PARTS or k == "streams"}
-    text = bench_page.markdown(some)
+    text = page.markdown(some)
     assert "## A stream" in text
     assert "## A clip" not in text
     bare = {k: v for k, v in report.items() if k not in PARTS}
-    assert [p.name for p in bench_page.write_page(bare, [], tmp_path / "x.json")] == ["x.json", "x.md"]
+    assert [p.name for p in page.write_page(bare, [], tmp_path / "x.json")] == ["x.json", "x.md"]
 
 
 def test_files_that_are_no_report(tmp_path):
@@ -393,4 +394,4 @@ def test_files_that_are_no_report(tmp_path):
     for text in ("{}", '{"format": 2}', "[]", "nothing"):
         path.write_text(text)
         with pytest.raises(FormatError):
-            bench_page.load_report(path)
+            page.load_report(path)

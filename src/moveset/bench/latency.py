@@ -21,9 +21,9 @@ from typing import Any
 
 import torch
 
-from moveset.evaluation.interleaved import Case
-from moveset.evaluation.machine import resident_mb
-from moveset.evaluation.operations import counted
+from moveset.bench.flops import counted
+from moveset.bench.interleaved import Case
+from moveset.bench.machine import resident_mb
 from moveset.pcm.sampler import item_noise
 from moveset.pipelines.bundle import BundleConfig
 from moveset.pipelines.denoise import Denoise

@@ -13,11 +13,11 @@ from pathlib import Path
 from typing import Any
 
 from moveset import __version__
+from moveset.bench import latency
+from moveset.bench.interleaved import Case, interleave, summarise
+from moveset.bench.machine import describe_machine, load
+from moveset.bench.processes import clip_command, processes, stream_command
 from moveset.errors import InputError
-from moveset.evaluation import latency
-from moveset.evaluation.interleaved import Case, interleave, summarise
-from moveset.evaluation.machine import describe_machine, load
-from moveset.evaluation.processes import clip_command, processes, stream_command
 from moveset.pipelines.motion_stream import MotionStream
 from moveset.pipelines.request import Method
 from moveset.pipelines.stream_bundle import StreamBundle

@@ -21,7 +21,7 @@ import sys
 from moveset.cli.__main__ import main
 code = main(sys.argv[1:])
 sys.stdout.flush()
-from moveset.evaluation.machine import peak_mb
+from moveset.bench.machine import peak_mb
 print("{_MARK}%.1f" % peak_mb(), file=sys.stderr)
 sys.exit(code)
 """
