@@ -40,8 +40,9 @@ format: .venv/.dev
 viewer:
 	cd viewer && npm ci --no-audit --no-fund && npm test && npm run build
 
-# Hours: repeats that are there already are kept, so it can be stopped and called again; so are rows without weights.
+# Hours: repeats of this commit that are there already are kept, so it can be stopped and called again.
 tables: .venv/.dev
+	rm -f docs/results/*/rows.json
 	$(BIN)/moveset evaluate $(MODELS) --suite motionpcm --out docs/results > /dev/null
 	$(BIN)/moveset evaluate $(MODELS) --suite rdm --out docs/results > /dev/null
 	$(BIN)/python -m moveset.evaluation.report docs/results/motionpcm docs/results/rdm --page docs/results.md

@@ -18,7 +18,6 @@ from moveset.bench.interleaved import interleave, summarise
 from moveset.bench.processes import run_process
 from moveset.bench.run import PARTS, Bench, Plan, shortest
 from moveset.errors import FormatError, InputError, MovesetError
-from moveset.evaluation.quality_time import Judged, judged, pareto, read_results
 from moveset.models.packed import PackedConv1d, PackedLinear, can_pack
 from moveset.pipelines.motion_stream import MotionStream
 from moveset.pipelines.text_to_motion import TextToMotion
@@ -246,130 +245,24 @@ def test_plans_that_cannot_be(wrong, match):
         Plan(**wrong)
 
 
-def result(model, network, steps, fid, *, wording="known", items=300, settings=None):
-    """A result as `moveset evaluate` writes them, as far as it is read."""
-    return {
-        "model": model, "network": network, "steps": steps, "settings": settings or {},
-        "protocol": {"wording": wording, "split": "test", "group": 32}, "items": items, "distinct_texts": 200,
-        "labels": 90, "evaluator": {"name": "t2m-small", "sha256": "a" * 64}, "data": {"name": "c", "sha256": "b" * 64},
-        "weights_sha256": {"x": "c" * 64}, "repeats": [{"fid": fid}, {"fid": fid}],
-        "metrics": {"fid": {"mean": fid, "interval": 0.01}},
-    }  # fmt: skip
-
-
-@pytest.fixture
-def results(tmp_path):
-    folder = tmp_path / "results"
-    (folder / "deep").mkdir(parents=True)
-    made = [
-        result("clips", "pcm-1", 1, 0.30),
-        result("clips", "pcm-4", 4, 0.20),
-        result("clips", "teacher", 2, 0.25),
-        result("clips", "teacher", 50, 0.01),  # at steps that were not timed
-        result("clips", "pcm-2", 2, 0.05, wording="held-out"),
-        result("clips", "lcm-1", 1, 0.40, items=10),  # the only one of its kind
-        result("streams", "rdm", 6, 0.03, settings={"start": 3, "lag": 1, "eta": 0.0, "stages": False}),
-        result("streams", "rdm", 6, 0.15, settings={"start": 3, "lag": 1, "eta": 0.0}),
-        result("streams", "rdm", 6, 0.02, settings={"start": 6, "lag": 6, "eta": 0.0}),  # another sampler
-        result("elsewhere", "pcm-1", 1, 0.01),
-    ]
-    for k, raw in enumerate(made):
-        (folder / "deep" / f"{k}.json").write_text(json.dumps(raw))
-    (folder / "rows.json").write_text('{"rows": []}')
-    (folder / "others.json").write_text("[1, 2]")
-    return folder
-
-
-def test_quality_beside_time(report, results):
-    rows = judged(report, read_results([results]))
-    assert {row.name: row.metrics["fid"].mean for row in rows} == {
-        "pcm-1": 0.30, "pcm-4": 0.20, "teacher-2": 0.25, "stream rdm": 0.15
-    }  # fmt: skip
-    per_second = {row.name: row.time for row in rows}
-    assert math.isclose(per_second["pcm-4"], report["clips"]["pcm-4"]["median_ms"]["total"] / 9.8)
-    assert math.isclose(per_second["stream rdm"], report["streams"]["rdm"]["median_ms"]["segment"] / 1.4)
-    with pytest.raises(InputError, match="there is no folder"):
-        read_results([results / "nothing"])
-    (results / "others.json").write_text("[1, 2")
-    with pytest.raises(FormatError, match=r"others\.json is not JSON"):
-        read_results([results])
-    with pytest.raises(FormatError, match="no report"):
-        judged({}, [])
-
-
-@pytest.mark.parametrize("told", [True, False], ids=["settings in the report", "a report from before they were"])
-def test_quality_is_of_the_settings_that_were_timed(report, tmp_path, told):
-    rdm, pcm = (report[kind][name]["settings"] for kind, name in (("streams", "rdm"), ("clips", "pcm-1")))
-    made = [
-        result("clips", "pcm-1", 1, 0.01, settings={**pcm, "guidance": pcm["guidance"] + 1}),
-        result("clips", "pcm-1", 1, 0.02, settings={**pcm, "foot_lock": False}),
-        result("clips", "pcm-1", 1, 0.30, settings=pcm),
-        result("streams", "rdm", 6, 0.03, settings={**rdm, "shape": "triangle"}),
-        result("streams", "rdm", 6, 0.04, settings={**rdm, "guidance": rdm["guidance"] + 1}),
-        result("streams", "rdm", 6, 0.15, settings=rdm),
-    ]
-    for k, raw in enumerate(made):
-        (tmp_path / f"{k}.json").write_text(json.dumps(raw))
-    if not told:
-        report = json.loads(json.dumps(report))
-        del report["clips"]["pcm-1"]["settings"]
-        report["streams"]["rdm"]["settings"] = {name: rdm[name] for name in ("start", "lag", "eta")}
-    found = {row.name: row.metrics["fid"].mean for row in judged(report, read_results([tmp_path]))}
-    assert found == {"pcm-1": 0.30, "stream rdm": 0.15}
-    # Of a model that is not here (any more) nobody knows what an old row was.
-    gone = report | {"plan": {"clips": "gone", "streams": "gone"}}
-    assert bool(judged(gone, read_results([tmp_path]))) == told
-
-
-def test_quality_is_of_the_guidance_that_the_model_has_by_now(report, tmp_path):
-    settings = report["clips"]["pcm-1"]["settings"]
-    for k, more in enumerate((0, 1)):
-        of = {**settings, "guidance": settings["guidance"] + more}
-        (tmp_path / f"{k}.json").write_text(json.dumps(result("clips", "pcm-1", 1, 0.1 + k, settings=of)))
-    (tmp_path / "2.json").write_text(json.dumps(result("clips", "teacher", 2, 0.9)))
-    expected = {row.name: row.metrics["fid"].mean for row in judged(report, read_results([tmp_path]))}
-    earlier = json.loads(json.dumps(report))
-    earlier["clips"]["pcm-1"]["settings"]["guidance"] += 1  # as it was when it was timed
-    found = {row.name: row.metrics["fid"].mean for row in judged(earlier, read_results([tmp_path]))}
-    assert found == expected
-    assert found["pcm-1"] == 0.1
-
-
-def test_the_front_is_what_no_other_beats_in_both():
-    from moveset.evaluation.intervals import Interval
-
-    def row(name, time, fid):
-        return Judged(name, "w", time, {"fid": Interval(fid, 0.0)})
-
-    rows = [row("slow and best", 9, 1), row("quick", 1, 5), row("beaten", 4, 6), row("middle", 3, 2), row("late", 9, 2)]
-    assert pareto(rows) == ["quick", "middle", "slow and best"]
-    # A hundredth less time is none.
-    assert pareto([row("worse", 0.866, 5), row("better", 0.870, 4)]) == ["better"]
-
-
-def test_the_page_has_every_part_and_keeps_published_numbers_apart(report, results, tmp_path):
+def test_the_page_has_every_part_and_keeps_published_numbers_apart(report, tmp_path):
     whole = report | {
         "processes": {"pcm-1": {"seconds": {"median": 2.5, "min": 2.25}, "peak_mb": {"median": 321.0, "min": 320.0}}}
     }
-    rows = judged(whole, read_results([results]))
     path = tmp_path / "costs.json"
-    written = page.write_page(whole, rows, path)
+    written = page.write_page(whole, path)
     assert [p.name for p in written] == ["costs.json", "costs.md", "costs.png"]
     assert page.load_report(path) == json.loads(json.dumps(whole))
     text = path.with_suffix(".md").read_text()
     measured, published = text.split("## The paper's own numbers")
     headings = ("A clip of 9.8 s", "A stream, 1.4 s", "Time by length", "Time of one clip by batch", "Whole processes")
-    for heading in (*headings, "Operations", "A stream without end", "Quality against time"):
+    for heading in (*headings, "Operations", "A stream without end"):
         assert f"## {heading}" in measured
     assert "(costs.png)" in measured
     assert "2.50 (2.25)" in measured
     assert "| MDM | 24.74 | 0.544±.044 |" in published
     assert "| MDM |" not in measured
     assert "not measured here" in published
-    # Bold are the quickest and the best, whatever the machine.
-    front = pareto(rows)
-    assert all(f"| **{row.name}** |" in measured for row in rows if row.name in front)
-    assert all(f"| {row.name} |" in measured.split("## Quality")[1] for row in rows if row.name not in front)
     assert written[2].read_bytes()[:4] == b"\x89PNG"
 
 
@@ -386,7 +279,7 @@ def test_a_report_of_some_parts_has_a_page_too(report, tmp_path):
     assert "## A stream" in text
     assert "## A clip" not in text
     bare = {k: v for k, v in report.items() if k not in PARTS}
-    assert [p.name for p in page.write_page(bare, [], tmp_path / "x.json")] == ["x.json", "x.md"]
+    assert [p.name for p in page.write_page(bare, tmp_path / "x.json")] == ["x.json", "x.md"]
 
 
 def test_files_that_are_no_report(tmp_path):

@@ -69,7 +69,6 @@ def test_a_report_that_cannot_be_written_any_more_is_printed(models, tmp_path, m
         (["-o", "nowhere/costs.json"], "folder 'nowhere' does not exist"),
         (["-o", "/proc/costs.json"], "cannot write to folder '/proc'"),
         (["-o", "taken.json"], "'taken.md': it is a folder"),
-        (["--results", "nowhere"], "there is no folder nowhere"),
         (["--redraw", "nothing.json"], "cannot read nothing.json"),
         (["--redraw", "costs.json", "--parts", "clips"], "--redraw measures nothing, so --parts has no use"),
         (["--threads", "0"], "0 threads"),

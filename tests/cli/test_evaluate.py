@@ -230,7 +230,7 @@ def test_a_suite_writes_its_tables(evaluate, tmp_path, suite, seams):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--wording", "held-out"], "such as Real, with wording known instead of held-out"),
+        (["--seed", "1"], "such as Real, with seed 0 instead of 1"),
         (["--items", "70"], "with items 80 instead of 70"),
         (["--no-mirrored"], "instead of"),
     ],

@@ -14,11 +14,11 @@ def result_json(numbers: Numbers, *, repeats: int = 20, seconds: float = 0.02, *
     """A result with these means and half widths; ``seconds`` an item."""
     return {
         "model": "m", "network": "n", "steps": 1,
-        "protocol": {"split": "test", "wording": "known", "group": 32, "seed": 0},
+        "settings": {}, "protocol": {"split": "test", "group": 32, "seed": 0},
         "items": 320, "distinct_texts": 300, "labels": 90,
         "evaluator": {"name": "t2m-small", "sha256": "e" * 64},
         "data": {"name": "corpus.safetensors", "sha256": "d" * 64},
-        "weights_sha256": "a" * 64, "measures_sha256": "c" * 64, "generator": "Clips", "generator_sha256": "d" * 64,
+        "weights_sha256": "a" * 64, "commit": "c0ffee", "date": "2026-01-02",
         "repeats": [{name: mean for name, (mean, _) in numbers.items()}] * repeats,
         "metrics": {name: {"mean": mean, "interval": half} for name, (mean, half) in numbers.items()},
         "seconds_per_item": seconds, "versions": {},

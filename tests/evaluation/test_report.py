@@ -1,4 +1,4 @@
-"""Tables say what the results say: best, intervals, differences, targets, what is missing, what is only published."""
+"""Tables say what the results say: best, intervals, differences, what is missing, what is only published."""
 
 import json
 import re
@@ -10,7 +10,6 @@ from pathlib import Path
 import pytest
 
 from moveset.errors import FormatError, InputError, MovesetError
-from moveset.evaluation import same_code
 from moveset.evaluation.columns import ALL, Column, places
 from moveset.evaluation.intervals import Interval
 from moveset.evaluation.latex import latex
@@ -95,7 +94,7 @@ def test_numbers_of_the_evaluation_stand_above_the_table(table: Table):
     assert "**320 items, 300 distinct texts, 90 distinct contents** of the split “test”" in text
     assert "evaluator t2m-small (`eeeeeeee`)" in text
     assert "corpus.safetensors (`dddddddd`)" in text
-    assert "fewer than 10 make a rough interval" in text
+    assert "commit c0ffee; measured 2026-01-02" in text
     assert "among the k nearest of 32" in text
 
 
@@ -108,33 +107,6 @@ def test_published_numbers_are_labelled_and_below_ours(table: Table):
     assert "MotionLCM" not in ours(text)
 
 
-def test_differences_count_only_outside_the_intervals(table: Table):
-    found = {(d.row, d.reference): d for d in table.differences()}
-    pcm = found["pcm-1", "lcm-1"]
-    assert pcm.better == ("R@1", "Diversity")
-    assert pcm.tied == ("FID",)
-    assert found["pcm-1", "teacher"].worse == ("R@1", "FID")
-    assert not {row for row, _ in found} & {"real", "vae"}
-    sentence = "- PCM, 1 step against LCM, 1 step: better in R@1, Diversity; no difference outside the intervals"
-    assert sentence in markdown(table)
-
-
-def test_targets_are_checked_one_by_one(table: Table):
-    found = {check.target: check for check in table.checks()}
-    assert found["One-step PCM is better than one-step LCM in R@1"].verdict == "met"
-    assert found["One-step PCM is better than one-step LCM in FID"].verdict == "not met"
-    assert found["One-step PCM is better than one-step LCM in R@2"].verdict == "not measured"
-    assert found["Four-step PCM is at or above the 50-step teacher in FID"].verdict == "met"
-    assert found["Four-step PCM is at or above the 50-step teacher in R@1"].verdict == "met within the intervals"
-    assert found["PCM, 1 step: Skating at most 1.3 times that of real motion"].verdict == "met"
-    assert found["PCM, 1 step: Jerk at most 1.3 times that of real motion"].verdict == "not met"
-    text = markdown(table)
-    assert (
-        "| One-step PCM is better than one-step LCM in FID | **not met** | 0.490 ± 0.020 against 0.500 ± 0.020 |"
-        in text
-    )
-
-
 def test_physical_metrics_have_ratios_to_real(table: Table):
     text = markdown(table).split("## Physical metrics")[1].split("##")[0]
     assert "0.120 ± 0.000 (1.20 ×) | 90.0 ± 0.1 (1.50 ×)" in line(text, "PCM, 1 step")
@@ -142,9 +114,9 @@ def test_physical_metrics_have_ratios_to_real(table: Table):
 
 
 def test_rows_that_were_judged_differently_are_not_put_side_by_side(tmp_path: Path):
-    for changed in ({"items": 319}, {"evaluator": {"name": "t2m-small", "sha256": "f" * 64}}):
+    for changed in ({"items": 319}, {"evaluator": {"name": "t2m-small", "sha256": "f" * 64}}, {"commit": "d0d0"}):
         mixed = {**RESULTS, "pcm-4": {**RESULTS["pcm-4"], **changed}}
-        with pytest.raises(InputError, match=r"PCM, 4 steps: other (items|evaluator) than Real"):
+        with pytest.raises(InputError, match=r"PCM, 4 steps: other (items|evaluator|commit) than Real"):
             markdown(load_table(suite_folder(tmp_path, "motionpcm", mixed)))
 
 
@@ -155,46 +127,6 @@ def test_rows_with_feet_held_and_not_are_not_put_side_by_side(tmp_path: Path):
         markdown(load_table(suite_folder(tmp_path, "motionpcm", mixed)))
     mixed["pcm-4"] = {**RESULTS["pcm-4"], "settings": {"foot_lock": True}}
     assert "PCM, 4 steps" in markdown(load_table(suite_folder(tmp_path, "motionpcm", mixed)))
-
-
-def test_rows_that_other_code_made_or_measured_are_named(table: Table, tmp_path: Path):
-    assert not table.odd
-    assert "by other code" not in markdown(table)
-    for changed in ({"measures_sha256": "0"}, {"generator_sha256": "0"}, {"generator": ""}):
-        old = {**RESULTS, "lcm-1": {**RESULTS["lcm-1"], **changed}}
-        text = markdown(load_table(suite_folder(tmp_path / next(iter(changed)), "motionpcm", old)))
-        assert "**Made or measured by other code than the rest, so evaluate these again:** LCM, 1 step." in text
-    # The code of real motion and that of a network differ, and may.
-    other = {**RESULTS, "real": {**RESULTS["real"], "generator": "Real", "generator_sha256": "1"}}
-    assert not load_table(suite_folder(tmp_path / "kinds", "motionpcm", other)).odd
-
-
-@pytest.mark.parametrize("changed", ["measures_sha256", "generator_sha256"])
-def test_code_that_gave_the_same_for_another_row_is_not_other(tmp_path: Path, changed: str):
-    def named(folder: str, then: str) -> tuple[list[str], list[str], str]:
-        old = {**RESULTS, "lcm-1": {**RESULTS["lcm-1"], changed: "0"}}
-        out = suite_folder(tmp_path / folder, "motionpcm", old)
-        now = RESULTS["pcm-1"]
-        between = {**now, changed: "1"}
-        # From one to the next, as code is confirmed time after time.
-        same_code.note(out, {**now, changed: then}, between, "pcm-1-test")
-        same_code.note(out, between, now, "pcm-1-test")
-        table = load_table(out)
-        return table.odd, table.trusted, markdown(table)
-
-    odd, trusted, text = named("same", "0")
-    assert (odd, trusted) == ([], ["LCM, 1 step"])
-    assert "gave the first repeat of another row the same to the bit: LCM, 1 step." in text
-    assert "by other code" not in text
-    odd, trusted, _ = named("another", "2")
-    assert (odd, trusted) == (["LCM, 1 step"], [])
-
-
-def test_a_damaged_list_of_code_is_named(tmp_path: Path):
-    out = suite_folder(tmp_path, "motionpcm", RESULTS)
-    (out / same_code.FILE).write_text('{"same": [{"what": "measures"}]}')
-    with pytest.raises(FormatError, match="does not list what code gives the same"):
-        load_table(out)
 
 
 def test_latex_compiles_by_the_look_of_it(table: Table):
@@ -217,7 +149,7 @@ def test_the_json_says_the_same(table: Table):
     assert rows["k20"]["missing"] == "not trained"
     assert found["places"]["fid"]["pcm-4"] == "best"
     assert "real" not in found["places"]["fid"]
-    assert len(found["targets"]) == len(table.checks())
+    assert found["state"]["commit"] == "c0ffee"
 
 
 def test_a_report_is_files_and_plots_and_can_be_written_again(folder: Path):
@@ -299,27 +231,6 @@ def test_whoever_adds_rows_waits_for_the_other(tmp_path: Path):
     assert order == ["first", "second"]
 
 
-def test_rows_of_another_processors_data_are_named(tmp_path: Path):
-    other = {**RESULTS["lcm-1"]["data"], "sha256": "f" * 64}
-    out = suite_folder(tmp_path, "motionpcm", {**RESULTS, "lcm-1": {**RESULTS["lcm-1"], "data": other}})
-    with pytest.raises(InputError, match="other data"):
-        markdown(load_table(out))
-    same_code.note_data(out, RESULTS["pcm-1"]["data"]["sha256"], other["sha256"], "real-test")
-    text = markdown(load_table(out))
-    assert "(`ffffffff`), where real motion measures the same to five digits: LCM, 1 step." in text
-    assert "another processor" not in markdown(load_table(suite_folder(tmp_path / "one", "motionpcm", RESULTS)))
-
-
-def test_rows_that_other_code_made_and_todays_makes_alike_are_named(tmp_path: Path):
-    kept = {**RESULTS["teacher"], "kept": {"repeats": 3}}
-    folder = suite_folder(tmp_path, "motionpcm", {**RESULTS, "teacher": kept})
-    said = "the first repeat was made again and came out the same to the bit: "
-    assert f"{said}Teacher, 50 guided steps." in markdown(load_table(folder), [])
-    folder = suite_folder(tmp_path, "motionpcm", {key: {**row, "kept": {}} for key, row in RESULTS.items()})
-    assert f"{said}All rows." in markdown(load_table(folder), [])
-    assert said not in markdown(load_table(suite_folder(tmp_path, "motionpcm", RESULTS)), [])
-
-
 def test_a_row_whose_weights_are_not_at_hand_keeps_its_result(folder: Path):
     rows = {row.key: row for row in get_suite("motionpcm").rows}
     save_rows("motionpcm", [(rows["pcm-1"], "", "no weights given"), (rows["k20"], "", "no weights given")], folder)
@@ -332,7 +243,7 @@ def test_a_page_of_both_suites(folder: Path, tmp_path: Path):
     other = suite_folder(tmp_path / "rdm", "rdm", {"real": RESULTS["real"]})
     page([folder, other], tmp_path / "results.md")
     text = (tmp_path / "results.md").read_text()
-    assert text.startswith("# Results\n")
+    assert text.startswith("# Results\n\n**Commit c0ffee; measured 2026-01-02.**\n")
     assert re.findall(r"^## (.*)$", text, re.M) == ["MotionPCM: text to clips", "RDM: motion without end"]
     for name in re.findall(r"!\[.*?\]\((.*?)\)", text):
         assert (tmp_path / name).is_file()

@@ -136,21 +136,42 @@ def test_other_weights_data_judges_and_settings_are_other_evaluations(items, ora
         other = Painter()
         monkeypatch.setattr(other, what, lambda: {"paint.safetensors": "2"})
         assert opened(items, oracle, tmp_path, generator=other)[1].done == []
-    other = Painter()
-    other.code = ("moveset.evaluation.generators",)
-    assert opened(items, oracle, tmp_path, generator=other)[1].done == []
     assert opened(replace(items, sha256="2" * 64), oracle, tmp_path)[1].done == []
+    with monkeypatch.context() as patch:
+        patch.setattr(results_module, "commit", lambda: "another")
+        assert opened(items, oracle, tmp_path)[1].done == []
     monkeypatch.setattr(oracle, "sha256", "3" * 64, raising=False)
     assert opened(items, oracle, tmp_path)[1].done == []
 
 
-def test_the_code_of_rollouts_is_part_of_their_results_alone(items, oracle, tmp_path, monkeypatch):
-    named = []
-    monkeypatch.setattr(results_module, "code_sha256", lambda modules: named.append(tuple(modules)) or "0" * 64)
-    for split in ("test", "rollout"):
-        opened(items, oracle, tmp_path / split, replace(PROTOCOL, split=split))
-    test, _, rollout, _ = named
-    assert set(rollout) - set(test) == {"moveset.evaluation.rollout"}
+def test_the_code_is_known_by_the_last_commit_and_by_what_is_not_committed(tmp_path, monkeypatch):
+    def git(*arguments):
+        subprocess.run(["git", "-c", "user.name=n", "-c", "user.email=e@x", *arguments], cwd=tmp_path, check=True)
+
+    def now():
+        results_module.commit.cache_clear()
+        return results_module.commit()
+
+    monkeypatch.setattr(results_module.moveset, "__file__", str(tmp_path / "package/__init__.py"))
+    (tmp_path / "package").mkdir()
+    (tmp_path / "package/__init__.py").write_text("a = 1\n")
+    said = [now()]
+    git("init", "-q")
+    git("add", ".")
+    said.append(now())
+    git("commit", "-q", "-m", "first")
+    said.append(now())
+    (tmp_path / "notes.md").write_text("of something else\n")
+    git("add", ".")
+    assert now() == said[-1]
+    for text in ("a = 2\n", "a = 3\n"):
+        (tmp_path / "package/__init__.py").write_text(text)
+        said.append(now())
+    assert said[0] == said[1] == f"version {results_module.moveset.__version__}"
+    assert len(set(said)) == 4
+    assert all(one.startswith(said[2] + "+") for one in said[3:])
+    monkeypatch.undo()
+    now()
 
 
 def test_the_answer_to_another_question_stays(items, oracle, tmp_path, monkeypatch):

@@ -43,8 +43,7 @@ def test_a_suite_becomes_a_page(place: Path, capsys: pytest.CaptureFixture[str])
     assert {key: found.repeats for key, found in table.measured.items()} == dict.fromkeys(
         ("real", "vae", "lcm-2", "pcm-1", "mine-pcm-1"), 2
     )
-    assert table.common().items == 32
-    assert not table.odd
+    assert table.state().items == 32
     # Other weights, other numbers: nothing was mixed up on the way.
     assert table.metrics["pcm-1"]["fid"] != table.metrics["mine-pcm-1"]["fid"]
     assert table.measured["pcm-1"].weights != table.measured["mine-pcm-1"].weights

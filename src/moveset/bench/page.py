@@ -1,15 +1,14 @@
 """The report of ``moveset bench`` as a page: Markdown tables and one picture, from its JSON alone."""
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from moveset.errors import FormatError
 from moveset.evaluation.markdown import lined
-from moveset.evaluation.plots import COLOURS, GREY, STYLE
+from moveset.evaluation.plots import COLOURS, STYLE
 from moveset.evaluation.published import tables
-from moveset.evaluation.quality_time import Judged, pareto
 from moveset.io.limits import atomic_write, read_limited
 from moveset.io.manifest import json_object
 
@@ -40,12 +39,11 @@ def load_report(path: Path) -> dict[str, Any]:
     return report
 
 
-def write_page(report: Report, rows: Sequence[Judged], path: Path) -> list[Path]:
+def write_page(report: Report, path: Path) -> list[Path]:
     """Writes PATH (JSON), and beside it the Markdown page and, where there is something to draw, the picture.
 
     Args:
         report: of ``bench``.
-        rows: of ``quality_time.judged``.
         path: of the JSON.
 
     Raises:
@@ -55,22 +53,22 @@ def write_page(report: Report, rows: Sequence[Judged], path: Path) -> list[Path]
     with atomic_write(path) as file:
         file.write((json.dumps(report, indent=1, ensure_ascii=False) + "\n").encode())
     picture = path.with_suffix(".png")
-    if draw(report, rows, picture):
+    if draw(report, picture):
         written.append(picture)
     with atomic_write(written[1]) as file:
-        file.write(markdown(report, rows, path.stem, pictured=len(written) > 2).encode())
+        file.write(markdown(report, path.stem, pictured=len(written) > 2).encode())
     return written
 
 
-def markdown(report: Report, rows: Sequence[Judged] = (), name: str = "benchmarks", pictured: bool = False) -> str:
+def markdown(report: Report, name: str = "benchmarks", pictured: bool = False) -> str:
     """The page."""
     parts = [INTRODUCTION.format(name=name), machine(report)]
     if pictured:
-        parts.append(f"![AITS by part, time by length and by batch, quality against time]({name}.png)")
+        parts.append(f"![AITS by part, time by length and by batch]({name}.png)")
     for part, section in SECTIONS.items():
         if part in report:
             parts.append(section(report))
-    parts += [quality(rows), published()]
+    parts.append(published())
     return "\n\n".join(part.strip() for part in parts if part) + "\n"
 
 
@@ -212,25 +210,6 @@ Resident is the benchmark's own process, with all that it measured before: what 
 {lined(["after segments", "ms a segment", "resident, MB"], body)}"""
 
 
-def quality(rows: Sequence[Judged]) -> str:
-    """Times beside what the evaluator says; the Pareto front."""
-    if not rows:
-        return ""
-    parts = [
-        "## Quality against time",
-        "Milliseconds for a second of motion; **bold**: on the Pareto front of time and FID.",
-    ]
-    for way in dict.fromkeys(row.way for row in rows):
-        group = sorted((row for row in rows if row.way == way), key=lambda row: row.time)
-        best = pareto(group)
-        body = []
-        for row in group:
-            name = f"**{row.name}**" if row.name in best else row.name
-            body.append([name, f"{row.time:.2f}", *(_interval(row, metric) for metric in ("fid", "r1", "r3"))])
-        parts += [f"{way}:", lined(["", "ms a second", "FID ↓", "R@1 ↑", "R@3 ↑"], body)]
-    return "\n\n".join(parts)
-
-
 def published() -> str:
     """What the paper prints of times: another machine, another model, another data set."""
     table = next(t for t in tables("motionpcm") if "aits" in t.columns)
@@ -253,13 +232,12 @@ SECTIONS = {
 }  # fmt: skip
 
 
-def draw(report: Report, rows: Sequence[Judged], path: Path) -> bool:
+def draw(report: Report, path: Path) -> bool:
     """Writes the picture; whether there was anything to draw."""
     import matplotlib
     from matplotlib.figure import Figure
 
-    panels: list[tuple[str, Any]] = [(part, plot) for part, plot in PLOTS.items() if part in report]
-    panels += [(way, None) for way in dict.fromkeys(row.way for row in rows)]
+    panels = [(part, plot) for part, plot in PLOTS.items() if part in report]
     if not panels:
         return False
     with matplotlib.rc_context(STYLE):
@@ -270,10 +248,7 @@ def draw(report: Report, rows: Sequence[Judged], path: Path) -> bool:
         for spare in axes[len(panels) :]:
             spare.remove()
         for (name, plot), place in zip(panels, axes, strict=False):
-            if plot is None:
-                _front([row for row in rows if row.way == name], place)
-            else:
-                plot(report, place)
+            plot(report, place)
             place.grid(axis="both" if name != "clips" else "x")
         with atomic_write(path) as file:
             figure.savefig(file, format="png", dpi=100, transparent=True)
@@ -313,23 +288,6 @@ def _by_batch(report: Report, axes: "Axes") -> None:
     axes.legend(frameon=False)
 
 
-def _front(rows: Sequence[Judged], axes: "Axes") -> None:
-    drawn = [row for row in rows if "fid" in row.metrics]
-    points = {row.name: (row.time, row.metrics["fid"].mean) for row in drawn}
-    for row in drawn:
-        half = row.metrics["fid"].half_width
-        colour = COLOURS[1] if row.name.startswith("stream") else COLOURS[0]
-        axes.errorbar(*points[row.name], yerr=half if half < float("inf") else None, fmt="o", ms=5, color=colour)
-        # Below where a neighbour lies a little above, whose name would be written over.
-        x, y = points[row.name]
-        below = any(y < other < 1.3 * y and x / 2 < time < 2 * x for time, other in points.values())
-        axes.annotate(row.name, (x, y), xytext=(5, -11 if below else 4), textcoords="offset points", fontsize=8)
-    line = [points[name] for name in pareto(drawn)]
-    axes.step([x for x, _ in line], [y for _, y in line], where="post", color=GREY, lw=1, ls="--")
-    axes.set(title="quality against time", xlabel="ms a second of motion", ylabel="FID ↓", xscale="log", yscale="log")
-    _plain(axes, "xy")
-
-
 def _plain(axes: "Axes", which: str) -> None:
     """Numbers on logarithmic axes as people write them."""
     from matplotlib.ticker import LogFormatter
@@ -353,14 +311,6 @@ def _ms(row: Mapping[str, Any], part: str) -> str:
 
 def _giga(count: int) -> str:
     return f"{count / 1e9:.3g}"
-
-
-def _interval(row: Judged, metric: str) -> str:
-    found = row.metrics.get(metric)
-    if found is None:
-        return "–"
-    half = f" ± {found.half_width:.3f}" if found.half_width < float("inf") else ""
-    return f"{found.mean:.3f}{half}"
 
 
 def _printed(number: Any) -> str:

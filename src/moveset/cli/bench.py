@@ -22,7 +22,6 @@ Part = Literal["clips", "streams", "lengths", "batches", "operations", "processe
 def bench(
     *,
     output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"], metavar="FILE.json")] = None,
-    results: Annotated[tuple[Path, ...], tyro.conf.arg(metavar="DIR …")] = (),
     redraw: Annotated[Path | None, tyro.conf.arg(metavar="FILE.json")] = None,
     parts: tuple[Part, ...] = (),
     clips: Annotated[str, tyro.conf.arg(metavar="NAME")] = "motionpcm-small",
@@ -41,7 +40,6 @@ def bench(
 
     Args:
         output: Where the report goes; the page and the picture go beside it, as FILE.md and FILE.png.
-        results: Folders with results of `moveset evaluate`: adds quality against time and the Pareto front.
         redraw: Measure nothing; make page and picture again of this earlier report.
         parts: What to measure; everything without it.
         clips: A text-to-motion model, shipped or a folder.
@@ -56,7 +54,6 @@ def bench(
     """
     from moveset.bench.page import load_report, markdown, write_page
     from moveset.bench.run import PARTS, Plan, shortest
-    from moveset.evaluation.quality_time import judged, read_results
 
     for path in (output, redraw):
         if path is not None and path.suffix != ".json":
@@ -71,8 +68,6 @@ def bench(
             raise InputError(f"cannot write {str(taken[0])!r}: it is a folder; choose another --output")
     if output is not None and importlib.util.find_spec("matplotlib") is None:
         raise InputError("a report with a picture needs matplotlib; `pip install 'moveset[train]'`, or leave --output")
-    # Before anything is measured: a folder that cannot be read should not cost an hour.
-    found = read_results(results)
     if redraw is not None:
         report = load_report(redraw)
     else:
@@ -80,14 +75,11 @@ def bench(
         given = {"rounds": rounds, "count": processes, "endless": endless}
         asked: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
         report = _measure(replace(shortest(plan) if quick else plan, **asked), threads)
-    rows = judged(report, found)
-    if results and not rows:
-        print(f"moveset: no two rows of the benchmark have results in {', '.join(map(str, results))}", file=sys.stderr)
     # Printed first: what took an hour to measure must not be lost to a disk that has filled up meanwhile.
     name = output.stem if output is not None else "benchmarks"
-    print(jsonlib.dumps(report) if json else markdown(report, rows, name), flush=True)
+    print(jsonlib.dumps(report) if json else markdown(report, name), flush=True)
     if output is not None:
-        print(f"wrote {', '.join(map(str, write_page(report, rows, output)))}", file=sys.stderr)
+        print(f"wrote {', '.join(map(str, write_page(report, output)))}", file=sys.stderr)
     return 0
 
 

@@ -23,12 +23,10 @@ _DASH = "–"
 
 @dataclass(frozen=True)
 class How:
-    """Where results go, whether repeats and results that are there are kept, and among how many processes they are
-    shared."""
+    """Where results go, whether repeats that are there are kept, and among how many processes they are shared."""
 
     out: Path
     resume: bool
-    confirm: bool
     processes: int | None
 
 
@@ -64,7 +62,6 @@ def evaluate(
     sanity: tyro.conf.FlagCreatePairsOff[bool] = False,
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("results"),
     resume: bool = True,
-    confirm: tyro.conf.FlagCreatePairsOff[bool] = False,
     processes: Annotated[int | None, tyro.conf.arg(metavar="N")] = None,
     batch: Annotated[int, tyro.conf.arg(metavar="N")] = 64,
     device: Annotated[str, tyro.conf.arg(metavar="NAME")] = "auto",
@@ -104,7 +101,6 @@ def evaluate(
         sanity: Check the evaluator itself: real, jittered, reversed and frozen motion, shuffled and wrong sentences.
         out: Where results go.
         resume: Keep repeats that are there already; --no-resume makes all of them anew.
-        confirm: Keep a result that other code made, if its first repeat, made anew, comes out the same to the bit.
         processes: Share the repeats among so many processes; by default as many as there are cores.
         batch: Motions evaluated at once; worth raising on a GPU.
         device: auto, cpu, cuda or mps.
@@ -130,7 +126,7 @@ def evaluate(
         raise InputError(f"--row {row[0]} is a row of a suite; add --suite motionpcm or --suite rdm")
     if sanity and suite is not None:
         raise InputError("--sanity checks the evaluator itself; leave --suite out")
-    how = How(out, resume, confirm, processes)
+    how = How(out, resume, processes)
     if sanity:
         return _sanity(models, common, out, json)
     if suite is not None:
@@ -213,14 +209,7 @@ def _evaluate(job: "Job", how: How) -> tuple[dict[str, Any] | None, Path]:
             bar.total, bar.n = count, done
             bar.set_postfix_str(stage)
 
-        def say(line: str) -> None:
-            bar.clear()
-            print(f"moveset: {line}", file=sys.stderr)
-
-        return run(
-            job, how.out, share=share(), processes=how.processes, again=not how.resume, confirmed=how.confirm,
-            watch=watch, say=say,
-        )  # fmt: skip
+        return run(job, how.out, share=share(), processes=how.processes, again=not how.resume, watch=watch)
 
 
 def _suite(
@@ -270,8 +259,9 @@ def _check_alike(name: str, settings: "SuiteSettings", common: "Job", out: Path)
     """Rows that could not stand beside those that are there are refused before any is evaluated."""
     from moveset.evaluation.evaluator import Evaluator
     from moveset.evaluation.job import open_set
+    from moveset.evaluation.results import commit
     from moveset.evaluation.suites import chosen_rows
-    from moveset.evaluation.table import ROWS, check_alike
+    from moveset.evaluation.table import ROWS, State, check_alike
     from moveset.pipelines.device import pick_device
 
     rows = [row for row, _, missing in chosen_rows(name, settings) if not missing]
@@ -279,13 +269,12 @@ def _check_alike(name: str, settings: "SuiteSettings", common: "Job", out: Path)
         return
     items, protocol = open_set(common), common.protocol
     judge = Evaluator.open(common.evaluator, pick_device(common.device))
-    asked = {
-        "items": len(items), "texts": items.texts,
-        "labels": None if items.labels is None else len(set(items.labels)),
-        "evaluator": (judge.card.name, str(judge.sha256)), "data": (items.name, items.sha256),
-        "wording": protocol.wording, "split": protocol.split, "group": protocol.group,
-    }  # fmt: skip
-    check_alike(out, name, rows, asked, common.foot_lock)
+    now = State(
+        commit=commit(), evaluator=(judge.card.name, str(judge.sha256)), data=(items.name, items.sha256),
+        items=len(items), texts=items.texts, labels=None if items.labels is None else len(set(items.labels)),
+        split=protocol.split, group=protocol.group, seed=protocol.seed,
+    )  # fmt: skip
+    check_alike(out, name, rows, now, common.foot_lock)
 
 
 def unfinished(result: str | None) -> str:

@@ -51,12 +51,6 @@ class Baseline:
     """
 
     random, segment = True, 0.0
-    code = (
-        "moveset.evaluation.generators", "moveset.evaluation.baselines", "moveset.rdm.autoregressive",
-        "moveset.rdm.prediction", "moveset.rdm.noise", "moveset.diffusion.steps", "moveset.diffusion.guidance",
-        "moveset.motion.foot_lock", "moveset.motion.cleanup", "moveset.motion.hover", "moveset.motion.hold_root",
-        "moveset.pipelines.stream_settings", "moveset.motion.contacts",
-    )  # fmt: skip
 
     def __init__(
         self,

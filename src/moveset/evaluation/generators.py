@@ -57,7 +57,7 @@ class Generator(Protocol):
 
     ``slug`` names it in files, ``model``, ``network`` and ``steps`` in tables (None where there is no such thing);
     ``random`` says whether another seed gives another motion; ``segment`` is the seconds between seams of a stream,
-    0 where there are none. ``code`` names the modules that make its motions: where one changes, repeats are made anew.
+    0 where there are none.
     """
 
     slug: str
@@ -66,7 +66,6 @@ class Generator(Protocol):
     steps: int | None
     random: bool
     segment: float
-    code: tuple[str, ...]
 
     def describe(self) -> dict[str, Any]:
         """Everything that its motions depend on besides weights, for JSON."""
@@ -92,7 +91,6 @@ class Given:
     """
 
     network, steps, random, segment = None, None, False, 0.0
-    code: tuple[str, ...] = ()
 
     def __init__(self, slug: str, items: ItemSet | None = None) -> None:
         self.slug = self.model = slug
@@ -125,11 +123,6 @@ class Clips:
     """
 
     random, segment = True, 0.0
-    code = (
-        "moveset.evaluation.generators", "moveset.pipelines.text_to_motion", "moveset.pipelines.denoise",
-        "moveset.pcm.sampler", "moveset.diffusion.steps", "moveset.motion.cleanup", "moveset.motion.hover",
-        "moveset.motion.contacts",
-    )  # fmt: skip
 
     def __init__(
         self, bundle: Bundle, method: Method, *, device: str = "auto", batch: int = 64, foot_lock: bool = True
@@ -181,7 +174,6 @@ class Reconstruction:
     """
 
     network, steps, random, segment = "vae", None, False, 0.0
-    code = ("moveset.evaluation.generators",)
 
     def __init__(self, bundle: Bundle, *, device: str = "auto", batch: int = 64) -> None:
         self._bundle, self._device, self._batch = bundle, pick_device(device), batch

@@ -1,17 +1,18 @@
-"""Repeats to intervals, and whether two of them are apart.
+"""Repeats to intervals.
 
 An interval over repeats says how much a number moves when captions, crops, noise and groups are drawn again. It does
-not say what another set of test items would give; ``evaluation.paired`` resamples items for that, and
-``evaluation.repeat_pairs`` compares rows repeat by repeat.
+not say what another set of test items would give.
 """
 
 import math
+import statistics
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-
-import torch
+from functools import cache
 
 from moveset.errors import InputError
+
+CONFIDENCE = 0.95
 
 
 @dataclass(frozen=True)
@@ -23,19 +24,22 @@ class Interval:
 
     @classmethod
     def of(cls, values: Sequence[float]) -> "Interval":
-        """Of repeats: mean ± 1.96 std / sqrt(n), with the population's standard deviation, as the papers print it.
+        """Of n repeats: mean ± t s / √n, with Student's t of n - 1 degrees of freedom and the sample's deviation s.
+
+        The papers print 1.96 times the population's deviation, which for five repeats is 1.6 times too narrow.
 
         Raises:
             InputError: no values, or values that are not finite.
 
-        >>> Interval.of([1.0, 3.0])
-        Interval(mean=2.0, half_width=1.3859292911256331)
+        >>> Interval.of([1.0, 2.0, 3.0, 4.0, 5.0]).format(2)
+        '3.00 ± 1.96'
         """
-        x = torch.tensor(list(values), dtype=torch.float64)
-        if not len(x) or not torch.isfinite(x).all():
+        if not values or not all(map(math.isfinite, values)):
             raise InputError(f"an interval needs one or more finite values, not {list(values)}")
-        spread = 1.96 * float(x.std(unbiased=False)) / math.sqrt(len(x)) if len(x) > 1 else math.inf
-        return cls(float(x.mean()), spread)
+        mean, count = statistics.fmean(values), len(values)
+        if count == 1:
+            return cls(mean, math.inf)
+        return cls(mean, student_quantile(count - 1) * statistics.stdev(values) / math.sqrt(count))
 
     @property
     def low(self) -> float:
@@ -73,10 +77,26 @@ class Interval:
         return f"{self.mean:.{digits}f}{half}"
 
 
-def clear(a: Interval, b: Interval) -> bool:
-    """Whether two intervals are disjoint: the difference of their means is more than what repeats make.
+@cache
+def student_quantile(freedom: int) -> float:
+    """t which Student's T of so many degrees of freedom exceeds in size with a chance of 5 %, by bisection.
 
-    >>> clear(Interval(1.0, 0.1), Interval(1.3, 0.1)), clear(Interval(1.0, 0.1), Interval(1.3, 0.2))
-    (True, False)
+    >>> round(student_quantile(4), 3), round(student_quantile(19), 3)
+    (2.776, 2.093)
     """
-    return a.high < b.low or b.high < a.low
+    low, high = 0.0, math.pi / 2
+    for _ in range(60):
+        middle = (low + high) / 2
+        low, high = (middle, high) if _within(middle, freedom) < CONFIDENCE else (low, middle)
+    return math.sqrt(freedom) * math.tan((low + high) / 2)
+
+
+def _within(angle: float, freedom: int) -> float:
+    """P(|T| <= √freedom tan(angle)) (Abramowitz & Stegun 1964, 26.7.3 and 26.7.4)."""
+    odd, cosine = freedom % 2, math.cos(angle)
+    term = cosine if odd else 1.0
+    total = term if freedom > 1 else 0.0
+    for k in range(2 + odd, freedom - 1, 2):
+        term *= cosine**2 * (k - 1) / k
+        total += term
+    return 2 / math.pi * (angle + math.sin(angle) * total) if odd else math.sin(angle) * total

@@ -14,7 +14,6 @@ import torch
 
 from moveset.data.splits import Split
 from moveset.errors import InputError, MovesetError
-from moveset.evaluation.confirm import confirm
 from moveset.evaluation.evaluator import DEFAULT_EVALUATOR, Evaluator
 from moveset.evaluation.generators import Clips, Generator, Given, Reconstruction, settings_slug
 from moveset.evaluation.items import ItemSet, open_items
@@ -265,9 +264,7 @@ def run(
     share: tuple[int, int] = (0, 1),
     processes: int | None = None,
     again: bool = False,
-    confirmed: bool = False,
     watch: Watch = lambda done, count, stage: None,
-    say: Callable[[str], None] = lambda line: None,
 ) -> tuple[dict[str, Any] | None, Path]:
     """Evaluate; the result (None if other processes of torchrun are still at work) and the path of its file.
 
@@ -277,10 +274,7 @@ def run(
         share: rank and number of the processes of torchrun, each of which makes its share of the repeats.
         processes: that share the repeats on this machine otherwise; None for as many as there are cores.
         again: make every repeat anew, although it is there; not with other processes of torchrun.
-        confirmed: keep the result that is there, if it is of other code and its first repeat, made anew, comes out
-            the same (``confirm``); likewise not with other processes.
         watch: told of progress: repeats done, repeats in all, and what is being done.
-        say: told what came of that.
 
     Raises:
         InputError: something does not exist, does not fit, or cannot be judged.
@@ -289,20 +283,15 @@ def run(
     """
     if processes is not None and not 1 <= processes <= MAX_CORES:
         raise InputError(f"{processes} processes are not in 1 to {MAX_CORES}; as many as there are cores is best")
-    if again and confirmed:
-        raise InputError("a result cannot be made anew and be kept; choose --no-resume or --confirm")
-    if (again or confirmed) and share[1] > 1:
+    if again and share[1] > 1:
         # Whoever is first done would take what another has still to delete for new.
-        what = "make everything anew together; give a fresh --out instead" if again else "confirm a result; take one"
-        raise InputError(f"several processes cannot {what}")
+        raise InputError("several processes cannot make everything anew together; give a fresh --out instead")
     session, on_cpu = open_session(job), pick_device(job.device).type == "cpu"
     results, (rank, world) = Results(session, out), share
     if again:
         results.forget()
     # Small networks gain little by more threads, and so sums come out the same however the work is shared.
     with _threads(1 if on_cpu else torch.get_num_threads()):
-        if confirmed:
-            say(confirm(results, lambda number: make(session, results, number, watch)))
         if world == 1 and (processes or on_cpu):
             world = max(1, min(processes or cores(), len(results.missing())))
         helpers = [_start(job, out, k, world) for k in range(1, world)] if share[1] == 1 else []

@@ -21,10 +21,10 @@ def latex(table: Table) -> str:
     """
     parts = ["% needs \\usepackage{booktabs}"]
     if table.measured:
-        first = table.common()
+        state = table.state()
         note = (
-            f"{escape(table.suite.title)}. {first.items} items, {first.texts} distinct texts; mean and 95\\,\\% "
-            f"interval over repeats; evaluator {escape(first.evaluator[0])} ({first.evaluator[1][:8]})."
+            f"{escape(table.suite.title)}. {state.items} items, {state.texts} distinct texts; mean and 95\\,\\% "
+            f"interval over repeats; evaluator {escape(state.evaluator[0])} ({state.evaluator[1][:8]})."
         )
         for columns in (table.columns(QUALITY), table.columns(PHYSICAL)):
             if columns:

@@ -1,24 +1,17 @@
-"""A table of results as Markdown: quality, physical metrics, what differs, targets, settings, and what is published.
+"""A table of results as Markdown: quality, physical metrics, what differs, settings, and what is published.
 
 Published numbers stand in a block of their own, said to be not comparable.
 """
 
-from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
 from moveset.evaluation.columns import PHYSICAL, QUALITY, Column, Place
+from moveset.evaluation.comparison import verdict
 from moveset.evaluation.intervals import Interval
 from moveset.evaluation.published import PublishedTable, tables
-from moveset.evaluation.repeat_pairs import LEAST, verdict
 from moveset.evaluation.suites import REAL
-from moveset.evaluation.table import Table
-
-ROUGH = 10  # intervals from fewer repeats than these are rough themselves
-WORDINGS = {
-    "known": "Prompts are sentences that the models were trained with.",
-    "held-out": "Prompts are worded as no training sentence is.",
-}
+from moveset.evaluation.table import Table, days
 
 
 def markdown(table: Table, pictures: Sequence[str] = (), level: int = 1) -> str:
@@ -30,20 +23,15 @@ def markdown(table: Table, pictures: Sequence[str] = (), level: int = 1) -> str:
         level: of its heading.
 
     Raises:
-        InputError: rows that were judged by different evaluators, on different data or wordings.
+        InputError: rows that were measured in different ways.
     """
     sharp = "#" * (level + 1)
     parts = [f"{'#' * level} {table.suite.title}", about(table), grid(table)]
     if physical := physical_grid(table):
         parts += [f"{sharp} Physical metrics", physical]
     parts += [f"![{Path(name).stem}]({name})" for name in pictures]
-    if found := table.differences():
-        labels = table.labels
-        lines = [f"- {difference.sentence(labels)}" for difference in found]
-        parts += [f"{sharp} What differs outside the intervals", "\n".join(lines)]
-    if paired := pairs(table):
-        parts += [f"{sharp} What differs repeat by repeat", paired]
-    parts += [f"{sharp} Targets", targets(table)]
+    if compared := comparisons(table):
+        parts += [f"{sharp} What differs", compared]
     parts += [f"{sharp} How the rows were made", settings(table)]
     parts += [published(printed, level + 1) for printed in tables(table.suite.name)]
     return "\n\n".join(parts) + "\n"
@@ -57,41 +45,18 @@ def about(table: Table) -> str:
     """
     if not table.measured:
         return "No row has been evaluated yet."
-    first = table.common()
-    rough = any(result.repeats < ROUGH for result in table.measured.values())
-    labels = "" if first.labels is None else f", {first.labels} distinct contents"
+    state = table.state()
+    labels = "" if state.labels is None else f", {state.labels} distinct contents"
     lines = [
-        f"**{first.items} items, {first.texts} distinct texts{labels}** of the split “{first.split}” of "
-        f"{first.data[0]} ({_short(first.data[1])}); evaluator {first.evaluator[0]} ({_short(first.evaluator[1])}). "
-        f"{WORDINGS[first.wording]}",
-        f"R@k: how often the own sentence's motion is among the k nearest of {first.group}. "
-        "Mean ± 95 % interval over repeats (1.96 standard deviations / √repeats), in which captions, lengths, noise "
-        "and groups were drawn again; it does not say what other test items would give. ↑ more is better, ↓ less is "
-        "better, → nearer to real motion is better. **Best** and <u>second best</u> of the rows that generate. "
-        "Milliseconds an item are those of the quickest repeat: in batches, on whatever the machine was doing "
-        "besides.",
+        f"**{state.items} items, {state.texts} distinct texts{labels}** of the split “{state.split}” of "
+        f"{state.data[0]} ({_short(state.data[1])}); evaluator {state.evaluator[0]} ({_short(state.evaluator[1])}); "
+        f"commit {state.commit}; measured {days(table)}.",
+        f"R@k: how often the own sentence's motion is among the k nearest of {state.group}. "
+        "Mean ± 95 % interval over repeats (Student's t), in which captions, lengths, noise and groups were drawn "
+        "again; it does not say what other test items would give. ↑ more is better, ↓ less is better, → nearer to real "
+        "motion is better. **Best** and <u>second best</u> of the rows that generate. Milliseconds an item are those "
+        "of the quickest repeat: in batches, on whatever the machine was doing besides.",
     ]
-    exact = "the same to the bit"
-    if others := sorted({result.data[1] for result in table.measured.values()} - {first.data[1]}):
-        rows = "; ".join(table.labels[key] for key, result in table.measured.items() if result.data != first.data)
-        lines.append(
-            f"On what another processor built of the same takes ({', '.join(map(_short, others))}), where real motion "
-            f"measures the same to five digits: {rows}."
-        )
-        exact += " (there to five digits)"
-    if table.odd:
-        lines.append(
-            f"**Made or measured by other code than the rest, so evaluate these again:** {'; '.join(table.odd)}."
-        )
-    if kept := table.kept:
-        rows = "All rows" if len(kept) == len(table.measured) else "; ".join(kept)
-        lines.append(f"Made by earlier code, of which the first repeat was made again and came out {exact}: {rows}.")
-    if trusted := table.trusted:
-        lines.append(
-            f"Of other code than the most, which gave the first repeat of another row {exact}: {'; '.join(trusted)}."
-        )
-    if rough:
-        lines.append(f"Rows that cost much have fewer repeats; fewer than {ROUGH} make a rough interval.")
     return "\n\n".join(lines)
 
 
@@ -139,9 +104,9 @@ def physical_grid(table: Table) -> str:
     return "In parentheses: times the value of real motion.\n\n" + lined(["", *(c.head for c in columns)], body)
 
 
-def pairs(table: Table) -> str:
+def comparisons(table: Table) -> str:
     """Differences of equal repeats; "" if no two rows to compare have enough of them."""
-    found, labels = table.pairs(), table.labels
+    found, labels = table.comparisons(), table.labels
     if not found:
         return ""
     columns = [column for column in QUALITY if any(column.name in row.differences for row in found)]
@@ -151,19 +116,9 @@ def pairs(table: Table) -> str:
         body.append([f"{labels[row.row]} − {labels[row.reference]}", str(row.repeats), *cells])
     return (
         "Equal repeats of two rows have the same captions, lengths and groups, which cancel in their difference: mean "
-        f"± 95 % interval (Student's t) over the repeats that both have, if these are {LEAST} at least. **Better** and "
-        "<u>worse</u> where the interval leaves out zero, which one in twenty does by chance. These are differences "
-        "on the same items; the targets below go by the rows' own intervals.\n\n"
+        "± 95 % interval (Student's t) over the repeats that both have. **Better** and <u>worse</u> where the interval "
+        "leaves out zero, which one in twenty does by chance. These are differences on the same items.\n\n"
     ) + lined(["", "repeats", *(column.head for column in columns)], body)
-
-
-def targets(table: Table) -> str:
-    """How many targets are met, and each with its numbers."""
-    found = table.checks()
-    counts = Counter(check.verdict for check in found)
-    summary = ", ".join(f"{count} {verdict}" for verdict, count in counts.most_common())
-    body = [[check.target, f"**{check.verdict}**", check.numbers or "–"] for check in found]
-    return f"{summary}.\n\n" + lined(["target", "", "numbers"], body)
 
 
 def settings(table: Table) -> str:

@@ -16,10 +16,12 @@ from moveset.evaluation.columns import QUALITY
 from moveset.evaluation.latex import latex
 from moveset.evaluation.markdown import markdown
 from moveset.evaluation.plots import draw
-from moveset.evaluation.table import Table, load_table
+from moveset.evaluation.table import Table, days, load_table
 from moveset.io.limits import atomic_write
 
 PAGE = """# Results
+
+**Commit {commits}; measured {days}.**
 
 Written by `make tables` from the results of `moveset evaluate --suite motionpcm` and `--suite rdm`; do not edit by
 hand. The protocol is that of the papers, the data and the evaluator are this repository's own, so numbers compare
@@ -30,7 +32,7 @@ def write_report(folder: Path) -> Path:
     """Writes ``table.md``, ``table.tex``, ``table.json`` and the plots into a suite's folder; the Markdown's path.
 
     Raises:
-        InputError: no such folder, or rows that were judged by different evaluators or on different data.
+        InputError: no such folder, or rows that were measured in different ways.
         FormatError: something in it cannot be read.
     """
     table = _whole(folder)
@@ -42,9 +44,10 @@ def write_report(folder: Path) -> Path:
 
 
 def to_json(table: Table) -> dict[str, Any]:
-    """Numbers, places, differences and targets of a table."""
+    """Numbers, places and differences of a table."""
     return {
         "suite": table.suite.name,
+        "state": asdict(table.state()) if table.measured else None,
         "rows": [
             {
                 **{name: getattr(entry.row, name) for name in ("key", "label", "group", "model", "network", "steps")},
@@ -58,12 +61,10 @@ def to_json(table: Table) -> dict[str, Any]:
             for entry in table.rows
         ],
         "places": {column.name: table.places(column) for column in table.columns(QUALITY)},
-        "differences": [asdict(found) for found in table.differences()],
-        "repeat_pairs": [
+        "comparisons": [
             {**asdict(found), "differences": {k: v.to_json() for k, v in found.differences.items()}}
-            for found in table.pairs()
+            for found in table.comparisons()
         ],
-        "targets": [asdict(check) for check in table.checks()],
     }
 
 
@@ -74,10 +75,11 @@ def page(folders: Sequence[Path], path: Path) -> None:
         InputError: no such folder, or rows that were judged in different ways.
         FormatError: something in one cannot be read.
     """
-    parts = [PAGE]
-    for folder in folders:
-        table = _whole(folder)
-        images = path.parent / "images"
+    tables = [_whole(folder) for folder in folders]
+    commits = dict.fromkeys(table.state().commit for table in tables if table.measured)
+    parts = [PAGE.format(commits=", ".join(commits) or "–", days=days(*tables))]
+    images = path.parent / "images"
+    for table in tables:
         names = [f"{images.name}/{name}" for name in draw(table, images)]
         parts.append(markdown(table, names, level=2))
     _write(path, "\n\n".join(part.strip() for part in parts) + "\n")
@@ -87,7 +89,7 @@ def _whole(folder: Path) -> Table:
     """A table whose rows may stand in one, which is asked before older files go."""
     table = load_table(folder)
     if table.measured:
-        table.common()
+        table.state()
     return table
 
 

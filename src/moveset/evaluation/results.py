@@ -1,18 +1,18 @@
 """Repeats as files, so that an evaluation resumes and is shared out; and the result that they make together.
 
-``OUT/repeats/NAME-KEY/000.json`` is a repeat; KEY is a hash of what ``head`` lists: weights, data, evaluator, settings,
-protocol, versions, and the source of the modules that measure and that make the motion, as far as these are named
-(``_MEASURES``, ``Generator.code``). A file that is there is taken for right whoever made it. What is not named is not
-seen: the code of networks, of text encoders and of reading data; whoever changes what such code computes starts anew.
-Whoever finds all repeats there writes ``OUT/NAME.json``. Nothing but "seconds" differs between two runs.
+``OUT/repeats/NAME-KEY/000.json`` is a repeat; KEY is a hash of what ``head`` lists: weights, settings, data, evaluator,
+protocol and the commit of the code. A file that is there is taken for right whoever made it. Whoever finds all repeats
+there writes ``OUT/NAME.json``. Nothing but "seconds" and "date" differs between two runs.
 """
 
 import hashlib
 import json
 import platform
+import subprocess
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
-from importlib.util import find_spec
+from datetime import UTC, datetime
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -20,26 +20,14 @@ import torch
 
 import moveset
 from moveset.errors import FormatError, InputError
-from moveset.evaluation import same_code
 from moveset.evaluation.intervals import Interval
 from moveset.evaluation.protocol import Session
 from moveset.io.limits import atomic_write, read_limited
 from moveset.io.manifest import json_object
 
-#: What turns motions into numbers: a change here makes repeats anew.
-_MEASURES = (
-    *(f"moveset.evaluation.{name}" for name in ("items", "protocol", "metrics", "frechet", "evaluator")),
-    "moveset.motion.hml",
-    "moveset.motion.measures",
-)  # fmt: skip
-_ROLLS_OUT = ("moveset.evaluation.rollout",)
-
-#: What ``confirm`` lets differ: what a result says of the code that made it.
-CODE = ("measures_sha256", "generator_sha256", "versions")
 #: What a repeat counts besides what it measures.
-COUNTS = ("groups", "texts", "rollouts", "windows", "shortened")
-_KEPT = "kept.json"
-REMEDY = "delete it, or give another --out"
+_COUNTS = ("groups", "texts", "rollouts", "windows", "shortened")
+_REMEDY = "delete it, or give another --out"
 
 
 class Results:
@@ -56,16 +44,16 @@ class Results:
 
     def __init__(self, session: Session, out: Path) -> None:
         self._session = session
-        name = f"{session.generator.slug}-{session.protocol.split}"
-        self.name = name + ("-held-out" if session.protocol.wording == "held-out" else "")
+        self.name = f"{session.generator.slug}-{session.protocol.split}"
         self.head = head(session)
-        key = hashlib.sha256(json.dumps(depends(self.head), sort_keys=True).encode()).hexdigest()[:12]
+        depends = {**self.head, "protocol": {**self.head["protocol"], "repeats": None}}
+        key = hashlib.sha256(json.dumps(depends, sort_keys=True).encode()).hexdigest()[:12]
         self.path, self._folder = out / f"{self.name}.json", out / "repeats" / f"{self.name}-{key}"
         self._refuse_another_question()
         try:
             self._folder.mkdir(parents=True, exist_ok=True)
             with atomic_write(self._folder / "about.json") as file:
-                file.write(_bytes(depends(self.head)))
+                file.write(_bytes(depends))
         except OSError as error:
             raise InputError(
                 f"cannot write to {str(out)!r}: {error.strerror or error}; choose another --out"
@@ -90,21 +78,11 @@ class Results:
         # Of more repeats than are asked for now, too: they would be taken for new when more are asked for again.
         for path in self._folder.glob("[0-9]*.json"):
             path.unlink(missing_ok=True)
-        (self._folder / _KEPT).unlink(missing_ok=True)
 
     def add(self, repeat: Mapping[str, Any]) -> None:
         """Keep a repeat; its file appears whole or not at all."""
         with atomic_write(self._file(int(repeat["repeat"]))) as file:
             file.write(_bytes(repeat))
-
-    def keep(self, repeats: Sequence[Mapping[str, Any]], made: Mapping[str, Any] | None) -> None:
-        """Take repeats for one's own, and remember what made them if that was other code (``confirm``)."""
-        if made is not None:
-            # First, so that a result never has them without saying so.
-            with atomic_write(self._folder / _KEPT) as file:
-                file.write(_bytes(made))
-        for repeat in repeats:
-            self.add(repeat)
 
     def finish(self) -> dict[str, Any] | None:
         """Write and return the result, if every repeat is there.
@@ -115,9 +93,9 @@ class Results:
         if len(self.done) < self.repeats:
             return None
         repeats = [self._read(number) for number in range(self.repeats)]
-        result = {**self.head, **summary(repeats, len(self._session.judged))}
-        if (kept := self._folder / _KEPT).is_file():
-            result["kept"] = json_object(read_limited(kept), kept, REMEDY)
+        versions = {"moveset": moveset.__version__, "torch": torch.__version__, "python": platform.python_version()}
+        made = {"date": datetime.now(UTC).date().isoformat(), "versions": versions}
+        result = {**self.head, **made, **summary(repeats, len(self._session.judged))}
         with atomic_write(self.path) as file:
             file.write(_bytes(result))
         return result
@@ -131,14 +109,11 @@ class Results:
         if not self.path.is_file():
             return
         try:
-            there, now = asked(one := json_object(read_limited(self.path), self.path, REMEDY)), asked(self.head)
-            if same_code.load(self.path.parent).same_data(one["data"]["sha256"], self.head["data"]["sha256"]):
-                there["data"] = now["data"]
+            there, now = asked(json_object(read_limited(self.path), self.path, _REMEDY)), asked(self.head)
         except (KeyError, TypeError, AttributeError) as error:
             raise FormatError(f"{self.path} is no result of an evaluation ({error!r}); give another --out") from error
-        # An older version may not have known all of it.
-        if other := [name for name in there if name in now and there[name] != now[name]]:
-            said = ", ".join(f"{name} {there[name]} instead of {now[name]}" for name in other)
+        if other := [name for name in now if there.get(name) != now[name]]:
+            said = ", ".join(f"{name} {there.get(name)} instead of {now[name]}" for name in other)
             raise InputError(f"{self.path} is the result of another evaluation ({said}); give another --out")
 
     def _file(self, number: int) -> Path:
@@ -156,7 +131,7 @@ class Results:
 
 
 def head(session: Session) -> dict[str, Any]:
-    """What a result says of how it came to be."""
+    """What a result depends on."""
     generator, items, judged, card = session.generator, session.items, session.judged, session.evaluator.card
     weights = generator.weights()
     return {
@@ -171,12 +146,9 @@ def head(session: Session) -> dict[str, Any]:
         "dropped": judged.dropped,
         "evaluator": {"name": card.name, "sha256": session.evaluator.sha256},
         "data": {"name": items.name, "sha256": items.sha256, "items": len(items)},
-        "weights_sha256": _digest(weights) if weights else None,
+        "weights_sha256": hashlib.sha256(json.dumps(weights, sort_keys=True).encode()).hexdigest() if weights else None,
         "weights": weights,
-        "measures_sha256": code_sha256(_MEASURES + (_ROLLS_OUT if session.protocol.split == "rollout" else ())),
-        "generator": type(generator).__name__,
-        "generator_sha256": code_sha256(generator.code),
-        "versions": {"moveset": moveset.__version__, "torch": torch.__version__, "python": platform.python_version()},
+        "commit": commit(),
     }
 
 
@@ -204,7 +176,7 @@ def summary(repeats: Sequence[Mapping[str, Any]], items: int) -> dict[str, Any]:
     columns = {name: [float(repeat["metrics"][name]) for repeat in repeats] for name in names}
     spent = [repeat["seconds"] for repeat in repeats]
     return {
-        **{name: repeats[0][name] for name in COUNTS if name in repeats[0]},
+        **{name: repeats[0][name] for name in _COUNTS if name in repeats[0]},
         "metrics": {name: Interval.of(values).to_json() for name, values in columns.items()},
         "repeats": [{name: float(repeat["metrics"][name]) for name in names} for repeat in repeats],
         "seconds": round(sum(s["all"] for s in spent), 1),
@@ -213,21 +185,28 @@ def summary(repeats: Sequence[Mapping[str, Any]], items: int) -> dict[str, Any]:
     }
 
 
-def code_sha256(modules: Sequence[str]) -> str:
-    """sha256 of the source of modules."""
-    places = [spec.origin for name in modules if (spec := find_spec(name)) is not None and spec.origin is not None]
-    assert len(places) == len(modules), modules
-    return hashlib.sha256(b"".join(Path(place).read_bytes() for place in places)).hexdigest()
+@cache
+def commit() -> str:
+    """The last commit that changed this package, and what tells changes apart that are not committed.
+
+    Where the package lies in no checkout: its version.
+    """
+    folder = Path(moveset.__file__).parent
+    if not (last := _git(folder, "log", "-1", "--format=%h", "--abbrev=12")):
+        return f"version {moveset.__version__}"
+    changes = _git(folder, "diff", "HEAD")
+    return f"{last}+{hashlib.sha256(changes.encode()).hexdigest()[:6]}" if changes else last
 
 
-def depends(described: Mapping[str, Any]) -> dict[str, Any]:
-    """What one repeat is known to depend on: not how many there are."""
-    protocol = {name: value for name, value in described["protocol"].items() if name != "repeats"}
-    return {**described, "protocol": protocol}
-
-
-def _digest(value: object) -> str:
-    return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()
+def _git(folder: Path, *arguments: str) -> str:
+    """What git says of a folder; "" if it knows nothing of it, or is not there."""
+    try:
+        done = subprocess.run(
+            ["git", "-C", str(folder), *arguments, "--", "."], capture_output=True, text=True, check=False
+        )
+    except OSError:
+        return ""
+    return done.stdout.strip() if done.returncode == 0 else ""
 
 
 def _bytes(value: Mapping[str, Any]) -> bytes:

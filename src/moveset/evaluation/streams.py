@@ -45,14 +45,6 @@ class Streams:
     """
 
     random = True
-    code = (
-        "moveset.evaluation.generators", "moveset.evaluation.streams", "moveset.pipelines.stream_settings",
-        "moveset.text.stages", "moveset.rdm.sampler", "moveset.rdm.staircase", "moveset.rdm.transport",
-        "moveset.rdm.noise", "moveset.diffusion.steps", "moveset.diffusion.coloured", "moveset.motion.incremental",
-        "moveset.motion.foot_lock", "moveset.motion.cleanup", "moveset.motion.hover", "moveset.motion.hold_root",
-        "moveset.models.symmetric", "moveset.motion.contacts", "moveset.pipelines.course",
-        "moveset.motion.stream_decoder",
-    )  # fmt: skip
 
     def __init__(
         self,

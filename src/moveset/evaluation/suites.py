@@ -41,7 +41,6 @@ class Row:
             stages.
         repeats: at most so many, for rows that cost much more than others.
         ranked: whether it takes part in best and second best.
-        shipped: whether the targets for what ships apply.
         against: keys of the rows that it is compared with.
     """
 
@@ -54,7 +53,6 @@ class Row:
     settings: Mapping[str, Setting] = field(default_factory=dict)
     repeats: int | None = None
     ranked: bool = True
-    shipped: bool = False
     against: Sequence[str] = ()
 
     def times(self, asked: int) -> int:
@@ -116,7 +114,7 @@ def motionpcm() -> Suite:
         steps=50,
         repeats=FEW,
     )
-    student = Row(key="", label="", group="", model=CLIPS, shipped=True, against=held)
+    student = Row(key="", label="", group="", model=CLIPS, against=held)
     rows = [
         Row(key="real", label="Real", group="Reference", model=REAL, ranked=False),
         Row(key="vae", label="VAE, reconstruction", group="Reference", model=CLIPS, network=RECONSTRUCTION,
@@ -166,14 +164,14 @@ def rdm() -> Suite:
 
     rows = [
         Row(key="real", label="Real", group="Reference", model=REAL, ranked=False),
-        replace(stream, key="md-7", label="MD-7", group="Autoregressive", network="md", repeats=MORE, shipped=True,
+        replace(stream, key="md-7", label="MD-7", group="Autoregressive", network="md", repeats=MORE,
                 against=()),
         replace(stream, key="md-7-alone", label="MD-7, told nothing of the past", group="Autoregressive",
                 model="md-7-alone", network="md", against=("md-7",)),
-        replace(stream, key="rdm-7", label="RDM-7", settings=entangled, repeats=MORE, shipped=True,
+        replace(stream, key="rdm-7", label="RDM-7", settings=entangled, repeats=MORE,
                 against=("md-7", "md-7-alone")),
         replace(stream, key="rdm-pcm-1", label="RDM-7's student, 1 step", network="pcm-1", steps=1, repeats=None,
-                shipped=True, against=("md-7", "rdm-7")),
+                against=("md-7", "rdm-7")),
         replace(stream, key="rdm-pcm-2", label="RDM-7's student, 2 steps", model="rdm-2-steps-small", network="pcm-2",
                 steps=2, repeats=None, against=("md-7", "rdm-7", "rdm-pcm-1")),
         replace(stream, key="whole-sentences", label="RDM-7's student, 1 step, whole sentences", network="pcm-1",

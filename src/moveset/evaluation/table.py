@@ -1,33 +1,56 @@
 """A suite's rows with what was measured of them, from the files of a results folder.
 
-``rows.json`` says which rows there are, where their result files lie, and why some have no numbers.
+``rows.json`` says which rows there are, where their result files lie, and why some have no numbers. All results of a
+table are of one ``State``: of rows that were measured otherwise there is no table.
 """
 
 import json
-from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 from moveset.errors import FormatError, InputError
-from moveset.evaluation import same_code
 from moveset.evaluation.columns import Column, Place, places
+from moveset.evaluation.comparison import Comparison, Values, compare
 from moveset.evaluation.intervals import Interval
-from moveset.evaluation.repeat_pairs import RepeatPairs, Values, repeat_pairs
 from moveset.evaluation.suites import REAL, RECONSTRUCTION, Row, RowResult, Suite, get_suite
-from moveset.evaluation.targets import Check, Difference, checks, differences
 from moveset.io.limits import atomic_write
 from moveset.io.manifest import json_object
 from moveset.io.process import locked
 
 ROWS = "rows.json"
 OWN = ("result", "missing")  # of an entry of that file, beside the row itself
-#: What all rows of a table have in common.
-COMMON = ("items", "texts", "labels", "evaluator", "data", "wording", "split", "group")
+_AGAIN = "give another --out, or delete it"
 
-Value = TypeVar("Value")
+
+@dataclass(frozen=True, kw_only=True)
+class State:
+    """How rows were measured: what all of a table have in common.
+
+    Args:
+        commit: of the code.
+        evaluator, data: name and sha256.
+        items, texts, labels: how many test items, distinct texts and distinct label combinations; None if unlabelled.
+        split: of the data.
+        group: items among which R-precision looks.
+        seed: what all repeats were drawn from.
+    """
+
+    commit: str
+    evaluator: tuple[str, str]
+    data: tuple[str, str]
+    items: int
+    texts: int
+    labels: int | None
+    split: str
+    group: int
+    seed: int
+
+    def unlike(self, other: "State") -> str:
+        """Name of the first field in which another state differs; "" if there is none."""
+        return next((f.name for f in fields(self) if getattr(self, f.name) != getattr(other, f.name)), "")
 
 
 @dataclass(frozen=True)
@@ -35,41 +58,27 @@ class Measured:
     """What a report needs of a result.
 
     Args:
+        state: how it was measured.
+        date: when, as YYYY-MM-DD.
         metrics: by name.
-        repeats: how many there were.
-        values: every repeat's value by metric; none where they are not known.
-        seed: what all repeats were drawn from.
-        items, texts, labels: how many test items, distinct texts and distinct label combinations; None if unlabelled.
-        evaluator, data: name and sha256.
+        values: every repeat's value by metric.
         weights: sha256 of all files that take part, "" where there are none.
-        wording: of the generator's prompts, "known" or "held-out".
-        split: of the data.
-        group: items among which R-precision looks.
-        measures: sha256 of the code that measured.
-        made: what made the motion, and the sha256 of its code; "" where a result does not say.
         feet: whether planted feet were held; None where nothing could be held.
         seconds: what an item took to generate, in batches, on average; None if nothing was generated.
-        kept: whether other code made its repeats, and the first came out the same with today's (``confirm``).
     """
 
+    state: State
+    date: str
     metrics: Mapping[str, Interval]
-    repeats: int
     values: Values
-    seed: int
-    items: int
-    texts: int
-    labels: int | None
-    evaluator: tuple[str, str]
-    data: tuple[str, str]
     weights: str
-    wording: str
-    split: str
-    group: int
-    measures: str
-    made: tuple[str, str]
+    feet: bool | None
     seconds: float | None
-    feet: bool | None = None
-    kept: bool = False
+
+    @property
+    def repeats(self) -> int:
+        """How many repeats there were."""
+        return len(next(iter(self.values.values())))
 
     @classmethod
     def of(cls, raw: Mapping[str, Any], where: str) -> "Measured":
@@ -80,25 +89,28 @@ class Measured:
         """
         try:
             protocol = raw["protocol"]
-            return cls(
-                metrics={k: Interval.from_json(v) for k, v in raw["metrics"].items()},
-                repeats=len(raw["repeats"]),
-                values={k: [float(repeat[k]) for repeat in raw["repeats"] if repeat] for k in raw["metrics"]},
-                seed=int(protocol["seed"]),
+            state = State(
+                commit=str(raw["commit"]),
+                evaluator=(str(raw["evaluator"]["name"]), str(raw["evaluator"]["sha256"])),
+                data=(str(raw["data"]["name"]), str(raw["data"]["sha256"])),
                 items=int(raw["items"]),
                 texts=int(raw["distinct_texts"]),
                 labels=None if raw["labels"] is None else int(raw["labels"]),
-                evaluator=(str(raw["evaluator"]["name"]), str(raw["evaluator"]["sha256"])),
-                data=(str(raw["data"]["name"]), str(raw["data"]["sha256"])),
-                weights=str(raw["weights_sha256"] or ""),
-                wording=str(protocol["wording"]),
                 split=str(protocol["split"]),
                 group=int(protocol["group"]),
-                measures=str(raw["measures_sha256"]),
-                made=(str(raw.get("generator", "")), str(raw["generator_sha256"])),
+                seed=int(protocol["seed"]),
+            )
+            values = {name: [float(repeat[name]) for repeat in raw["repeats"]] for name in raw["metrics"]}
+            if not values or not raw["repeats"]:
+                raise ValueError("no measures")
+            return cls(
+                state=state,
+                date=str(raw["date"]),
+                metrics={name: Interval.from_json(value) for name, value in raw["metrics"].items()},
+                values=values,
+                weights=str(raw["weights_sha256"] or ""),
+                feet=raw["settings"].get("foot_lock"),
                 seconds=float(raw["seconds_per_item"]) if raw["weights_sha256"] else None,
-                feet=raw.get("settings", {}).get("foot_lock"),
-                kept="kept" in raw,
             )
         except (KeyError, TypeError, ValueError, AttributeError, InputError) as error:
             raise FormatError(f"{where} is no result of an evaluation: {error}; evaluate that row again") from error
@@ -110,25 +122,24 @@ class Table:
 
     suite: Suite
     rows: tuple[RowResult[Measured], ...]
-    same: same_code.SameCode = field(default_factory=same_code.SameCode)
 
     @property
     def measured(self) -> dict[str, Measured]:
-        """Results by key, of the rows that have one."""
+        """Rows with numbers, by key."""
         return {entry.row.key: entry.result for entry in self.rows if entry.result is not None}
 
     @property
     def metrics(self) -> dict[str, Mapping[str, Interval]]:
-        """Intervals by key and metric."""
+        """Their metrics."""
         return {key: found.metrics for key, found in self.measured.items()}
 
     @property
     def labels(self) -> dict[str, str]:
-        """Names of the rows by key."""
+        """Labels of all rows, by key."""
         return {entry.row.key: entry.row.label for entry in self.rows}
 
     def columns(self, of: Sequence[Column]) -> list[Column]:
-        """Those that some row has."""
+        """Those that at least one row has."""
         return [column for column in of if any(column.name in metrics for metrics in self.metrics.values())]
 
     def places(self, column: Column) -> dict[str, Place]:
@@ -137,86 +148,37 @@ class Table:
         values = {k: m[column.name] for k, m in self.metrics.items() if k in ranked and column.name in m}
         return places(column, values, self.metrics.get(REAL, {}).get(column.name))
 
-    def differences(self) -> list[Difference]:
-        """Of every row against those it is compared with."""
-        return differences(self.metrics, {entry.row.key: entry.row.against for entry in self.rows})
+    def comparisons(self) -> list[Comparison]:
+        """Of every row with those it is compared with."""
+        values = {key: found.values for key, found in self.measured.items()}
+        return compare(values, {entry.row.key: entry.row.against for entry in self.rows})
 
-    def pairs(self) -> list[RepeatPairs]:
-        """Of every row against those it is compared with, repeat by repeat, if both were drawn from one seed."""
-        seed = _usual(found.seed for found in self.measured.values())
-        values = {key: found.values for key, found in self.measured.items() if found.seed == seed}
-        return repeat_pairs(values, {entry.row.key: entry.row.against for entry in self.rows})
-
-    def checks(self) -> list[Check]:
-        """Of the targets; of rows that are in the table."""
-        labels = {row.key: row.label for row in self.suite.rows} | self.labels
-        shipped = [entry.row.key for entry in self.rows if entry.row.shipped and entry.result is not None]
-        return checks(self.suite.name, self.metrics, shipped, labels)
-
-    def common(self) -> Measured:
-        """What all results have in common: items, texts, labels, evaluator, data, wording, split, group and feet.
+    def state(self) -> State:
+        """How all rows were measured.
 
         Raises:
-            InputError: they have not, or there are none.
+            InputError: not all in one way, or there are none.
         """
         if not self.measured:
             raise InputError(
                 f"no row of {self.suite.name!r} has been evaluated yet; run `moveset evaluate --suite …` first"
             )
-        key, first = next(iter(self.measured.items()))
-        for name in COMMON:
-            if others := self._unlike(name):
+        first, *others = self.measured.items()
+        for key, row in others:
+            if name := first[1].state.unlike(row.state):
                 raise InputError(
-                    f"{'; '.join(others)}: other {name} than {self.labels[key]}; evaluate all rows in one way"
+                    f"{self.labels[key]}: other {name} than {self.labels[first[0]]}; evaluate all rows in one way"
                 )
         if {row.feet for row in self.measured.values()} >= {True, False}:
             loose = "; ".join(self.labels[key] for key, row in self.measured.items() if row.feet is False)
             raise InputError(f"{loose}: feet are not held, and those of other rows are; evaluate all rows in one way")
-        return first
-
-    @property
-    def odd(self) -> list[str]:
-        """Labels of the rows that were measured by other code than most, or made by other code than most of a kind.
-
-        Code that was seen to give the same to the bit, be it on another row (``same_code``), is not other.
-        """
-        return self._unusual(self.same.of)
-
-    @property
-    def trusted(self) -> list[str]:
-        """Labels of the rows of other code than most that is not taken for other, because of another row."""
-        odd = self.odd
-        return [label for label in self._unusual(lambda code: code) if label not in odd]
-
-    def _unusual(self, name: Callable[[same_code.Code], same_code.Code]) -> list[str]:
-        """Labels of the rows whose code is not the most frequent of its kind, by these names of it."""
-        found = {key: (name((same_code.MEASURES, row.measures)), name(row.made)) for key, row in self.measured.items()}
-        measures = _usual(measuring for measuring, _ in found.values())
-        kinds = {made[0] for _, made in found.values()}
-        usual = {kind: _usual(made for _, made in found.values() if made[0] == kind) for kind in kinds}
-        return [
-            self.labels[key]
-            for key, (measuring, made) in found.items()
-            if measuring != measures or not made[0] or made != usual[made[0]]
-        ]
-
-    @property
-    def kept(self) -> list[str]:
-        """Labels of the rows that other code made, and of which today's makes the first repeat alike."""
-        return [self.labels[key] for key, row in self.measured.items() if row.kept]
-
-    def _unlike(self, name: str) -> list[str]:
-        """Labels of the rows whose results differ in a field from the first."""
-        found = {self.labels[key]: getattr(result, name) for key, result in self.measured.items()}
-        if name == "data":
-            found = {label: (data, self.same.data(sha256)) for label, (data, sha256) in found.items()}
-        first = next(iter(found.values()))
-        return [label for label, value in found.items() if value != first]
+        return first[1].state
 
 
-def _usual(values: Iterable[Value]) -> Value | None:
-    """The most frequent one, the first of several; None of none."""
-    return next((value for value, _ in Counter(values).most_common(1)), None)
+def days(*tables: Table) -> str:
+    """The first and the last day on which rows of tables were measured; "–" if none was."""
+    found = sorted({row.date for table in tables for row in table.measured.values()})
+    return " to ".join(dict.fromkeys((found[0], found[-1]))) if found else "–"
 
 
 @contextmanager
@@ -264,14 +226,14 @@ def save_rows(name: str, rows: Sequence[tuple[Row, str, str]], out: Path) -> Non
         file.write(json.dumps({"suite": name, "rows": entries}, indent=1, ensure_ascii=False).encode() + b"\n")
 
 
-def check_alike(out: Path, name: str, rows: Sequence[Row], asked: Mapping[str, Any], feet: bool) -> None:
+def check_alike(out: Path, name: str, rows: Sequence[Row], now: State, feet: bool) -> None:
     """Refuses rows that no table could hold beside those that are there, before hours are spent on them.
 
     Args:
         out: the suite's folder; nothing need be in it.
         name: of the suite.
         rows: that are to be evaluated; their older results go.
-        asked: how, by the fields of ``Measured`` that are in ``COMMON``.
+        now: how.
         feet: whether planted feet will be held.
 
     Raises:
@@ -281,19 +243,38 @@ def check_alike(out: Path, name: str, rows: Sequence[Row], asked: Mapping[str, A
     if not (out / ROWS).is_file():
         return
     holds = any(row.network not in (None, RECONSTRUCTION) for row in rows)
-    anew, same = {row.key for row in rows}, same_code.load(out)
+    anew = {row.key for row in rows}
     for key, entry in _staying(out / ROWS, get_suite(name)).items():
         if key in anew or (there := _read(out, entry["result"])) is None:
             continue
-        if same.same_data(there.data[1], asked["data"][1]):
-            there = replace(there, data=asked["data"])
-        found = {field: getattr(there, field) for field in COMMON} | {"feet held": there.feet}
-        now = {**asked, "feet held": feet if holds and there.feet is not None else there.feet}
-        if other := [field for field in found if found[field] != now[field]]:
+        other = there.state.unlike(now)
+        found = (other, getattr(there.state, other), getattr(now, other)) if other else ("feet held", there.feet, feet)
+        if other or (holds and there.feet is not None and there.feet != feet):
             raise InputError(
-                f"{out} has rows that stay, such as {entry['label']}, with {other[0]} {_said(found[other[0]])} instead "
-                f"of {_said(now[other[0]])}, and no table holds both; give another --out, or evaluate all rows"
+                f"{out} has rows that stay, such as {entry['label']}, with {found[0]} {_said(found[1])} instead of "
+                f"{_said(found[2])}, and no table holds both; give another --out, or delete {out / ROWS}"
             )
+
+
+def load_table(folder: Path) -> Table:
+    """A suite's table from its folder.
+
+    Raises:
+        InputError: no such folder.
+        FormatError: something in it cannot be read.
+    """
+    index = folder / ROWS
+    if not index.is_file():
+        raise InputError(f"{folder} has no {ROWS}; run `moveset evaluate --suite …` first")
+    raw = json_object(index.read_bytes(), index, _AGAIN)
+    try:
+        entries = [
+            (Row(**{k: v for k, v in e.items() if k not in OWN}), e["result"], e["missing"]) for e in raw["rows"]
+        ]
+        suite = get_suite(raw["suite"])
+    except (KeyError, TypeError, AttributeError, InputError) as error:
+        raise FormatError(f"{index} is no list of rows: {error}; run `moveset evaluate --suite …` again") from error
+    return Table(suite, tuple(RowResult(row, _read(folder, file), missing) for row, file, missing in entries))
 
 
 def _said(value: object) -> str:
@@ -311,37 +292,15 @@ def _staying(index: Path, suite: Suite) -> dict[str, Any]:
     Raises:
         FormatError: it cannot be read, or is of another suite.
     """
-    raw = json_object(index.read_bytes(), index, "give another --out, or delete it")
+    raw = json_object(index.read_bytes(), index, _AGAIN)
     if raw.get("suite") != suite.name:
         raise FormatError(f"{index} is of the suite {raw.get('suite')!r}; write {suite.name!r} to another folder")
     known, models = {row.key for row in suite.rows}, {row.model for row in suite.rows}
     try:
         entries = [(entry["key"], entry["model"], entry["result"], entry["label"], entry) for entry in raw["rows"]]
     except (KeyError, TypeError) as error:
-        raise FormatError(f"{index} is no list of rows: {error!r}; give another --out, or delete it") from error
+        raise FormatError(f"{index} is no list of rows: {error!r}; {_AGAIN}") from error
     return {key: entry for key, model, _, _, entry in entries if key in known or model not in models}
-
-
-def load_table(folder: Path) -> Table:
-    """A suite's table from its folder.
-
-    Raises:
-        InputError: no such folder.
-        FormatError: something in it cannot be read.
-    """
-    index = folder / ROWS
-    if not index.is_file():
-        raise InputError(f"{folder} has no {ROWS}; run `moveset evaluate --suite …` first")
-    raw = json_object(index.read_bytes(), index, "give another --out, or delete it")
-    try:
-        entries = [
-            (Row(**{k: v for k, v in e.items() if k not in OWN}), e["result"], e["missing"]) for e in raw["rows"]
-        ]
-        suite = get_suite(raw["suite"])
-    except (KeyError, TypeError, AttributeError, InputError) as error:
-        raise FormatError(f"{index} is no list of rows: {error}; run `moveset evaluate --suite …` again") from error
-    rows_read = tuple(RowResult(row, _read(folder, file), missing) for row, file, missing in entries)
-    return Table(suite, rows_read, same_code.load(folder))
 
 
 def _read(folder: Path, name: str | None) -> Measured | None:
