@@ -24,9 +24,7 @@ def tiny_bundle(path: Path, *, seed: int = 0) -> Path:
         torch.manual_seed(seed)
         sizes = {"width": 16, "layers": 1, "heads": 2, "feed_forward": 16, "positions": 260}
         denoiser = {**sizes, "text_dim": 384, "time_waves": 16, "guidance_waves": 16}
-        students = {
-            name: TokenDenoiserConfig(**denoiser, guidance=True) for name in ("lcm-1", "pcm-1", "pcm-2", "pcm-4")
-        }
+        students = {name: TokenDenoiserConfig(**denoiser, guided=True) for name in ("lcm-1", "pcm-1", "pcm-2", "pcm-4")}
         modules = {
             "vae": TokenVAEConfig(**sizes, features=len(features)).build(),
             "length": LengthPredictorConfig(width=8).build(),

@@ -1,12 +1,19 @@
 """What every network here promises, whatever its architecture: add a builder to the lists and it must keep them too."""
 
+from dataclasses import replace
+from functools import reduce
+
 import pytest
 import torch
 
+from moveset.diffusion.guidance import cfg
+from moveset.errors import InputError
+from moveset.models.condition import Condition, guided
 from moveset.models.latent_denoiser import LatentDenoiserConfig
 from moveset.models.timed_vae import TimedVAEConfig
 from moveset.models.token_denoiser import TokenDenoiserConfig
 from moveset.models.token_vae import TokenVAEConfig
+from tests.conditions import condition_of
 
 # Registered architectures at test size: 7 features, 3 latent tokens of 4 or one of 12; text tokens of 6.
 VAES = {
@@ -18,7 +25,7 @@ VAES = {
 }
 DENOISERS = {
     "token": lambda guidance: TokenDenoiserConfig(
-        token_dim=4, text_dim=6, width=16, layers=3, heads=2, feed_forward=32, positions=30, guidance=guidance
+        token_dim=4, text_dim=6, width=16, layers=3, heads=2, feed_forward=32, positions=30, guided=guidance
     ).build(),
     "latent": lambda guidance: LatentDenoiserConfig(
         tokens=3, token_dim=4, text_dim=6, width=16, heads=2, hidden=32, blocks=3, guided=guidance
@@ -72,7 +79,8 @@ class TestVAE:
         z = mean + (0.5 * log_variance).exp() * _latents(vae, 4, seed=1)
         (vae.decode(z, LENGTHS, 20).square().mean() + mean.square().mean() + log_variance.square().mean()).backward()
         silent = [n for n, p in vae.named_parameters() if p.grad is None or not p.grad.any()]
-        assert silent == []
+        # This one shifts all channels alike, which the norm behind it takes out again: rounding is all it ever gets.
+        assert set(silent) <= {"encoder_mixer.1.time.2.bias"}
 
     def test_what_stands_in_padding_does_not_matter(self, vae):
         vae.eval()
@@ -124,41 +132,74 @@ class TestVAE:
 
 
 class TestDenoiser:
-    def _inputs(self):
-        mask = torch.arange(6) < torch.tensor([6, 3, 1, 2])[:, None]
-        return _rand(4, 3, 4), torch.tensor([0, 99, 500, 999]), _rand(4, 6, 6, seed=3), mask
+    MASK = torch.arange(6) < torch.tensor([6, 3, 1, 2])[:, None]
+    SCALE = torch.tensor([5.0, 8.0, 11.0, 15.0])
+
+    def _inputs(self, guidance=False):
+        condition = condition_of(_rand(4, 6, 6, seed=3), self.MASK, length=torch.tensor([40, 60, 80, 196]))
+        return (
+            _rand(4, 3, 4),
+            torch.tensor([0, 99, 500, 999]),
+            replace(condition, scale=self.SCALE) if guidance else condition,
+        )
 
     @pytest.mark.parametrize("guidance", [False, True])
     def test_gradients_reach_every_parameter(self, denoiser, guidance):
         model = denoiser(guidance).train()
-        w = torch.tensor([5.0, 8.0, 11.0, 15.0]) if guidance else None
-        model(*self._inputs(), w).square().mean().backward()
+        model(*self._inputs(guidance)).square().mean().backward()
         silent = [n for n, p in model.named_parameters() if p.grad is None or not p.grad.any()]
         assert silent == []
 
     def test_text_padding_does_not_matter(self, denoiser):
         model = denoiser(False).eval()
-        z, t, tokens, mask = self._inputs()
-        expected = model(z, t, tokens, mask)
+        z, t, condition = self._inputs()
+        tokens, mask = condition.text.tokens, condition.text.mask
+        expected = model(z, t, condition)
         for filler in (0.0, 1e6):
-            _close(model(z, t, tokens.masked_fill(~mask[..., None], filler), mask), expected)
+            _close(model(z, t, self._with(condition, tokens.masked_fill(~mask[..., None], filler), mask)), expected)
         more = torch.cat((tokens, _rand(4, 5, 6, seed=4)), dim=1)
-        _close(model(z, t, more, torch.cat((mask, torch.zeros(4, 5).bool()), dim=1)), expected)
+        _close(model(z, t, self._with(condition, more, torch.cat((mask, torch.zeros(4, 5).bool()), dim=1))), expected)
 
     @pytest.mark.parametrize("guidance", [False, True])
-    def test_an_item_of_a_batch_is_the_item_alone(self, denoiser, guidance):
+    def test_an_item_of_a_batch_is_the_item_alone_and_conditions_join(self, denoiser, guidance):
         model = denoiser(guidance).eval()
-        z, t, tokens, mask = self._inputs()
-        w = torch.tensor([5.0, 8.0, 11.0, 15.0]) if guidance else None
-        expected = model(z, t, tokens, mask, w)
-        for k in range(4):
-            alone = model(*(x[k : k + 1] for x in (z, t, tokens, mask)), None if w is None else w[k : k + 1])
-            _close(alone[0], expected[k])
+        z, t, whole = self._inputs(guidance)
+        expected = model(z, t, whole)
+        rows = [
+            Condition(whole.text[k : k + 1], whole.length[k : k + 1], whole.scale[k : k + 1] if guidance else None)
+            for k in range(4)
+        ]
+        for k, row in enumerate(rows):
+            _close(model(z[k : k + 1], t[k : k + 1], row)[0], expected[k])
+        assert torch.equal(model(z, t, reduce(Condition.joined, rows)), expected)
+
+    @pytest.mark.parametrize("guidance", [False, True])
+    def test_a_condition_may_be_prepared_for_any_number_of_evaluations(self, denoiser, guidance):
+        model = denoiser(guidance).eval()
+        z, t, condition = self._inputs(guidance)
+        prepared = model.prepare(condition)
+        for noisy, level in ((z, t), (2 * z, t.clamp(min=1) - 1)):
+            assert torch.equal(model(noisy, level, prepared), model(noisy, level, condition))
+
+    @pytest.mark.parametrize("grad", [False, True])
+    def test_guidance_is_two_evaluations_extrapolated_or_an_input(self, denoiser, grad):
+        z, t, condition = self._inputs()
+        empty = condition_of(_rand(1, 2, 6, seed=5)).text
+        with torch.set_grad_enabled(grad):
+            teacher, student = denoiser(False).eval(), denoiser(True).eval()
+            assert torch.equal(guided(teacher, condition)(z, t), teacher(z, t, condition))
+            both = teacher(z, t, condition), teacher(z, t, condition.dropped(empty))
+            for w in (0.0, 2.5, self.SCALE):
+                _close(guided(teacher, condition, w, empty)(z, t), cfg(*both, w))
+                scale = torch.as_tensor(w).expand(4)
+                assert torch.equal(guided(student, condition, w)(z, t), student(z, t, replace(condition, scale=scale)))
+        with pytest.raises(InputError, match="empty"):
+            guided(teacher, condition, 2.0)
 
     def test_taps_are_the_latent_tokens_and_change_nothing(self, denoiser):
         model, taps = denoiser(False).eval(), []
         inputs = self._inputs()
-        assert torch.equal(model(*inputs, None, taps), model(*inputs))
+        assert torch.equal(model(*inputs, taps), model(*inputs))
         assert len(taps) > 0
         assert {tuple(tap.shape) for tap in taps} == {(4, 3, taps[0].shape[-1])}
 
@@ -169,3 +210,7 @@ class TestDenoiser:
         for n in range(3):
             (grad,) = torch.autograd.grad(model(z, *rest)[:, n].square().sum(), z)
             assert (grad.abs().amax(-1) > 0).all()
+
+    @staticmethod
+    def _with(condition, tokens, mask):
+        return replace(condition, text=condition_of(tokens, mask).text)

@@ -6,6 +6,7 @@ import pytest
 import torch
 from torch import nn
 
+from moveset.diffusion.guidance import cfg
 from moveset.diffusion.phases import PhaseGrid
 from moveset.diffusion.schedule import scaled_linear
 from moveset.diffusion.steps import add_noise, ddim_step, predict_z0
@@ -44,8 +45,12 @@ def gaussian_flow(z, t, s, mu):
     return as_ * mu + ((as_**2 * V + ss**2) / (at**2 * V + st**2)).sqrt() * (z - at * mu)
 
 
-def teacher(z, t):
-    return gaussian_eps(z, t, MU), gaussian_eps(z, t, OTHER)
+def teacher(w):
+    return lambda z, t: cfg(gaussian_eps(z, t, MU), gaussian_eps(z, t, OTHER), w)
+
+
+def bound(student, w):
+    return lambda z, t: student(z, t, w)
 
 
 def normal(*shape, seed=0, dtype=torch.float32):
@@ -60,7 +65,7 @@ class ExactStudent:
             int(grid.time(i)): int(grid.lower(i)) for i in torch.arange(grid.points)
         }
 
-    def __call__(self, z, t, w):
+    def __call__(self, z, t):
         s = torch.tensor([self.below[int(k)] for k in t])
         landed = gaussian_flow(z, t, s, MU)
         at_zero = ddim_step(SCHEDULE, z, torch.zeros_like(z), t, s)
@@ -74,8 +79,8 @@ def test_exact_students_land_on_one_trajectory_whatever_the_number_of_phases(gri
     seen = []
     exact = ExactStudent(grid)
 
-    def model(z, t, w):
-        seen.append((z, t, exact(z, t, w)))
+    def model(z, t):
+        seen.append((z, t, exact(z, t)))
         return seen[-1][2]
 
     result = sample_phased(model, SCHEDULE, grid, z)
@@ -93,9 +98,9 @@ def test_exact_students_are_consistent_along_the_flow(grid):
     same = grid.phase(i) == grid.phase(i - 1)
     z = normal(len(i), 1, 3, dtype=torch.float64)
     below = gaussian_flow(z, grid.time(i), grid.time(i - 1), MU)
-    student, w = ExactStudent(grid), torch.zeros(len(i), dtype=torch.float64)
-    high = phased_prediction(SCHEDULE, grid, student, z, i, w)
-    low = phased_prediction(SCHEDULE, grid, student, below, i - 1, w)
+    student = ExactStudent(grid)
+    high = phased_prediction(SCHEDULE, grid, student, z, i)
+    low = phased_prediction(SCHEDULE, grid, student, below, i - 1)
     torch.testing.assert_close(high[same], low[same], atol=1e-9, rtol=1e-9)
     assert int(same.sum()) == grid.points - grid.phases
 
@@ -114,7 +119,6 @@ class TinyStudent(nn.Module):
 
     def forward(self, z, t, w):
         row = (t + 1) // 100 - 1
-        w = torch.zeros(len(z)) if w is None else w
         return self.scale[row, None] * z + (self.shift[row] + self.guidance[row] * w[:, None])[:, None]
 
 
@@ -128,8 +132,8 @@ def train(student, prediction, target, grid, steps):
         z0 = MU + V.sqrt() * torch.randn(128, 1, 3, generator=generator)
         d = draw(grid, z0, (1.0, 4.0), generator)
         z = add_noise(SCHEDULE, z0, d.noise_BND, grid.time(d.point_B))
-        aim = target(SCHEDULE, grid, teacher, ema, z, d.point_B, d.w_B)
-        loss = pseudo_huber(prediction(student, z, d), aim)
+        aim = target(SCHEDULE, grid, teacher(d.w_B), bound(ema, d.w_B), z, d.point_B)
+        loss = pseudo_huber(prediction(bound(student, d.w_B), z, d), aim)
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()
@@ -145,26 +149,24 @@ def solved(z, w, t_from, t_to, grid):
     for i in reversed(range(grid.points)):
         point = torch.full((len(z),), i)
         if t_to < int(grid.time(point[0])) <= t_from:
-            z = teacher_step(SCHEDULE, grid, teacher, z, point, w)
+            z = teacher_step(SCHEDULE, grid, teacher(w), z, point)
     return z
 
 
 @pytest.mark.parametrize("grid", GRIDS, ids=lambda g: f"M={g.phases}")
 def test_a_phased_student_converges_to_the_teachers_solver(grid):
     student = TinyStudent(grid)
-    loss = train(
-        student, lambda s, z, d: phased_prediction(SCHEDULE, grid, s, z, d.point_B, d.w_B), phased_target, grid, 700
-    )
+    loss = train(student, lambda s, z, d: phased_prediction(SCHEDULE, grid, s, z, d.point_B), phased_target, grid, 700)
     assert loss < 1e-4
     z, w = normal(256, 1, 3, seed=4), torch.linspace(1.0, 4.0, 256)
     seen = []
     with torch.no_grad():
-        sample_phased(lambda z, t, w: seen.append(z) or student(z, t, w), SCHEDULE, grid, z, w)
+        sample_phased(lambda z, t: seen.append(z) or student(z, t, w), SCHEDULE, grid, z)
         for at, (t, s) in zip(seen, grid.jumps, strict=True):
             t_B = torch.full((256,), t)
             jump = ddim_step(SCHEDULE, at, student(at, t_B, w), t_B, torch.full((256,), s))
             torch.testing.assert_close(jump, solved(at, w, t, s, grid), atol=0.04, rtol=0)
-        one, other = (sample_phased(student, SCHEDULE, grid, z, torch.full((256,), g)) for g in (1.0, 4.0))
+        one, other = (sample_phased(bound(student, torch.full((256,), g)), SCHEDULE, grid, z) for g in (1.0, 4.0))
     # guidance moves the mean of the samples by about 3 (MU - OTHER); ten solver steps are off by a few per cent
     torch.testing.assert_close((other - one).mean(0), 3 * (MU - OTHER), atol=0.1, rtol=0)
 
@@ -174,12 +176,12 @@ def test_a_consistency_student_converges_too():
     student = TinyStudent(grid)
 
     def prediction(s, z, d):
-        return lcm_prediction(SCHEDULE, s, z, grid.time(d.point_B), d.w_B)
+        return lcm_prediction(SCHEDULE, s, z, grid.time(d.point_B))
 
     assert train(student, prediction, lcm_target, grid, 700) < 1e-4
     z, w = normal(256, 1, 3, seed=4), torch.linspace(1.0, 4.0, 256)
     with torch.no_grad():
-        result = sample_lcm(student, SCHEDULE, lcm_timesteps(1), [z], w)
+        result = sample_lcm(bound(student, w), SCHEDULE, lcm_timesteps(1), [z])
     # its target at t_0 is the teacher's z at t = 0
     torch.testing.assert_close(result, solved(z, w, 999, 0, grid), atol=0.04, rtol=0)
 
@@ -192,34 +194,33 @@ def test_scalings_of_the_consistency_model():
     torch.testing.assert_close(out[1:], torch.ones(2), atol=1e-6, rtol=0)
     z, eps = normal(2, 3, 1, 3)
     zero = torch.zeros(3, dtype=torch.int64)
-    assert torch.equal(lcm_prediction(SCHEDULE, lambda *_: eps, z, zero, None), z)
+    assert torch.equal(lcm_prediction(SCHEDULE, lambda *_: eps, z, zero), z)
 
 
 @pytest.mark.parametrize("grid", GRIDS, ids=lambda g: f"M={g.phases}")
 def test_at_phase_starts_the_target_is_the_teachers_step(grid):
     z, w = normal(10, 1, 3), torch.full((10,), 3.0)
     i = torch.arange(10)
-    absurd = lambda z, t, w: 1e6 * torch.ones_like(z)  # noqa: E731
-    target = phased_target(SCHEDULE, grid, teacher, absurd, z, i, w)
-    step = teacher_step(SCHEDULE, grid, teacher, z, i, w)
+    absurd = lambda z, t: 1e6 * torch.ones_like(z)  # noqa: E731
+    target = phased_target(SCHEDULE, grid, teacher(w), absurd, z, i)
+    step = teacher_step(SCHEDULE, grid, teacher(w), z, i)
     starts = torch.isin(i, torch.tensor(grid.starts))
     assert torch.equal(target[starts], step[starts])
     assert not torch.isclose(target[~starts], step[~starts]).any()
     # and the consistency model's target at its only phase start
-    assert torch.equal(lcm_target(SCHEDULE, grid, teacher, absurd, z, i, w)[0], step[0])
+    assert torch.equal(lcm_target(SCHEDULE, grid, teacher(w), absurd, z, i)[0], step[0])
 
 
 @pytest.mark.parametrize("targets", [phased_target, lcm_target])
 def test_no_gradient_reaches_teacher_or_average(targets):
     grid = PhaseGrid(10, 2)
     nets = nn.ModuleDict({name: nn.Linear(3, 3) for name in ("student", "teacher", "ema")})
-    guided = lambda z, t: (nets["teacher"](z), nets["teacher"](z + 1))  # noqa: E731
-    student, ema = (lambda z, t, w, n=n: nets[n](z) for n in ("student", "ema"))
+    student, teacher, ema = (lambda z, t, n=n: nets[n](z) for n in ("student", "teacher", "ema"))
     z0 = normal(16, 1, 3)
     d = draw(grid, z0, (5.0, 15.0), torch.Generator().manual_seed(0))
     z = add_noise(SCHEDULE, z0, d.noise_BND, grid.time(d.point_B))
-    prediction = phased_prediction(SCHEDULE, grid, student, z, d.point_B, d.w_B)
-    target = targets(SCHEDULE, grid, guided, ema, z, d.point_B, d.w_B)
+    prediction = phased_prediction(SCHEDULE, grid, student, z, d.point_B)
+    target = targets(SCHEDULE, grid, teacher, ema, z, d.point_B)
     assert not target.requires_grad
     fake, real = adversarial_pair(SCHEDULE, grid, d, prediction, z0)
     # the student learns from the discriminator's verdict as well as from the distance
@@ -282,7 +283,7 @@ def test_a_perfect_students_fakes_are_distributed_like_the_real_ones(grid):
 def test_prediction_at_the_top_is_what_sampling_uses():
     grid = PhaseGrid(10, 1)
     student, z, w = TinyStudent(grid), normal(4, 1, 3), torch.ones(4)
-    jump = phased_prediction(SCHEDULE, grid, student, z, torch.full((4,), 9), w)
+    jump = phased_prediction(SCHEDULE, grid, bound(student, w), z, torch.full((4,), 9))
     t = torch.full((4,), 999)
     eps = student(z, t, w)
     torch.testing.assert_close(jump, add_noise(SCHEDULE, predict_z0(SCHEDULE, z, eps, t), eps, torch.zeros_like(t)))
@@ -293,14 +294,14 @@ def test_the_whole_target_is_the_teachers_own_way_to_the_edge(grid):
     """From every point at once: rows arrive after unlike numbers of steps, and wait for each other unchanged."""
     point = torch.arange(grid.points)
     z, w = normal(grid.points, 1, 3), torch.linspace(0.0, 4.0, grid.points)
-    whole = whole_target(SCHEDULE, grid, teacher, z, point, w)
+    whole = whole_target(SCHEDULE, grid, teacher(w), z, point)
     for i in range(grid.points):
         one = slice(i, i + 1)
         alone = solved(z[one], w[one], int(grid.time(point[i])), int(grid.lower(point[i])), grid)
         torch.testing.assert_close(whole[one], alone, rtol=1e-6, atol=1e-6)
     lowest = torch.tensor(grid.starts)
     student = TinyStudent(grid)
-    aim = phased_target(SCHEDULE, grid, teacher, student, z[lowest], lowest, w[lowest])
+    aim = phased_target(SCHEDULE, grid, teacher(w[lowest]), bound(student, w[lowest]), z[lowest], lowest)
     torch.testing.assert_close(whole[lowest], aim, rtol=1e-6, atol=1e-6)
 
 
@@ -309,12 +310,12 @@ def test_phases_are_entered_where_sampling_enters_them(grid):
     """Each phase jumps from there as sampling does; rows of unlike phases do not disturb each other."""
     student, phases = TinyStudent(grid), torch.arange(grid.phases)
     noise, w = normal(1, 1, 3).expand(grid.phases, 1, 3), torch.full((grid.phases,), 2.0)
-    z = entered(SCHEDULE, grid, student, noise, phases, w)
+    z = entered(SCHEDULE, grid, bound(student, w), noise, phases)
     torch.testing.assert_close(z[-1], noise[-1], rtol=0, atol=0)
-    below = phased_prediction(SCHEDULE, grid, student, z, grid.highest_of(phases), w)
+    below = phased_prediction(SCHEDULE, grid, bound(student, w), z, grid.highest_of(phases))
     torch.testing.assert_close(z[:-1], below[1:], rtol=1e-6, atol=1e-6)
     zero, t_B = torch.zeros(1, dtype=torch.long), torch.full((1,), grid.jumps[-1][0])
-    sampled = sample_phased(student, SCHEDULE, grid, noise[:1], w[:1])
+    sampled = sample_phased(bound(student, w[:1]), SCHEDULE, grid, noise[:1])
     # Sampling ends in the estimate without noise, training at time 0, which keeps a little of it.
     eps = student(z[:1], t_B, w[:1])
     torch.testing.assert_close(sampled, predict_z0(SCHEDULE, z[:1], eps, t_B), rtol=1e-6, atol=1e-6)

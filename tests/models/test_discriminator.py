@@ -1,12 +1,16 @@
+from dataclasses import replace
+
 import pytest
 import torch
 from torch import nn
 
 from moveset.errors import InputError
+from moveset.models.condition import Denoiser
 from moveset.models.discriminator import DiscriminatorConfig, LatentDiscriminator
+from tests.conditions import condition_of
 
 
-class Backbone(nn.Module):
+class Backbone(Denoiser):
     """The smallest thing with a denoiser's call: two tapped layers and dropout."""
 
     def __init__(self, channels: int = 4, width: int = 64) -> None:
@@ -15,9 +19,10 @@ class Backbone(nn.Module):
         self.text, self.outward = nn.Linear(8, width), nn.Linear(width, channels)
         self.dropout = nn.Dropout(0.5)
 
-    def forward(self, z, t, tokens, mask, w=None, taps=None, frames=None):
-        assert w is None
-        z = z if frames is None else z + frames[:, None, None]
+    def denoise(self, z, t, condition, taps):
+        assert condition.scale is None
+        tokens, mask = condition.text.tokens, condition.text.mask
+        z = z if condition.length is None else z + condition.length[:, None, None]
         c = (self.text(tokens) * mask[..., None]).sum(1, keepdim=True) + torch.sin(t.float())[:, None, None]
         a = self.dropout(torch.tanh(self.inward(z) + c))
         b = torch.tanh(self.middle(a)) + a
@@ -31,7 +36,7 @@ def scene():
     g = torch.Generator().manual_seed(3)
     torch.manual_seed(3)
     disc = LatentDiscriminator(Backbone(), DiscriminatorConfig(width=64, taps=2, groups=8).build())
-    cond = (torch.randint(0, 1000, (16,), generator=g), torch.randn(16, 5, 8, generator=g), torch.ones(16, 5).bool())
+    cond = (torch.randint(0, 1000, (16,), generator=g), condition_of(torch.randn(16, 5, 8, generator=g)))
     real = torch.randn(16, 6, 4, generator=g)
     fake = torch.randn(16, 6, 4, generator=g) * 0.7 + 0.3
     return disc, real, fake, cond
@@ -98,8 +103,10 @@ def test_logits_are_dense_and_gradients_reach_every_head(scene):
 
 def test_a_backbone_that_wants_the_length_gets_it(scene):
     disc, real, _, cond = scene
+    s, condition = cond
     frames = torch.arange(16)
-    assert torch.equal(disc(real, *cond, frames), disc(real + frames[:, None, None], *cond))
+    longer = replace(condition, length=frames)
+    assert torch.equal(disc(real, s, longer), disc(real + frames[:, None, None], s, condition))
 
 
 def test_the_heads_judge_each_token_alone(scene):
@@ -113,7 +120,7 @@ def test_the_heads_judge_each_token_alone(scene):
 def test_a_backbone_with_other_taps_is_refused():
     disc = LatentDiscriminator(Backbone(), DiscriminatorConfig(width=64, taps=3, groups=8).build())
     with pytest.raises(InputError, match="2 feature maps for 3"):
-        disc(torch.randn(1, 6, 4), torch.tensor([3]), torch.randn(1, 5, 8), torch.ones(1, 5).bool())
+        disc(torch.randn(1, 6, 4), torch.tensor([3]), condition_of(torch.randn(1, 5, 8)))
 
 
 def test_groups_must_divide_the_width():

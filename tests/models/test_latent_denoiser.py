@@ -6,6 +6,7 @@ import torch
 from moveset.diffusion.schedule import scaled_linear
 from moveset.diffusion.steps import add_noise
 from moveset.models.latent_denoiser import LatentDenoiserConfig, carry
+from tests.conditions import condition_of
 
 SCHEDULE = scaled_linear()
 
@@ -25,7 +26,7 @@ def test_before_training_the_clean_latent_is_guessed_from_the_noisy_one_alone_if
     ).build()
     z, t = torch.randn(4, 1, 64), torch.tensor([0, 300, 900, 999])
     with torch.inference_mode():
-        said = network(z, t, torch.randn(4, 3, 6), torch.ones(4, 3, dtype=torch.bool))
+        said = network(z, t, condition_of(torch.randn(4, 3, 6)))
     alpha, sigma = SCHEDULE.alpha(t)[:, None, None], SCHEDULE.sigma(t)[:, None, None]
     clean = (z - sigma * said) / alpha
     # The best linear guess for latents of variance one; else the noise itself, 14.6 times as large at t = 999.

@@ -8,6 +8,7 @@ from torch.nn import functional as fn
 from moveset.models.latent_denoiser import LatentDenoiserConfig
 from moveset.models.packed import PackedConv1d, PackedLinear, PackedTimeConv, can_pack, pack
 from moveset.models.timed_vae import TimedVAEConfig
+from tests.conditions import condition_of
 
 pytestmark = pytest.mark.skipif(not can_pack("cpu"), reason="this build of torch has no oneDNN")
 
@@ -59,15 +60,16 @@ def test_the_denoiser_keeps_its_output(batch, guided, padded, carried):
     torch.manual_seed(0)
     denoiser = perturbed(LatentDenoiserConfig(width=64, hidden=128, blocks=3, guided=guided, carried=carried).build())
     mask = torch.arange(9) < torch.tensor([6, 9, 7])[:batch, None] if padded else torch.ones(batch, 9, dtype=torch.bool)
-    given = (torch.randn(batch, 16, 32), torch.tensor([999, 499, 0])[:batch], torch.randn(batch, 9, 384), mask)
-    frames = torch.tensor([80, 196, 20])[:batch]
-    settings = [(torch.tensor([3.0, 5.0, 0.0])[:batch] if guided else None, frames), (None, None)]
+    given, tokens = (torch.randn(batch, 16, 32), torch.tensor([999, 499, 0])[:batch]), torch.randn(batch, 9, 384)
+    scale = {"scale": torch.tensor([3.0, 5.0, 0.0])[:batch]} if guided else {}
+    length = torch.tensor([80, 196, 20])[:batch]
+    conditions = [condition_of(tokens, mask, length=length, **scale), condition_of(tokens, mask)]
     taps = [[], []]
-    plain = [denoiser(*given, w, taps[0], n) for w, n in settings]
+    plain = [denoiser(*given, condition, taps[0]) for condition in conditions]
     assert float(plain[0].abs().mean()) > 0.1
     packed = pack(denoiser)
-    for expected, (w, n) in zip(plain, settings, strict=True):
-        torch.testing.assert_close(packed(*given, w, taps[1], n), expected, atol=1e-4, rtol=1e-4)
+    for expected, condition in zip(plain, conditions, strict=True):
+        torch.testing.assert_close(packed(*given, condition, taps[1]), expected, atol=1e-4, rtol=1e-4)
     torch.testing.assert_close(taps[1], taps[0], atol=1e-4, rtol=1e-4)
 
 

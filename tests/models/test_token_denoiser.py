@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import pytest
 import torch
 
@@ -6,6 +8,7 @@ from moveset.models.discriminator import DiscriminatorConfig, LatentDiscriminato
 from moveset.models.registry import build_model, describe
 from moveset.models.token_denoiser import TokenDenoiserConfig
 from moveset.recipes import paper
+from tests.conditions import condition_of
 
 TINY = TokenDenoiserConfig(
     token_dim=4, text_dim=6, width=16, layers=3, heads=2, feed_forward=32, positions=30, time_waves=24, guidance_waves=8
@@ -16,7 +19,12 @@ TINY = TokenDenoiserConfig(
 def inputs():
     g = torch.Generator().manual_seed(0)
     z, tokens = torch.randn(3, 5, 4, generator=g), torch.randn(3, 4, 6, generator=g)
-    return z, torch.tensor([0, 499, 999]), tokens, torch.arange(4) < torch.tensor([4, 2, 1])[:, None]
+    return z, torch.tensor([0, 499, 999]), condition_of(tokens, torch.arange(4) < torch.tensor([4, 2, 1])[:, None])
+
+
+def scaled(inputs, w):
+    z, t, condition = inputs
+    return z, t, replace(condition, scale=torch.as_tensor(w).expand(len(z)))
 
 
 def test_published_sizes():
@@ -28,7 +36,7 @@ def test_published_sizes():
 def test_published_shapes(text_tokens):
     model, taps = paper.student().build().eval(), []
     z, t, w = torch.randn(2, 16, 32), torch.tensor([999, 499]), torch.tensor([7.0, 11.5])
-    eps = model(z, t, torch.randn(2, text_tokens, 768), torch.ones(2, text_tokens, dtype=torch.bool), w, taps)
+    eps = model(z, t, condition_of(torch.randn(2, text_tokens, 768), scale=w), taps)
     assert eps.shape == z.shape
     assert [tuple(tap.shape) for tap in taps] == [(2, 16, 256)] * 9
     torch.testing.assert_close(model.latent_out(model.stack.norm(taps[-1])), eps)
@@ -40,47 +48,50 @@ def test_a_fresh_student_is_its_teacher_for_every_guidance(inputs):
     assert not student.training
     expected = teacher(*inputs)
     for w in (0.0, 5.0, 15.0, 1e4):
-        assert torch.equal(student(*inputs, torch.full((3,), w)), expected)
+        assert torch.equal(student(*scaled(inputs, w)), expected)
     # ... and not by deafness: once the projection is not zero, guidance speaks.
     torch.nn.init.normal_(student.time.guidance.weight)
-    assert not torch.allclose(student(*inputs, torch.full((3,), 5.0)), student(*inputs, torch.full((3,), 6.0)))
+    assert not torch.allclose(student(*scaled(inputs, 5.0)), student(*scaled(inputs, 6.0)))
     assert torch.equal(teacher(*inputs), expected)  # a copy, not a view
 
 
 def test_a_student_learns_its_guidance_projection_though_it_starts_at_zero(inputs):
     student = TINY.build().student().train()
-    student(*inputs, torch.tensor([5.0, 9.0, 14.0])).square().mean().backward()
+    student(*scaled(inputs, [5.0, 9.0, 14.0])).square().mean().backward()
     assert student.time.guidance.weight.grad.abs().max() > 0
 
 
 def test_a_teacher_takes_no_guidance_and_a_student_needs_it(inputs):
     teacher = TINY.build()
     with pytest.raises(InputError, match="does not take"):
-        teacher(*inputs, torch.ones(3))
+        teacher(*scaled(inputs, 1.0))
     with pytest.raises(InputError, match="needs"):
         teacher.student()(*inputs)
 
 
 def test_time_and_text_matter(inputs):
-    z, t, tokens, mask = inputs
+    z, t, condition = inputs
     model = TINY.build().eval()
-    base = model(z, t, tokens, mask)
-    assert not torch.allclose(model(z, t + 1, tokens, mask)[0], base[0], atol=1e-6)
-    assert not torch.allclose(model(z, t, tokens.roll(1, 0), mask), base, atol=1e-6)
+    base = model(z, t, condition)
+    assert not torch.allclose(model(z, t + 1, condition)[0], base[0], atol=1e-6)
+    other = condition_of(condition.text.tokens.roll(1, 0), condition.text.mask)
+    assert not torch.allclose(model(z, t, other), base, atol=1e-6)
 
 
 def test_padding_may_be_nan_and_a_prompt_empty(inputs):
-    z, t, tokens, mask = inputs
+    z, t, condition = inputs
+    tokens, mask = condition.text.tokens, condition.text.mask
     model = TINY.build().eval()
     mask[2] = False
-    expected = model(z, t, tokens, mask)
+    expected = model(z, t, condition)
     assert torch.isfinite(expected).all()
-    assert torch.equal(model(z, t, tokens.masked_fill(~mask[..., None], float("nan")), mask), expected)
+    padded = condition_of(tokens.masked_fill(~mask[..., None], float("nan")), mask)
+    assert torch.equal(model(z, t, padded), expected)
 
 
 def test_too_much_text_is_one_sentence():
     with pytest.raises(InputError, match="positions"):
-        TINY.build()(torch.zeros(1, 5, 4), torch.tensor([1]), torch.zeros(1, 25, 6), torch.ones(1, 25).bool())
+        TINY.build()(torch.zeros(1, 5, 4), torch.tensor([1]), condition_of(torch.zeros(1, 25, 6)))
 
 
 def test_rebuilt_from_its_description(inputs):
@@ -91,11 +102,11 @@ def test_rebuilt_from_its_description(inputs):
 
 
 def test_it_serves_as_the_discriminator_s_backbone(inputs):
-    z, t, tokens, mask = inputs
+    z, t, condition = inputs
     heads = DiscriminatorConfig(width=16, taps=3, groups=4).build()
     disc = LatentDiscriminator(TINY.build(), heads)
     z = z.requires_grad_()
-    logits = disc(z, t, tokens, mask)
+    logits = disc(z, t, condition)
     assert logits.shape == (3, 5, 3)
     logits.mean().backward()
     assert (z.grad.flatten(1).abs().amax(1) > 0).all()

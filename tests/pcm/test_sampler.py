@@ -5,12 +5,13 @@ from itertools import pairwise
 import pytest
 import torch
 
+from moveset.diffusion.guidance import cfg
 from moveset.diffusion.phases import PhaseGrid
 from moveset.diffusion.schedule import scaled_linear
 from moveset.diffusion.steps import ddim_step, ddim_timesteps, predict_z0
 from moveset.errors import InputError
 from moveset.pcm.consistency import lcm_scalings
-from moveset.pcm.sampler import item_noise, lcm_timesteps, sample_ddim_cfg, sample_lcm, sample_phased
+from moveset.pcm.sampler import item_noise, lcm_timesteps, sample_ddim, sample_lcm, sample_phased
 
 SCHEDULE = scaled_linear()
 
@@ -21,17 +22,16 @@ class Recorder:
     def __init__(self):
         self.times, self.inputs = [], []
 
-    def __call__(self, z, t, w=None):
+    def __call__(self, z, t):
         assert t.shape == (len(z),)
         assert (t == t[0]).all()
         self.times.append(int(t[0]))
         self.inputs.append(z)
-        shift = 0.0 if w is None else 0.01 * w[:, None, None]
-        return torch.tanh(z * (1 + t[0] / 1000)) + shift
+        return torch.tanh(z * (1 + t[0] / 1000))
 
     def guided(self, z, t):
         eps = self(z, t)
-        return eps, 0.9 * eps
+        return cfg(eps, 0.9 * eps, 6.5)
 
 
 @pytest.fixture
@@ -47,32 +47,28 @@ def test_teacher_equals_diffusers(noise):
     oracle.set_timesteps(50)
     model, z = Recorder(), noise
     for t in oracle.timesteps:
-        cond, uncond = model.guided(z, t.expand(3))
-        z = oracle.step(uncond + 7.5 * (cond - uncond), t, z).prev_sample
+        cond = model(z, t.expand(3))
+        z = oracle.step(0.9 * cond + 7.5 * (cond - 0.9 * cond), t, z).prev_sample
     ours = Recorder()
-    result = sample_ddim_cfg(ours.guided, SCHEDULE, ddim_timesteps(50), noise, 6.5)
+    result = sample_ddim(ours.guided, SCHEDULE, ddim_timesteps(50), noise)
     assert ours.times == model.times
     torch.testing.assert_close(result, z, atol=2e-3, rtol=2e-4)
-    per_item = sample_ddim_cfg(ours.guided, SCHEDULE, ddim_timesteps(50), noise, torch.full((3,), 6.5))
-    torch.testing.assert_close(per_item, result, atol=1e-5, rtol=1e-5)
 
 
 @pytest.mark.parametrize(("phases", "times"), [(1, [999]), (2, [999, 499]), (4, [999, 699, 499, 199])])
 def test_phased_evaluates_once_at_each_training_edge(phases, times, noise):
-    model, w = Recorder(), torch.tensor([1.0, 5.0, 9.0])
-    grid = PhaseGrid(10, phases)
-    result = sample_phased(model, SCHEDULE, grid, noise, w)
+    model, grid = Recorder(), PhaseGrid(10, phases)
+    result = sample_phased(model, SCHEDULE, grid, noise)
     assert model.times == times
     assert model.inputs[0] is noise
     for (z, after), (t, s) in zip(pairwise([*model.inputs, None]), grid.jumps, strict=True):
         t_B = torch.full((3,), t)
-        eps = model(z, t_B, w)
+        eps = model(z, t_B)
         if after is None:  # the last jump ends at the noise-free estimate, not at z_0's noise level
             assert torch.equal(result, predict_z0(SCHEDULE, z, eps, t_B))
         else:
             assert torch.equal(after, ddim_step(SCHEDULE, z, eps, t_B, torch.full((3,), s)))
-    assert torch.equal(result, sample_phased(Recorder(), SCHEDULE, grid, noise, w))
-    assert not torch.allclose(result, sample_phased(Recorder(), SCHEDULE, grid, noise, w + 1))
+    assert torch.equal(result, sample_phased(Recorder(), SCHEDULE, grid, noise))
 
 
 def test_the_choice_of_the_last_jump_removes_exactly_the_remaining_noise(noise):

@@ -10,6 +10,7 @@ import torch
 from moveset.errors import FormatError, InputError
 from moveset.models.token_denoiser import TokenDenoiserConfig
 from moveset.pipelines.bundle import Bundle, BundleConfig, save_folder
+from tests.conditions import condition_of
 
 SIZES = {"token_dim": 8, "text_dim": 64, "width": 96, "heads": 2, "feed_forward": 384, "positions": 64}
 SIZES |= {"layers": 3, "time_waves": 64, "guidance_waves": 4}
@@ -66,7 +67,7 @@ def output(network):
     z, tokens = torch.randn(8, 4, 8, generator=g), torch.randn(8, 5, 64, generator=g)
     t = torch.randint(0, 1000, (8,), generator=g)
     with torch.no_grad():
-        return network.eval()(z, t, tokens, torch.ones(8, 5, dtype=torch.bool), torch.full((8,), 2.0))
+        return network.eval()(z, t, condition_of(tokens, scale=torch.full((8,), 2.0)))
 
 
 def test_a_student_computes_the_same(folder):

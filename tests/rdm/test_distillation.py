@@ -84,7 +84,9 @@ def test_without_a_flow_the_target_is_that_of_motionpcm(phases):
         return predict_z0(SCHEDULE, x, averaged(x, t, w), t)
 
     target, share = clean_target(SCHEDULE, grid, teacher, ema, same, same, Z, EVERY_POINT, w)
-    landed = phased_target(SCHEDULE, grid, lambda z, t: (told(z, t), untold(z, t)), averaged, Z, EVERY_POINT, w)
+    landed = phased_target(
+        SCHEDULE, grid, lambda z, t: cfg(told(z, t), untold(z, t), w), lambda z, t: averaged(z, t, w), Z, EVERY_POINT
+    )
     t, edge = grid.time(EVERY_POINT), grid.lower(EVERY_POINT)
     torch.testing.assert_close(denoise_step(SCHEDULE, Z, target, t, edge), landed, rtol=2e-3, atol=2e-3)
     assert torch.equal(share, share_of_clean(SCHEDULE, t, edge))

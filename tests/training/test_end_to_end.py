@@ -81,7 +81,7 @@ def test_a_student_goes_on_with_a_discriminator_that_reads(trained: Path, tmp_pa
     with pytest.warns(UserWarning, match="mismatched 0.0 -> 0.5"):
         run(task_maker("pcm", task, sources(trained)), replace(recipe.engine, steps=steps), tmp_path / "pcm", True)
     rows = [json.loads(line) for line in (tmp_path / "pcm" / "metrics.jsonl").read_text().splitlines()]
-    assert all("misread_logit" in row for row in rows if row["split"] == "train" and row["step"] > steps - 2)
+    assert all("mismatched_logit" in row for row in rows if row["split"] == "train" and row["step"] > steps - 2)
     before = checkpoint.read_tensors(last, "discriminator")
     after = checkpoint.read_tensors(tmp_path / "pcm" / f"step_{steps}", "discriminator")
     assert any(not torch.equal(before[name], after[name]) for name in before)

@@ -7,19 +7,19 @@ import pytest
 import torch
 
 from moveset.errors import InputError
-from moveset.training import bound_segments, frozen, rdm_student
+from moveset.training import adversarial, bound_segments, frozen, rdm_student
 from moveset.training.bound_segments import BoundSegments
 from moveset.training.rdm_student import RDMStudentConfig
 from tests.training.recurrent import tensors, trained
 
 
 def test_a_students_discriminator_may_be_shown_the_text_of_others(folder, rdm7, tmp_path, monkeypatch):
-    asked, hinge = [], rdm_student.hinge_discriminator
-    monkeypatch.setattr(rdm_student, "hinge_discriminator", lambda *given: asked.append(given) or hinge(*given))
+    asked, hinge = [], adversarial.hinge_discriminator
+    monkeypatch.setattr(adversarial, "hinge_discriminator", lambda *given: asked.append(given) or hinge(*given))
     settings = ("mismatched=0.5", "sampled_share=1.0", "judged_span=0.0")
     trained(folder, "rdm-student", tmp_path / "run", *settings)
     log = [json.loads(line) for line in (tmp_path / "run" / "metrics.jsonl").read_text().splitlines()]
-    assert all("misread_logit" in line for line in log)
+    assert all("mismatched_logit" in line for line in log)
     for real, _, misread, share in asked:
         assert share == 0.5
         assert real.shape == misread.shape

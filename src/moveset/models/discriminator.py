@@ -11,6 +11,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from moveset.errors import InputError
+from moveset.models.condition import Condition, Denoiser
 from moveset.models.registry import register, require_range
 
 
@@ -76,45 +77,37 @@ class LatentDiscriminator(nn.Module):
     Gradients do flow through it into z_s, which is how a student learns from the verdict.
 
     Args:
-        backbone: a denoiser ``(z_BND, t_B, tokens_BLC, mask_BL, w_B=None, taps=None, frames_B=None) -> eps_BND``
-            whose ``taps`` collect (B, N, C) feature maps. It is put into evaluation mode and its parameters are
-            frozen, in place: hand over the teacher, or a copy of it.
+        backbone: a denoiser whose ``taps`` collect (B, N, C) feature maps. It is put into evaluation mode and its
+            parameters are frozen, in place: hand over the teacher, or a copy of it.
         heads: the trained part.
     """
 
-    def __init__(self, backbone: nn.Module, heads: DiscriminatorHeads) -> None:
+    def __init__(self, backbone: Denoiser, heads: DiscriminatorHeads) -> None:
         super().__init__()
         self.heads = heads
         self._outside = (backbone.eval().requires_grad_(False),)  # a tuple hides it from nn.Module's registration
 
     @property
-    def backbone(self) -> nn.Module:
+    def backbone(self) -> Denoiser:
         """The frozen denoiser."""
         return self._outside[0]
 
-    def forward(
-        self,
-        z_BND: Tensor,
-        s_B: Tensor,
-        tokens_BLC: Tensor,
-        mask_BL: Tensor,
-        frames_B: Tensor | None = None,
-    ) -> Tensor:
-        """Logits (B, N, K), one for every latent token and tapped block; a hinge loss averages over all of them.
+    def features(self, z_BND: Tensor, s_B: Tensor, condition: Condition) -> list[Tensor]:
+        """K feature maps (B, N, C) of latents, real or fake, noised to integer timesteps s (B,).
 
-        Args:
-            z_BND: latents, real or fake, noised to time s.
-            s_B: (B,) integer timesteps of the diffusion.
-            tokens_BLC: text token states; mask_BL is True where there is a token.
-            frames_B: (B,) clip lengths, for a backbone that wants to know them.
+        One pass serves both the discriminator's step (detached) and the student's.
         """
         if self.backbone.training:
             raise RuntimeError(
                 "the discriminator's backbone was switched to training mode: its features need no dropout"
             )
         taps: list[Tensor] = []
-        self.backbone(z_BND, s_B, tokens_BLC, mask_BL, None, taps, frames_B)
-        return self.heads(taps)
+        self.backbone(z_BND, s_B, condition, taps)
+        return taps
+
+    def forward(self, z_BND: Tensor, s_B: Tensor, condition: Condition) -> Tensor:
+        """Logits (B, N, K), one for every latent token and tapped block; a hinge loss averages over all of them."""
+        return self.heads(self.features(z_BND, s_B, condition))
 
 
 register("latent_discriminator", DiscriminatorConfig)

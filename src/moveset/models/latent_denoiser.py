@@ -15,6 +15,7 @@ from torch import Tensor, nn
 from torch.nn import functional as fn
 
 from moveset.diffusion.schedule import Schedule, scaled_linear
+from moveset.models.condition import Condition, Denoiser
 from moveset.models.registry import register, require_range
 
 
@@ -54,15 +55,22 @@ class LatentDenoiserConfig:
 
 @dataclass(frozen=True, eq=False)
 class TextKeys:
-    """A prompt as the blocks read it: (keys, values) (B, H, L, W/H) for every block, additive mask, summary (B, W)."""
+    """A condition as the blocks read it: (keys, values) (B, H, L, W/H) of the text for every block, additive mask,
+    summary (B, W); frames (B,) and guidance scale (B,) as they are."""
 
     pairs: tuple[tuple[Tensor, Tensor], ...]
     bias: Tensor
     pooled: Tensor
+    length: Tensor | None
+    scale: Tensor | None
 
 
-class LatentDenoiser(nn.Module):
-    """Predicts the noise in latents from text: ``denoiser(z, t, tokens, mask, w, taps, frames) -> eps``."""
+class LatentDenoiser(Denoiser):
+    """Predicts the noise (B, N, d) in latents at timesteps 0..999.
+
+    It reads text, clip length (without one, 120 frames are assumed) and, as a student, the guidance scale; ``taps``
+    collect every block's output (B, N, W).
+    """
 
     def __init__(self, config: LatentDenoiserConfig) -> None:
         super().__init__()
@@ -98,52 +106,22 @@ class LatentDenoiser(nn.Module):
             nn.init.zeros_(layer.bias)
         self.schedule = scaled_linear() if c.carried else None
 
-    def read(self, tokens_BLC: Tensor, mask_BL: Tensor) -> TextKeys:
-        """The text's keys and values for every block; they depend on neither time nor noise."""
+    def prepare(self, condition: Condition) -> TextKeys:
+        """The text's keys and values for every block."""
+        tokens_BLC, mask_BL = condition.text.tokens, condition.text.mask
         length = tokens_BLC.shape[1]
         text = self.text_norm(self.text_in(tokens_BLC) + self.text_position[:length])
         keep = mask_BL[..., None].to(text.dtype)
         pooled = self.pool((text * keep).sum(1) / keep.sum(1).clamp_min(1.0))
         bias = torch.zeros(mask_BL.shape, dtype=text.dtype, device=text.device).masked_fill(~mask_BL, -1e4)
-        return TextKeys(tuple(block.read(text) for block in self.blocks), bias, pooled)
+        pairs = tuple(block.read(text) for block in self.blocks)
+        return TextKeys(pairs, bias, pooled, condition.length, condition.scale)
 
-    def forward(
-        self,
-        z_BND: Tensor,
-        t_B: Tensor,
-        tokens_BLC: Tensor,
-        mask_BL: Tensor,
-        w_B: Tensor | None = None,
-        taps: list[Tensor] | None = None,
-        frames_B: Tensor | None = None,
-    ) -> Tensor:
-        """Predicted noise (B, N, d).
-
-        Args:
-            z_BND: noisy latents.
-            t_B: timesteps 0..999.
-            tokens_BLC: text token states.
-            mask_BL: True at real tokens.
-            w_B: guidance scale, for students (``guided``) only.
-            taps: a list that receives every block's output (B, N, W), for the discriminator.
-            frames_B: clip length in frames; without it 120 is assumed.
-        """
-        return self.denoise(z_BND, t_B, self.read(tokens_BLC, mask_BL), w_B, taps, frames_B)
-
-    def denoise(
-        self,
-        z_BND: Tensor,
-        t_B: Tensor,
-        text: TextKeys,
-        w_B: Tensor | None = None,
-        taps: list[Tensor] | None = None,
-        frames_B: Tensor | None = None,
-    ) -> Tensor:
-        """As ``forward``, for text that was read before."""
-        frames_B = torch.full_like(t_B, 120) if frames_B is None else frames_B
+    def denoise(self, z_BND: Tensor, t_B: Tensor, text: TextKeys, taps: list[Tensor] | None) -> Tensor:
+        frames_B = torch.full_like(t_B, 120) if text.length is None else text.length
         condition = self.time(waves(t_B)) + self.length(waves(frames_B * 4.0)) + text.pooled
-        if w_B is not None:
-            condition = condition + self.guidance(waves(w_B * 100.0))
+        if text.scale is not None:
+            condition = condition + self.guidance(waves(text.scale * 100.0))
         condition = fn.silu(condition)
         modulation = self.modulate(condition)[:, None]
         x = self.latent_in(z_BND) + self.position

@@ -12,20 +12,24 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as fn
 
+from moveset.models.condition import Condition, Denoiser
 from moveset.models.latent_denoiser import Block, LatentDenoiser, carry, frequencies
 from moveset.models.packed import PackedLinear
 
 
 @dataclass(frozen=True, eq=False)
 class PackedText:
-    """A prompt as the blocks read it: keys and values (B, L, 2, H, W/H) for every block, mask, summary (B, W)."""
+    """A condition as the blocks read it: keys and values (B, L, 2, H, W/H) of the text for every block, mask, summary
+    (B, W); frames (B,) and guidance scale (B,) as they are."""
 
     pairs: tuple[Tensor, ...]
     bias: Tensor | None
     pooled: Tensor
+    length: Tensor | None
+    scale: Tensor | None
 
 
-class PackedDenoiser(nn.Module):
+class PackedDenoiser(Denoiser):
     """What ``LatentDenoiser`` does, for inference."""
 
     def __init__(self, denoiser: LatentDenoiser) -> None:
@@ -51,8 +55,9 @@ class PackedDenoiser(nn.Module):
         self.out = PackedLinear.of(denoiser.out)
         self.schedule = denoiser.schedule
 
-    def read(self, tokens_BLC: Tensor, mask_BL: Tensor) -> PackedText:
-        """The text's keys and values for every block; they depend on neither time nor noise."""
+    def prepare(self, condition: Condition) -> PackedText:
+        """The text's keys and values for every block."""
+        tokens_BLC, mask_BL = condition.text.tokens, condition.text.mask
         batch, length, _ = tokens_BLC.shape
         text = self.text_norm(self.text_out(self.text_in(tokens_BLC)) + self.text_position[:length])
         bias = None
@@ -65,32 +70,10 @@ class PackedDenoiser(nn.Module):
             bias = torch.zeros(seen.shape, dtype=text.dtype).masked_fill(~seen, -1e4)[:, None, None]
         heads = self.config.heads
         pairs = self.text_kv(text).view(batch, length, len(self.blocks), 2, heads, -1).unbind(2)
-        return PackedText(pairs, bias, self.pool(summary))
+        return PackedText(pairs, bias, self.pool(summary), condition.length, condition.scale)
 
-    def forward(
-        self,
-        z_BND: Tensor,
-        t_B: Tensor,
-        tokens_BLC: Tensor,
-        mask_BL: Tensor,
-        w_B: Tensor | None = None,
-        taps: list[Tensor] | None = None,
-        frames_B: Tensor | None = None,
-    ) -> Tensor:
-        """See ``LatentDenoiser.forward``."""
-        return self.denoise(z_BND, t_B, self.read(tokens_BLC, mask_BL), w_B, taps, frames_B)
-
-    def denoise(
-        self,
-        z_BND: Tensor,
-        t_B: Tensor,
-        text: PackedText,
-        w_B: Tensor | None = None,
-        taps: list[Tensor] | None = None,
-        frames_B: Tensor | None = None,
-    ) -> Tensor:
-        """As ``forward``, for text that was read before."""
-        parts = self._modulation(t_B, text, w_B, frames_B)
+    def denoise(self, z_BND: Tensor, t_B: Tensor, text: PackedText, taps: list[Tensor] | None) -> Tensor:
+        parts = self._modulation(t_B, text)
         x = self.latent_in(z_BND) + self.position
         half = len(self.blocks) // 2
         remembered: list[Tensor] = []
@@ -105,11 +88,9 @@ class PackedDenoiser(nn.Module):
         said = self.out(_modulated(x, *parts[-2:]))
         return said if self.schedule is None else carry(said, z_BND, t_B, self.schedule)
 
-    def _modulation(
-        self, t_B: Tensor, text: PackedText, w_B: Tensor | None, frames_B: Tensor | None
-    ) -> tuple[Tensor, ...]:
+    def _modulation(self, t_B: Tensor, text: PackedText) -> tuple[Tensor, ...]:
         """Scale, shift and gate of every norm: six a block and two at the end; (W,) for one clip, else (B, 1, W)."""
-        frames_B = torch.full_like(t_B, 120) if frames_B is None else frames_B
+        w_B, frames_B = text.scale, torch.full_like(t_B, 120) if text.length is None else text.length
         numbers = (t_B, frames_B * 4.0, torch.zeros_like(t_B) if w_B is None else w_B * 100.0)
         angle = torch.stack(numbers)[..., None] * self.frequencies
         t, frames, w = torch.cat((angle.cos(), angle.sin()), dim=-1)

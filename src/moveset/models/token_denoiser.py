@@ -10,6 +10,7 @@ import torch
 from torch import Tensor, nn
 
 from moveset.diffusion.guidance import guidance_embedding
+from moveset.models.condition import Condition, Denoiser
 from moveset.models.layers import Positions, TimeEmbedding
 from moveset.models.registry import register, require_range
 from moveset.models.skip_transformer import SkipTransformer, SkipTransformerConfig
@@ -17,7 +18,7 @@ from moveset.models.skip_transformer import SkipTransformer, SkipTransformerConf
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class TokenDenoiserConfig:
-    """Sizes of a ``TokenDenoiser``; the defaults are the published teacher, ``guidance=True`` the student."""
+    """Sizes of a ``TokenDenoiser``; the defaults are the published teacher, ``guided=True`` the student."""
 
     token_dim: int = 32
     text_dim: int = 768
@@ -28,7 +29,7 @@ class TokenDenoiserConfig:
     dropout: float = 0.1
     positions: int = 500
     time_waves: int = 768
-    guidance: bool = False
+    guided: bool = False
     guidance_waves: int = 256
 
     def __post_init__(self) -> None:
@@ -54,42 +55,30 @@ class TokenDenoiserConfig:
         return TokenDenoiser(self)
 
 
-class TokenDenoiser(nn.Module):
-    """Predicts the noise in z_t: [latent tokens; time; text tokens] through one skip transformer."""
+class TokenDenoiser(Denoiser):
+    """Predicts the noise (B, N, D) in z_t: [latent tokens; time; text tokens] through one skip transformer.
+
+    The published models use one pooled text token, L = 1. Of text padding it does not matter what stands there, and the
+    clip's length is not read. ``taps`` collect the latent tokens' part (B, N, W) of every block's output.
+    """
 
     def __init__(self, config: TokenDenoiserConfig) -> None:
         super().__init__()
         self.config = config
         self.latent_in = nn.Linear(config.token_dim, config.width)
-        self.time = TimeEmbedding(config.width, config.time_waves, config.guidance_waves if config.guidance else None)
+        self.time = TimeEmbedding(config.width, config.time_waves, config.guidance_waves if config.guided else None)
         self.text_in = nn.Linear(config.text_dim, config.width)
         self.positions = Positions(config.positions, config.width)
         self.stack = SkipTransformer(config.stack(), cross=False)
         self.latent_out = nn.Linear(config.width, config.token_dim)
 
-    def forward(
-        self,
-        z_BND: Tensor,
-        t_B: Tensor,
-        tokens_BLC: Tensor,
-        mask_BL: Tensor,
-        w_B: Tensor | None = None,
-        taps: list[Tensor] | None = None,
-        frames_B: Tensor | None = None,
-    ) -> Tensor:
-        """Noise (B, N, D) in the latents z at timesteps t.
-
-        Args:
-            t_B: (B,) integer timesteps, 0 to 999.
-            tokens_BLC: text token states (the published models use one pooled token, L = 1).
-            mask_BL: True where there is a text token; what stands elsewhere does not matter.
-            w_B: (B,) guidance scale, for a student and only for it.
-            taps: collects the latent tokens' part (B, N, W) of every block's output, first block first.
-            frames_B: not used; the published denoiser does not know the length of its clip, other ones here do.
+    def denoise(self, z_BND: Tensor, t_B: Tensor, condition: Condition, taps: list[Tensor] | None) -> Tensor:
+        """See ``Denoiser.forward``.
 
         Raises:
             InputError: more tokens than positions, or a guidance scale where none belongs (or the reverse).
         """
+        tokens_BLC, mask_BL, w_B = condition.text.tokens, condition.text.mask, condition.scale
         count = z_BND.shape[1]
         waves_w = None if w_B is None else guidance_embedding(w_B, self.config.guidance_waves)
         time = self.time(t_B, waves_w)[:, None]
@@ -105,7 +94,7 @@ class TokenDenoiser(nn.Module):
 
     def student(self) -> "TokenDenoiser":
         """A copy with a guidance embedding that changes nothing yet: the start of distillation."""
-        out = replace(self.config, guidance=True).build().to(self.latent_in.weight)
+        out = replace(self.config, guided=True).build().to(self.latent_in.weight)
         missing, unexpected = out.load_state_dict(self.state_dict(), strict=False)
         if unexpected or any(not name.startswith("time.guidance.") for name in missing):
             raise RuntimeError(f"a student must share all weights of its teacher, but {missing} {unexpected} differ")

@@ -1,12 +1,8 @@
 """What a student learns in one training iteration, as pure functions of tensors and callables.
 
-MotionPCM (Section 4.2 and 4.3) and its plain case LCM (Luo et al. 2023, arXiv 2310.04378; MotionLCM). The text is bound
-by the caller inside the callables:
-
-- ``teacher(z_BND, t_B) -> (eps_cond, eps_uncond)``: both in one call, so that both can be one batch;
-- ``student(z_BND, t_B, w_B) -> eps``, and ``ema`` alike: the student's moving average.
-
-No gradient reaches teacher or ema: they are called without one.
+MotionPCM (Section 4.2 and 4.3) and its plain case LCM (Luo et al. 2023, arXiv 2310.04378; MotionLCM). ``teacher``,
+``student`` and ``ema``, the student's moving average, are callables ``(z_BND, t_B) -> eps`` with condition and guidance
+bound inside (``models.condition.guided``). No gradient reaches teacher or ema: they are called without one.
 
 Shapes: ``B`` batch, ``N`` latent tokens, ``D`` numbers in each. ``point`` is the index i of the solver point t_i.
 """
@@ -17,13 +13,11 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from moveset.diffusion.guidance import cfg
 from moveset.diffusion.phases import PhaseGrid, down_to_edge
 from moveset.diffusion.schedule import Schedule
 from moveset.diffusion.steps import add_noise, ddim_step, over, predict_z0, renoise
 
-Teacher = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
-Student = Callable[[Tensor, Tensor, Tensor | None], Tensor]
+Epsilon = Callable[[Tensor, Tensor], Tensor]
 
 _SIGMA_DATA = 0.5
 _TIME_SCALE = 10.0
@@ -85,58 +79,44 @@ def draw(
 
 
 @torch.no_grad()
-def teacher_step(
-    schedule: Schedule, grid: PhaseGrid, teacher: Teacher, z_BND: Tensor, point_B: Tensor, w_B: Tensor
-) -> Tensor:
+def teacher_step(schedule: Schedule, grid: PhaseGrid, teacher: Epsilon, z_BND: Tensor, point_B: Tensor) -> Tensor:
     """One guided DDIM step from t_i to t_{i-1} (MotionPCM, Eq. 11 and the paragraph below it)."""
     t_B = grid.time(point_B)
-    return ddim_step(schedule, z_BND, cfg(*teacher(z_BND, t_B), w_B), t_B, grid.previous(point_B))
+    return ddim_step(schedule, z_BND, teacher(z_BND, t_B), t_B, grid.previous(point_B))
 
 
-def phased_prediction(
-    schedule: Schedule, grid: PhaseGrid, student: Student, z_BND: Tensor, point_B: Tensor, w_B: Tensor
-) -> Tensor:
+def phased_prediction(schedule: Schedule, grid: PhaseGrid, student: Epsilon, z_BND: Tensor, point_B: Tensor) -> Tensor:
     """The student's jump from t_i to the lower edge s_m of its phase (MotionPCM, Eq. 8 and 10)."""
     t_B = grid.time(point_B)
-    return ddim_step(schedule, z_BND, student(z_BND, t_B, w_B), t_B, grid.lower(point_B))
+    return ddim_step(schedule, z_BND, student(z_BND, t_B), t_B, grid.lower(point_B))
 
 
 @torch.no_grad()
 def phased_target(
-    schedule: Schedule,
-    grid: PhaseGrid,
-    teacher: Teacher,
-    ema: Student,
-    z_BND: Tensor,
-    point_B: Tensor,
-    w_B: Tensor,
+    schedule: Schedule, grid: PhaseGrid, teacher: Epsilon, ema: Epsilon, z_BND: Tensor, point_B: Tensor
 ) -> Tensor:
     """Where the student should land: the teacher's step to t_{i-1}, then the averaged student's jump to s_m (Eq. 12).
 
     At the lowest point of a phase t_{i-1} is s_m itself. The jump of no length is the identity to the last bit, so
     there the target is the teacher's own step, and everything else in the phase is anchored to it.
     """
-    stepped_BND = teacher_step(schedule, grid, teacher, z_BND, point_B, w_B)
+    stepped_BND = teacher_step(schedule, grid, teacher, z_BND, point_B)
     t_B = grid.previous(point_B)
-    return ddim_step(schedule, stepped_BND, ema(stepped_BND, t_B, w_B), t_B, grid.lower(point_B))
+    return ddim_step(schedule, stepped_BND, ema(stepped_BND, t_B), t_B, grid.lower(point_B))
 
 
 @torch.no_grad()
-def whole_target(
-    schedule: Schedule, grid: PhaseGrid, teacher: Teacher, z_BND: Tensor, point_B: Tensor, w_B: Tensor
-) -> Tensor:
+def whole_target(schedule: Schedule, grid: PhaseGrid, teacher: Epsilon, z_BND: Tensor, point_B: Tensor) -> Tensor:
     """Where all of the teacher's guided steps from t_i to the lower edge of its phase lead.
 
     ``phased_target`` asks the averaged student for all of them but the first, and what that one is wrong about goes on
     upwards from point to point. This asks the teacher alone, twice for every point in between.
     """
-    return down_to_edge(grid, lambda z, i: teacher_step(schedule, grid, teacher, z, i, w_B), z_BND, point_B)
+    return down_to_edge(grid, lambda z, i: teacher_step(schedule, grid, teacher, z, i), z_BND, point_B)
 
 
 @torch.no_grad()
-def entered(
-    schedule: Schedule, grid: PhaseGrid, student: Student, noise_BND: Tensor, phase_B: Tensor, w_B: Tensor
-) -> Tensor:
+def entered(schedule: Schedule, grid: PhaseGrid, student: Epsilon, noise_BND: Tensor, phase_B: Tensor) -> Tensor:
     """Where sampling enters phase m: where the student's own jumps lead from noise through all phases above it.
 
     Data noised to the same time, which consistency is learned from, has none of what those jumps are wrong about.
@@ -144,7 +124,7 @@ def entered(
     z_BND = noise_BND
     for m in range(grid.phases - 1, 0, -1):
         point_B = grid.highest_of(torch.full_like(phase_B, m))
-        below_BND = phased_prediction(schedule, grid, student, z_BND, point_B, w_B)
+        below_BND = phased_prediction(schedule, grid, student, z_BND, point_B)
         z_BND = torch.where(over(phase_B < m, z_BND), below_BND, z_BND)
     return z_BND
 
@@ -168,23 +148,17 @@ def lcm_scalings(t: Tensor, dtype: torch.dtype = torch.float32) -> tuple[Tensor,
     return _SIGMA_DATA**2 / total, scaled / total.sqrt()
 
 
-def lcm_prediction(schedule: Schedule, student: Student, z_BND: Tensor, t_B: Tensor, w_B: Tensor | None) -> Tensor:
+def lcm_prediction(schedule: Schedule, student: Epsilon, z_BND: Tensor, t_B: Tensor) -> Tensor:
     """A latent consistency model's estimate of z_0 from z_t: c_skip z_t + c_out (z_t - sigma_t eps) / alpha_t."""
     c_skip, c_out = lcm_scalings(t_B, z_BND.dtype)
-    z0_BND = predict_z0(schedule, z_BND, student(z_BND, t_B, w_B), t_B)
+    z0_BND = predict_z0(schedule, z_BND, student(z_BND, t_B), t_B)
     return over(c_skip, z_BND) * z_BND + over(c_out, z_BND) * z0_BND
 
 
 @torch.no_grad()
 def lcm_target(
-    schedule: Schedule,
-    grid: PhaseGrid,
-    teacher: Teacher,
-    ema: Student,
-    z_BND: Tensor,
-    point_B: Tensor,
-    w_B: Tensor,
+    schedule: Schedule, grid: PhaseGrid, teacher: Epsilon, ema: Epsilon, z_BND: Tensor, point_B: Tensor
 ) -> Tensor:
     """The averaged student's estimate of z_0 from the teacher's step to t_{i-1}. Only ``grid.points`` matters."""
-    stepped_BND = teacher_step(schedule, grid, teacher, z_BND, point_B, w_B)
-    return lcm_prediction(schedule, ema, stepped_BND, grid.previous(point_B), w_B)
+    stepped_BND = teacher_step(schedule, grid, teacher, z_BND, point_B)
+    return lcm_prediction(schedule, ema, stepped_BND, grid.previous(point_B))

@@ -1,8 +1,8 @@
-"""Samplers: one short loop each, the network as a callable with the text bound inside.
+"""Samplers: one short loop each, the network as a callable ``model(z_BND, t_B) -> eps`` with condition and guidance
+bound inside (``models.condition.guided``).
 
-``model(z_BND, t_B, w_B) -> eps`` for students; ``teacher(z_BND, t_B) -> (eps_cond, eps_uncond)`` for guided sampling,
-both in one call, so that both can be one batch. Noise comes from the caller. All end in an estimate of the noise-free
-z_0, not in z at the schedule's lowest noise level, which keeps a share of 0.029 of the predicted noise.
+Noise comes from the caller. All end in an estimate of the noise-free z_0, not in z at the schedule's lowest noise
+level, which keeps a share of 0.029 of the predicted noise.
 
 Shapes: ``B`` batch, ``N`` latent tokens, ``D`` numbers in each.
 """
@@ -12,30 +12,26 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from moveset.diffusion.guidance import cfg
 from moveset.diffusion.phases import PhaseGrid
 from moveset.diffusion.schedule import Schedule
 from moveset.diffusion.steps import add_noise, ddim_step, predict_z0
 from moveset.errors import InputError
-from moveset.pcm.consistency import Student, Teacher, lcm_prediction
+from moveset.pcm.consistency import Epsilon, lcm_prediction
 
 
-def sample_ddim_cfg(
-    teacher: Teacher, schedule: Schedule, times: Sequence[int], noise_BND: Tensor, w: Tensor | float
-) -> Tensor:
-    """Deterministic sampling of a diffusion model with classifier-free guidance (DDIM, arXiv 2010.02502).
+def sample_ddim(model: Epsilon, schedule: Schedule, times: Sequence[int], noise_BND: Tensor) -> Tensor:
+    """Deterministic sampling of a diffusion model (DDIM, arXiv 2010.02502).
 
     Args:
-        teacher: see the module.
+        model: see the module.
         schedule: the noise schedule.
-        times: falling evaluation times, usually ``ddim_timesteps(50)``; two network evaluations at each.
+        times: falling evaluation times, usually ``ddim_timesteps(50)``.
         noise_BND: standard normal noise.
-        w: guidance scale, one or (B,); 0 for none.
     """
     z_BND = noise_BND
     for k, t in enumerate(times):
         t_B = _everywhere(t, z_BND)
-        eps_BND = cfg(*teacher(z_BND, t_B), w)
+        eps_BND = model(z_BND, t_B)
         if k + 1 < len(times):
             z_BND = ddim_step(schedule, z_BND, eps_BND, t_B, _everywhere(times[k + 1], z_BND))
         else:
@@ -43,9 +39,7 @@ def sample_ddim_cfg(
     return z_BND
 
 
-def sample_phased(
-    model: Student, schedule: Schedule, grid: PhaseGrid, noise_BND: Tensor, w_B: Tensor | None = None
-) -> Tensor:
+def sample_phased(model: Epsilon, schedule: Schedule, grid: PhaseGrid, noise_BND: Tensor) -> Tensor:
     """M deterministic jumps over exactly the edges of training (MotionPCM, Section 4.4): M network evaluations.
 
     Args:
@@ -53,12 +47,11 @@ def sample_phased(
         schedule: the noise schedule.
         grid: the grid that the student was trained on.
         noise_BND: standard normal noise.
-        w_B: (B,) guidance scale, for students that take one.
     """
     z_BND = noise_BND
     for t, s in grid.jumps:
         t_B = _everywhere(t, z_BND)
-        eps_BND = model(z_BND, t_B, w_B)
+        eps_BND = model(z_BND, t_B)
         if s == 0:
             z_BND = predict_z0(schedule, z_BND, eps_BND, t_B)
         else:
@@ -66,9 +59,7 @@ def sample_phased(
     return z_BND
 
 
-def sample_lcm(
-    model: Student, schedule: Schedule, times: Sequence[int], noise: Sequence[Tensor], w_B: Tensor | None = None
-) -> Tensor:
+def sample_lcm(model: Epsilon, schedule: Schedule, times: Sequence[int], noise: Sequence[Tensor]) -> Tensor:
     """Stochastic multistep consistency sampling (LCM, arXiv 2310.04378, Algorithm 3): estimate z_0, add noise, repeat.
 
     Args:
@@ -76,7 +67,6 @@ def sample_lcm(
         schedule: the noise schedule.
         times: falling evaluation times, usually ``lcm_timesteps(n)``.
         noise: for every time a (B, N, D) tensor: the start, then what is added before each further evaluation.
-        w_B: (B,) guidance scale.
 
     Raises:
         InputError: not one noise for every time.
@@ -87,7 +77,7 @@ def sample_lcm(
     for k, t in enumerate(times):
         if k:
             z_BND = add_noise(schedule, z_BND, noise[k], _everywhere(t, z_BND))
-        z_BND = lcm_prediction(schedule, model, z_BND, _everywhere(t, z_BND), w_B)
+        z_BND = lcm_prediction(schedule, model, z_BND, _everywhere(t, z_BND))
     return z_BND
 
 

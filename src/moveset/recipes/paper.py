@@ -49,7 +49,7 @@ def teacher(text_dim: int = 768) -> TokenDenoiserConfig:
 
 def student(text_dim: int = 768) -> TokenDenoiserConfig:
     """8,434,464 parameters: the teacher and a guidance embedding."""
-    return TokenDenoiserConfig(text_dim=text_dim, guidance=True)
+    return TokenDenoiserConfig(text_dim=text_dim, guided=True)
 
 
 def discriminator() -> DiscriminatorConfig:

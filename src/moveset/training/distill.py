@@ -3,8 +3,8 @@
 Both learn from the same teacher, data, solver grid and guidance range; PCM adds phases and the discriminator.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from typing import cast
 
 import torch
 from torch import Tensor, nn
@@ -15,14 +15,13 @@ from moveset.diffusion.phases import PhaseGrid
 from moveset.diffusion.schedule import scaled_linear
 from moveset.diffusion.steps import add_noise, ddim_timesteps
 from moveset.errors import InputError
+from moveset.models.condition import Condition, Denoiser, Prediction, guided
 from moveset.models.discriminator import DiscriminatorConfig, LatentDiscriminator
 from moveset.models.latent_denoiser import LatentDenoiserConfig
 from moveset.models.registry import describe, parse_config, require_range
 from moveset.models.token_denoiser import TokenDenoiserConfig
 from moveset.pcm.consistency import (
     Draws,
-    Student,
-    Teacher,
     adversarial_pair,
     draw,
     entered,
@@ -32,10 +31,11 @@ from moveset.pcm.consistency import (
     phased_target,
     whole_target,
 )
-from moveset.pcm.losses import hinge_discriminator, hinge_generator, pseudo_huber
-from moveset.pcm.sampler import lcm_timesteps, sample_ddim_cfg, sample_lcm, sample_phased
-from moveset.text.encoder import TextEmbedding, stack
+from moveset.pcm.losses import hinge_generator, pseudo_huber
+from moveset.pcm.sampler import lcm_timesteps, sample_ddim, sample_lcm, sample_phased
+from moveset.text.encoder import TextEmbedding
 from moveset.training import frozen
+from moveset.training.adversarial import discriminator_step
 from moveset.training.ema import Ema
 from moveset.training.engine import Loop, Task
 from moveset.training.optim import cosine_lr
@@ -145,20 +145,20 @@ class _DistillationTask(Task):
         text, w = self.data.read(batch.captions), sum(self.config.guidance) / 2
         noise = torch.randn(batch.z0.shape, generator=torch.Generator().manual_seed(0)).to(batch.z0)
         if self._reference is None:
-            self._reference = sample_ddim_cfg(
-                self._bound_teacher(text, batch.frames), self.schedule, ddim_timesteps(50), noise, w
+            self._reference = sample_ddim(
+                self._guided(self.teacher, text, batch.frames, w), self.schedule, ddim_timesteps(50), noise
             )
         report = {}
         for name, network in (("student", self.student), ("ema", self.ema.module)):
-            made = self.sample(_bound(network, text, batch.frames), noise, w)
+            made = self.sample(self._guided(network, text, batch.frames, w), noise)
             report[f"{name}_gap"] = float((made - self._reference).square().mean())
         return report | {"teacher_std": float(self._reference.std()), "student_std": float(made.std())}
 
-    def sample(self, model: Student, noise: Tensor, w: float) -> Tensor:
+    def sample(self, model: Prediction, noise: Tensor) -> Tensor:
         """Latents by this student."""
         raise NotImplementedError
 
-    def predict(self, student: Student, z: Tensor, point_B: Tensor, w_B: Tensor) -> Tensor:
+    def predict(self, student: Prediction, z: Tensor, point_B: Tensor) -> Tensor:
         """Where this student lands from a solver point."""
         raise NotImplementedError
 
@@ -170,21 +170,19 @@ class _DistillationTask(Task):
         phase_B = torch.randint(self.grid.phases, (count,), generator=self.draws).to(w_B.device)
         point_B = self.grid.highest_of(phase_B)
         noise = torch.randn(batch.z0[:count].shape, generator=self.draws).to(batch.z0)
-        z = entered(self.schedule, self.grid, _bound(self.ema.module, text, frames), noise, phase_B, w_B)
-        target = whole_target(self.schedule, self.grid, self._bound_teacher(text, frames), z, point_B, w_B)
-        made = self.predict(_bound(self.student, text, frames), z, point_B, w_B)
+        teacher, ema, student = (
+            self._guided(network, text, frames, w_B) for network in (self.teacher, self.ema.module, self.student)
+        )
+        z = entered(self.schedule, self.grid, ema, noise, phase_B)
+        target = whole_target(self.schedule, self.grid, teacher, z, point_B)
+        made = self.predict(student, z, point_B)
         loss = pseudo_huber(made, target, self.config.huber)
         report["rehearsal"] = loss.detach()
         return loss
 
-    def _bound_teacher(self, text: TextEmbedding, frames: Tensor) -> Teacher:
-        both = _bound(self.teacher, stack([text, self.data.read([""] * len(text))]), frames.repeat(2))
-
-        def teacher(z: Tensor, t: Tensor) -> tuple[Tensor, Tensor]:
-            conditional, unconditional = both(z.repeat(2, 1, 1), t.repeat(2), None).chunk(2)
-            return conditional, unconditional
-
-        return teacher
+    def _guided(self, network: nn.Module, text: TextEmbedding, frames: Tensor, w: Tensor | float) -> Prediction:
+        """The teacher, or a student, with captions, lengths and guidance bound."""
+        return guided(cast(Denoiser, network), Condition(text, length=frames), w, self.data.read([""]))
 
 
 class LCMTask(_DistillationTask):
@@ -209,10 +207,12 @@ class LCMTask(_DistillationTask):
         )
         t = self.grid.time(draws.point_B)
         z = add_noise(self.schedule, batch.z0, draws.noise_BND, t)
-        student, ema = _bound(self.student, text, batch.frames), _bound(self.ema.module, text, batch.frames)
-        teacher = self._bound_teacher(text, batch.frames)
-        target = lcm_target(self.schedule, self.grid, teacher, ema, z, draws.point_B, draws.w_B)
-        made = self.predict(student, z, draws.point_B, draws.w_B)
+        teacher, ema, student = (
+            self._guided(network, text, batch.frames, draws.w_B)
+            for network in (self.teacher, self.ema.module, self.student)
+        )
+        target = lcm_target(self.schedule, self.grid, teacher, ema, z, draws.point_B)
+        made = self.predict(student, z, draws.point_B)
         loss = pseudo_huber(made, target, self.config.huber)
         report = {"consistency": loss.detach()}
         loss = loss + self._rehearsal(batch, draws, report)
@@ -220,12 +220,11 @@ class LCMTask(_DistillationTask):
         self.ema.update(self.student)
         return report | {"loss": loss.detach()}
 
-    def predict(self, student: Student, z: Tensor, point_B: Tensor, w_B: Tensor) -> Tensor:
-        return lcm_prediction(self.schedule, student, z, self.grid.time(point_B), w_B)
+    def predict(self, student: Prediction, z: Tensor, point_B: Tensor) -> Tensor:
+        return lcm_prediction(self.schedule, student, z, self.grid.time(point_B))
 
-    def sample(self, model: Student, noise: Tensor, w: float) -> Tensor:
-        w_B = torch.full((len(noise),), w, device=noise.device)
-        return sample_lcm(model, self.schedule, lcm_timesteps(1, self.config.points), [noise], w_B)
+    def sample(self, model: Prediction, noise: Tensor) -> Tensor:
+        return sample_lcm(model, self.schedule, lcm_timesteps(1, self.config.points), [noise])
 
 
 class PCMTask(_DistillationTask):
@@ -239,7 +238,7 @@ class PCMTask(_DistillationTask):
         batch = self.data.val.batch(1, 0, 0).to(loop.device)
         text = self.data.read(batch.captions)
         with torch.no_grad():
-            self.teacher(batch.z0, torch.zeros_like(batch.frames), text.tokens, text.mask, None, taps, batch.frames)
+            self.teacher(batch.z0, torch.zeros_like(batch.frames), Condition(text, length=batch.frames), taps)
         heads = DiscriminatorConfig(width=taps[0].shape[-1], taps=len(taps)).build().to(loop.device)
         self.judge = LatentDiscriminator(self.teacher, heads)
         # Betas as in PCM's public code; the heads see every fake only once.
@@ -259,15 +258,17 @@ class PCMTask(_DistillationTask):
         text = self.data.read(batch.captions, self.draws)
         draws = draw(self.grid, batch.z0, config.guidance, self.draws, config.sampled_share, config.judged_span)
         z = add_noise(self.schedule, batch.z0, draws.noise_BND, self.grid.time(draws.point_B))
-        student, ema = _bound(self.student, text, batch.frames), _bound(self.ema.module, text, batch.frames)
+        teacher, ema, student = (
+            self._guided(network, text, batch.frames, draws.w_B)
+            for network in (self.teacher, self.ema.module, self.student)
+        )
         report: dict[str, Tensor] = {}
         if step <= config.judge_alone:
             with torch.no_grad():
-                self._judged(batch, text, draws, self.predict(student, z, draws.point_B, draws.w_B), report, loop)
+                self._judged(batch, text, draws, self.predict(student, z, draws.point_B), report, loop)
             return report
-        teacher = self._bound_teacher(text, batch.frames)
-        target = phased_target(self.schedule, self.grid, teacher, ema, z, draws.point_B, draws.w_B)
-        made = self.predict(student, z, draws.point_B, draws.w_B)
+        target = phased_target(self.schedule, self.grid, teacher, ema, z, draws.point_B)
+        made = self.predict(student, z, draws.point_B)
         loss = pseudo_huber(made, target, config.huber)
         report["consistency"] = loss.detach()
         loss = loss + self._rehearsal(batch, draws, report)
@@ -279,52 +280,27 @@ class PCMTask(_DistillationTask):
         self.ema.update(self.student)
         return report | {"loss": loss.detach()}
 
-    def sample(self, model: Student, noise: Tensor, w: float) -> Tensor:
-        w_B = torch.full((len(noise),), w, device=noise.device)
-        return sample_phased(model, self.schedule, self.grid, noise, w_B)
+    def sample(self, model: Prediction, noise: Tensor) -> Tensor:
+        return sample_phased(model, self.schedule, self.grid, noise)
 
-    def predict(self, student: Student, z: Tensor, point_B: Tensor, w_B: Tensor) -> Tensor:
-        return phased_prediction(self.schedule, self.grid, student, z, point_B, w_B)
+    def predict(self, student: Prediction, z: Tensor, point_B: Tensor) -> Tensor:
+        return phased_prediction(self.schedule, self.grid, student, z, point_B)
 
     def _judged(
         self, batch: LatentBatch, text: TextEmbedding, draws: Draws, made: Tensor, report: dict[str, Tensor], loop: Loop
     ) -> list[Tensor]:
         """One step of the discriminator, reported; returns the features of what the student made, for its own step."""
         fake, real = adversarial_pair(self.schedule, self.grid, draws, made, batch.z0)
-        seen = self._features(fake, draws.judged_B, text, batch.frames)
+        condition, s_B = Condition(text, length=batch.frames), draws.judged_B
+        seen = self.judge.features(fake, s_B, condition)
         with torch.no_grad():
-            real_seen = self._features(real, draws.judged_B, text, batch.frames)
-        misread_seen = None
-        if self.config.mismatched:
-            with torch.no_grad():
-                others = text[torch.arange(len(text), device=real.device).roll(1)]
-                misread_seen = self._features(real, draws.judged_B, others, batch.frames)
-        with torch.enable_grad():
-            real_logits, fake_logits = self.judge.heads(real_seen), self.judge.heads([x.detach() for x in seen])
-            misread_logits = self.judge.heads(misread_seen) if misread_seen else None
-            verdict = hinge_discriminator(real_logits, fake_logits, misread_logits, self.config.mismatched)
-            loop.minimise(verdict, "discriminator")
-        report |= {
-            "discriminator": verdict.detach(),
-            "real_logit": real_logits.mean().detach(),
-            "fake_logit": fake_logits.mean().detach(),
-        }
-        if misread_logits is not None:
-            report["misread_logit"] = misread_logits.mean().detach()
+            real_seen = self.judge.features(real, s_B, condition)
+            others_seen = None
+            if self.config.mismatched:
+                others = replace(condition, text=text[torch.arange(len(text), device=real.device).roll(1)])
+                others_seen = self.judge.features(real, s_B, others)
+        report |= discriminator_step(self.judge.heads, real_seen, seen, others_seen, self.config.mismatched, loop)
         return seen
-
-    def _features(self, z: Tensor, s: Tensor, text: TextEmbedding, frames: Tensor) -> list[Tensor]:
-        """The frozen teacher's block outputs: one pass serves both the discriminator's step and the student's."""
-        taps: list[Tensor] = []
-        self.teacher(z, s, text.tokens, text.mask, None, taps, frames)
-        return taps
-
-
-def _bound(network: Callable[..., Tensor], text: TextEmbedding, frames: Tensor) -> Student:
-    def call(z: Tensor, t: Tensor, w: Tensor | None) -> Tensor:
-        return network(z, t, text.tokens, text.mask, w, None, frames).float()
-
-    return call
 
 
 def _with_model(config: DistillationConfig, student: nn.Module) -> DistillationConfig:

@@ -21,7 +21,7 @@ from moveset.models.registry import describe, require_range
 from moveset.models.segment_transformer import SegmentTransformerConfig
 from moveset.motion.features import Normalizer
 from moveset.pcm.consistency import Draws, draw
-from moveset.pcm.losses import hinge_discriminator, hinge_generator, huber
+from moveset.pcm.losses import hinge_generator, huber
 from moveset.pipelines.course import Course
 from moveset.rdm.distillation import clean_target, whole_target
 from moveset.rdm.grid import GridConfig
@@ -29,6 +29,7 @@ from moveset.rdm.staircase import levels
 from moveset.rdm.transport import Transport
 from moveset.text.encoder import TextEmbedding
 from moveset.training import frozen
+from moveset.training.adversarial import discriminator_step
 from moveset.training.bound_segments import BoundSegments
 from moveset.training.distill import require_judge, require_shares
 from moveset.training.ema import Ema
@@ -322,17 +323,7 @@ class RDMStudentTask(Task):
             real = bound.push(add_noise(SCHEDULE, bound.pull(batch.clean), draws.real_noise_BND, draws.judged_B))
             real_seen = bound.features(real, draws.judged_B)
             misread_seen = bound.misread().features(real, draws.judged_B) if self.config.mismatched else None
-        real_logits, fake_logits = self.heads(real_seen), self.heads([x.detach() for x in seen])
-        misread_logits = None if misread_seen is None else self.heads(misread_seen)
-        verdict = hinge_discriminator(real_logits, fake_logits, misread_logits, self.config.mismatched)
-        loop.minimise(verdict, "discriminator")
-        report = {
-            "discriminator": verdict.detach(),
-            "real_logit": real_logits.mean().detach(),
-            "fake_logit": fake_logits.mean().detach(),
-        }
-        if misread_logits is not None:
-            report["misread_logit"] = misread_logits.mean().detach()
+        report = discriminator_step(self.heads, real_seen, seen, misread_seen, self.config.mismatched, loop)
         return hinge_generator(self.heads(seen)), report
 
 

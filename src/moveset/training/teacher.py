@@ -12,6 +12,7 @@ from moveset.data.feature_store import FeatureStore
 from moveset.data.latents import LatentBatch, LatentSet
 from moveset.diffusion.schedule import scaled_linear
 from moveset.diffusion.steps import add_noise
+from moveset.models.condition import Condition
 from moveset.models.latent_denoiser import LatentDenoiserConfig
 from moveset.models.registry import describe
 from moveset.models.token_denoiser import TokenDenoiserConfig
@@ -134,5 +135,5 @@ class TeacherTask(Task):
         noise = torch.randn(batch.z0.shape, generator=generator).to(batch.z0)
         text = self.data.read(captions, disturbed_by)
         noisy = add_noise(self.schedule, batch.z0, noise, t)
-        made = model(noisy, t, text.tokens, text.mask, None, None, batch.frames)
+        made = model(noisy, t, Condition(text, length=batch.frames))
         return (made.float() - noise).square().mean()

@@ -1,0 +1,43 @@
+"""The discriminator's own step, shared by the distillation of clips and of segments."""
+
+import torch
+from torch import Tensor, nn
+
+from moveset.pcm.losses import hinge_discriminator
+from moveset.training.engine import Loop
+
+
+def discriminator_step(
+    heads: nn.Module,
+    real: list[Tensor],
+    fake: list[Tensor],
+    mismatched: list[Tensor] | None,
+    mismatched_share: float,
+    loop: Loop,
+) -> dict[str, Tensor]:
+    """One update of the heads on features of a frozen backbone (MotionPCM, Eq. 13, with PCM's signs).
+
+    Args:
+        heads: feature maps -> logits.
+        real, fake: K feature maps (B, N, C) of noised data and of what the student made; no gradient leaves through
+            them.
+        mismatched: of noised data with the text of others (matching-aware, arXiv 1605.05396), to be called fake too.
+        mismatched_share: what these weigh among the fakes.
+        loop: its optimizer "discriminator" updates the heads.
+
+    Returns:
+        "discriminator", "real_logit", "fake_logit" and, where there is mismatched text, "mismatched_logit".
+    """
+    with torch.enable_grad():
+        real_logits, fake_logits = heads([x.detach() for x in real]), heads([x.detach() for x in fake])
+        mismatched_logits = None if mismatched is None else heads([x.detach() for x in mismatched])
+        loss = hinge_discriminator(real_logits, fake_logits, mismatched_logits, mismatched_share)
+        loop.minimise(loss, "discriminator")
+    report = {
+        "discriminator": loss.detach(),
+        "real_logit": real_logits.mean().detach(),
+        "fake_logit": fake_logits.mean().detach(),
+    }
+    if mismatched_logits is not None:
+        report["mismatched_logit"] = mismatched_logits.mean().detach()
+    return report
