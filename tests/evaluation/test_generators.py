@@ -9,7 +9,7 @@ import torch
 
 from moveset.errors import FormatError, InputError
 from moveset.evaluation.folder import folder_motions
-from moveset.evaluation.generators import Clips, Given, Reconstruction, Remembered, Wanted, check_made, resampled
+from moveset.evaluation.generators import Clips, Given, Reconstruction, Wanted, check_made, resampled
 from moveset.evaluation.items import open_items
 from moveset.evaluation.job import Job, clip_method, open_generator
 from moveset.evaluation.streams import Streams, timeline
@@ -20,7 +20,6 @@ from moveset.pipelines.request import check_method, check_request
 from moveset.pipelines.stream_bundle import StreamBundle
 from moveset.pipelines.stream_settings import check_stream
 from moveset.pipelines.text_to_motion import TextToMotion
-from moveset.text.encoder import get_text_encoder
 from tests.bundles import tiny_bundle
 from tests.evaluation.corpora import content_corpus, motion_folder
 from tests.streams import tiny_stream
@@ -133,27 +132,6 @@ def test_weights_name_all_that_takes_part(bundle):
     files = {"vae.safetensors", "pcm-1.safetensors", "normalizer.safetensors"}
     assert set(clips(bundle).weights()) == {*files, "vae in config.json", "pcm-1 in config.json"}
     assert Given("real").weights() == {}
-
-
-def test_remembered_sentences_are_encoded_once():
-    calls = []
-
-    class Counting:
-        name, dim, max_tokens = "counting", 384, 128
-
-        def encode(self, sentences):
-            calls.extend(sentences)
-            return encoder.encode(sentences)
-
-        def token_count(self, sentence):
-            return 1
-
-    encoder = get_text_encoder("minilm")
-    remembered = Remembered(Counting())
-    found = remembered.encode([WALK, BOW, WALK])
-    assert calls == [WALK, BOW]
-    assert torch.equal(found.tokens[0], found.tokens[2])
-    assert torch.equal(found.pooled[1:2], encoder.encode([BOW]).pooled)
 
 
 # --------------------------------------------------------------------------------------------------- reconstruction

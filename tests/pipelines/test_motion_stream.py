@@ -17,7 +17,6 @@ from moveset.motion.features import get_codec
 from moveset.motion.retarget import retarget
 from moveset.motion.skeleton import HML22, Skeleton
 from moveset.pipelines.motion_stream import MotionStream
-from moveset.pipelines.prompt_memory import PromptMemory
 from moveset.pipelines.stream_bundle import StreamBundle
 from moveset.pipelines.stream_settings import Timeline, check_stream
 from moveset.pipelines.stream_state import Snapshot
@@ -176,15 +175,6 @@ def test_every_prompt_is_encoded_once(opened, encoder, monkeypatch):
     assert {prompt: seen.count(prompt) for prompt in (WALK, BOW, "a person waves")} == {
         WALK: 1, BOW: 1, "a person waves": 1
     }  # fmt: skip
-
-
-def test_the_memory_of_prompts_is_bounded(encoder):
-    memory = PromptMemory(encoder, limit=2)
-    first = memory("walk")
-    assert memory("walk") is first
-    memory("bow"), memory("walk"), memory("kick")
-    assert memory("walk") is first
-    assert len(memory._known) == 2
 
 
 def test_a_timeline_is_rounded_together(opened):

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from moveset.errors import FormatError, InputError
-from moveset.text.cache import EmbeddingCache
+from moveset.text.cache import CachedEncoder, EmbeddingCache
 from moveset.text.encoder import TextEmbedding
 
 WORDS = ("a", "person", "walks", "jumps", "waves", "slowly", "forward", "left", "right", "hand", "then", "and")
@@ -138,3 +138,20 @@ def test_of_two_that_add_to_a_cache_at_once_none_loses_its_sentences(tmp_path):
     first.join(30)
     second.join(30)
     assert set(EmbeddingCache.open(path).sentences) == {"", "a person walks", "a person jumps"}
+
+
+def test_a_sentence_is_encoded_once_and_alone_while_it_is_remembered():
+    encoder = LetterEncoder()
+    cached = CachedEncoder(encoder, limit=2)
+    first = cached.encode(["walk"])
+    assert cached.encode(["walk"]) is first
+    both = cached.encode(["walk", "a person bows", "walk"])
+    assert encoder.calls == 2
+    same(both, encoder.encode(["walk", "a person bows", "walk"]))
+    for sentence in ("walk", "kick", "walk"):
+        cached.encode([sentence])
+    assert cached.encode(["walk"]) is first
+    calls = encoder.calls
+    cached.encode(["a person bows"])
+    assert encoder.calls == calls + 1
+    assert (cached.name, cached.dim, cached.max_tokens) == (encoder.name, encoder.dim, encoder.max_tokens)

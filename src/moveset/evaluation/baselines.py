@@ -12,7 +12,7 @@ from torch import Tensor
 from moveset.diffusion.guidance import cfg
 from moveset.errors import InputError
 from moveset.evaluation.generators import (
-    Remembered,
+    REMEMBERED,
     Tick,
     Wanted,
     frames_at,
@@ -29,6 +29,7 @@ from moveset.pipelines.device import pick_device
 from moveset.rdm.autoregressive import idle_prefix, rollout_chunks, sample_piece
 from moveset.rdm.prediction import clean_from_noise
 from moveset.rdm.staircase import levels
+from moveset.text.cache import CachedEncoder
 from moveset.text.encoder import TextEmbedding, get_text_encoder, stack
 
 
@@ -73,7 +74,7 @@ class Baseline:
             raise InputError(f"guidance {self._w:g} is not in 0 to 100; {config.name!r} has {chosen:g}")
         self._bundle, self._batch, self._foot_lock = bundle, batch, foot_lock
         self._device, self._codec = pick_device(device), config.native_codec()
-        self._text = Remembered(get_text_encoder(config.text_encoder, device=self._device))
+        self._text = CachedEncoder(get_text_encoder(config.text_encoder, device=self._device), REMEMBERED)
         self._schedule = config.noise_schedule()
         self.model, self.network = config.name, DENOISER
         extras = [] if self.steps == own else [f"{self.steps}-steps"]

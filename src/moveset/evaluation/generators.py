@@ -24,10 +24,10 @@ from moveset.pipelines.device import pick_device
 from moveset.pipelines.model_folder import ModelFolder
 from moveset.pipelines.request import Method, Request
 from moveset.pipelines.text_to_motion import TextToMotion
-from moveset.text.encoder import TextEmbedding, TextEncoder, stack
+from moveset.text.cache import CachedEncoder
 
 CHUNK = 512  # motions made before progress is told
-_REMEMBERED = 8192  # sentences
+REMEMBERED = 8192  # sentences
 
 Tick = Callable[[int], None]
 
@@ -128,7 +128,7 @@ class Clips:
         self, bundle: Bundle, method: Method, *, device: str = "auto", batch: int = 64, foot_lock: bool = True
     ) -> None:
         self._t2m = TextToMotion(bundle, device)
-        self._t2m.encoder = Remembered(self._t2m.encoder)
+        self._t2m.encoder = CachedEncoder(self._t2m.encoder, REMEMBERED)
         self._method, self._batch, self._foot_lock = method, batch, foot_lock
         self.model, self.network, self.steps = bundle.config.name, method.network, method.steps
         own = bundle.config.guidance[method.network]
@@ -221,28 +221,6 @@ class Reconstruction:
                 "evaluate an autoencoder of that codec"
             )
         return get_codec(codec).encode(draw.item.motion())[:limit]
-
-
-class Remembered:
-    """A text encoder that encodes a sentence once, alone: the same numbers whatever else is asked for."""
-
-    def __init__(self, encoder: TextEncoder) -> None:
-        self._encoder, self._known = encoder, dict[str, TextEmbedding]()
-        self.name, self.dim, self.max_tokens = encoder.name, encoder.dim, encoder.max_tokens
-
-    def encode(self, sentences: Sequence[str]) -> TextEmbedding:
-        """As the encoder's own."""
-        for sentence in sentences:
-            if sentence not in self._known:
-                if len(self._known) >= _REMEMBERED:
-                    self._known.clear()
-                self._known[sentence] = self._encoder.encode([sentence])
-        found = [self._known[s] if s in self._known else self._encoder.encode([s]) for s in sentences]
-        return found[0] if len(found) == 1 else stack(found)
-
-    def token_count(self, sentence: str) -> int:
-        """As the encoder's own."""
-        return self._encoder.token_count(sentence)
 
 
 def joints_at(motion: Motion, fps: float, frames: int) -> Tensor:

@@ -16,7 +16,7 @@ from torch import Tensor, nn
 
 from moveset.data.captions import mirror_text
 from moveset.diffusion.guidance import cfg
-from moveset.evaluation.generators import Remembered, Tick, Wanted, frames_at, joints_at, weights_of
+from moveset.evaluation.generators import REMEMBERED, Tick, Wanted, frames_at, joints_at, weights_of
 from moveset.models.flow import CouplingFlow
 from moveset.models.segment_transformer import told_of
 from moveset.models.symmetric import Symmetric
@@ -28,6 +28,7 @@ from moveset.pipelines.stream_settings import StreamSettings, get_schedule, shar
 from moveset.rdm.sampler import stream
 from moveset.rdm.staircase import Shape, Staircase
 from moveset.rdm.transport import Transport
+from moveset.text.cache import CachedEncoder
 from moveset.text.encoder import TextEmbedding, get_text_encoder
 from moveset.text.stages import split_stages
 
@@ -59,7 +60,7 @@ class Streams:
         self._bundle, self._settings, self._shape = bundle, settings, shape
         self._codec = bundle.config.native_codec()
         self._device, self._batch = pick_device(device), batch
-        self._text = Remembered(get_text_encoder(bundle.config.text_encoder, device=self._device))
+        self._text = CachedEncoder(get_text_encoder(bundle.config.text_encoder, device=self._device), REMEMBERED)
         self.model, self.network, self.steps = bundle.config.name, settings.network, settings.steps
         self.segment = bundle.config.segment / bundle.config.fps
         self.slug = "-".join([self.model, settings.network, *extras])
@@ -197,8 +198,8 @@ class Bound:
     """
 
     def __init__(
-        self, network: nn.Module, text: Remembered, said: Sequence[_Line], *, guided: bool, guidance: float, once: bool,
-        course: Course, device: torch.device,
+        self, network: nn.Module, text: CachedEncoder, said: Sequence[_Line], *, guided: bool, guidance: float,
+        once: bool, course: Course, device: torch.device,
     ) -> None:  # fmt: skip
         self._network, self._text, self._said, self._guided, self._w = network, text, said, guided, guidance
         self._twice = bool(guidance) and not guided

@@ -25,7 +25,6 @@ from moveset.models.segment_transformer import UNKNOWN
 from moveset.motion.clip import Motion
 from moveset.pipelines.course import Course
 from moveset.pipelines.device import pick_device
-from moveset.pipelines.prompt_memory import PromptMemory
 from moveset.pipelines.seed_motion import SeedMotion
 from moveset.pipelines.segment import Segment
 from moveset.pipelines.segment_denoise import SegmentDenoise
@@ -44,6 +43,7 @@ from moveset.pipelines.warnings import too_long, unfamiliar
 from moveset.rdm.sampler import Stream, stream
 from moveset.rdm.state import StreamState
 from moveset.rdm.transport import Transport
+from moveset.text.cache import CachedEncoder
 from moveset.text.encoder import TextEncoder, get_text_encoder
 
 _WARM_UP = 3  # segments made and thrown away before the first
@@ -81,7 +81,7 @@ class MotionStream(Iterator[Segment]):
     ) -> None:
         self.bundle, self.codec, self.device = bundle, bundle.config.native_codec(), pick_device(str(device))
         self.encoder = encoder or get_text_encoder(bundle.config.text_encoder, device=self.device)
-        self._texts = PromptMemory(self.encoder)
+        self._texts = CachedEncoder(self.encoder)
         normalizer = bundle.normalizer
         self._mean, self._std = (normalizer[name].to(self.device) for name in ("feature_mean", "feature_std"))
         self._seed, self._timeline = request.seed, request.timeline
@@ -160,7 +160,7 @@ class MotionStream(Iterator[Segment]):
         timeline = held(text, self._settings.stages)
         start = time.perf_counter()
         for stage in timeline.prompts:
-            self._texts(stage)
+            self._texts.encode([stage])
         with self._lock:
             begins = self._sampler.progress.entered - self._given
             self._timeline = timeline.beginning(begins)
@@ -186,7 +186,7 @@ class MotionStream(Iterator[Segment]):
     def warnings(self) -> tuple[str, ...]:
         """What the user should know about the prompts of the timeline, or about the last one given."""
         prompts = tuple(dict.fromkeys(self._timeline.prompts))
-        pooled = torch.cat([self._texts(prompt).pooled for prompt in prompts])
+        pooled = self._texts.encode(prompts).pooled
         return (*too_long(self.encoder, prompts), *unfamiliar(self.bundle, prompts, pooled))
 
     def state(self) -> Snapshot:

@@ -9,11 +9,12 @@ from typing import Protocol, cast, runtime_checkable
 import torch
 from torch import Tensor, nn
 
+from moveset.data.captions import mirror_text
 from moveset.diffusion.guidance import cfg
 from moveset.models.segment_transformer import told_of
 from moveset.models.symmetric import Symmetric
 from moveset.pipelines.course import Course
-from moveset.pipelines.prompt_memory import PromptMemory
+from moveset.text.cache import CachedEncoder
 from moveset.text.encoder import TextEmbedding, stack
 
 
@@ -48,7 +49,7 @@ class SegmentDenoise:
         *,
         guided: bool,
         guidance: float,
-        texts: PromptMemory,
+        texts: CachedEncoder,
         clean_left: bool,
         seeded: bool,
         course: Course,
@@ -57,7 +58,7 @@ class SegmentDenoise:
         self._network, self._guided, self._guidance = network, guided, guidance
         self._twice = bool(guidance) and not guided
         self._memory, self._seeded, self._device = texts, seeded, device
-        self._empty = texts("").to(device)
+        self._empty = texts.encode([""]).to(device)
         self._once = clean_left and isinstance(network, Reader)
         self._even = isinstance(network, Symmetric)
         self._texts: dict[int, TextEmbedding] = {}
@@ -72,9 +73,9 @@ class SegmentDenoise:
         """Bind the prompt of a segment, where in its time the segment lies (``Timeline.place``), and how many before it
         are told the same; the sentence embedding (1, C)."""
         self._places[segment], self._behind[segment] = place[:2], torch.tensor([place[2]], device=self._device)
-        self._texts[segment] = self._memory(prompt).to(self._device)
+        self._texts[segment] = self._memory.encode([prompt]).to(self._device)
         if self._even:
-            self._mirrored[segment] = self._memory.mirrored(prompt).to(self._device)
+            self._mirrored[segment] = self._memory.encode([mirror_text(prompt)]).to(self._device)
         return self._texts[segment].pooled
 
     def leave(self, segment: int) -> None:

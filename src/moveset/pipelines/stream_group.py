@@ -15,6 +15,7 @@ from typing import cast
 import torch
 from torch import Tensor
 
+from moveset.data.captions import mirror_text
 from moveset.diffusion.guidance import cfg
 from moveset.diffusion.steps import add_noise, denoise_step
 from moveset.errors import InputError
@@ -25,7 +26,6 @@ from moveset.motion.clip import Motion
 from moveset.motion.stream_decoder import StreamDecoder
 from moveset.pipelines.course import Course
 from moveset.pipelines.device import pick_device
-from moveset.pipelines.prompt_memory import PromptMemory
 from moveset.pipelines.segment import Segment
 from moveset.pipelines.segment_denoise import Reader
 from moveset.pipelines.stream_bundle import FLOW, StreamBundle
@@ -33,6 +33,7 @@ from moveset.pipelines.stream_settings import StreamSettings, Timeline, get_sche
 from moveset.pipelines.warnings import too_long, unfamiliar
 from moveset.rdm.noise import PAST, START, segment_noise
 from moveset.rdm.transport import Transport
+from moveset.text.cache import CachedEncoder
 from moveset.text.encoder import TextEmbedding, TextEncoder, get_text_encoder, stack
 
 
@@ -131,7 +132,7 @@ class StreamGroup:
         self.bundle, self.settings = bundle, settings
         self.codec, self.device = config.native_codec(), pick_device(str(device))
         self.encoder = encoder or get_text_encoder(config.text_encoder, device=self.device)
-        self._texts = PromptMemory(self.encoder)
+        self._texts = CachedEncoder(self.encoder)
         self._mean, self._std = (bundle.normalizer[name].to(self.device) for name in ("feature_mean", "feature_std"))
         self._network = bundle.module(settings.network, self.device)
         self._even = isinstance(self._network, Symmetric)
@@ -151,7 +152,7 @@ class StreamGroup:
         """
         line = held(prompt, self.settings.stages)
         start = time.perf_counter()
-        text = self._texts(line.prompts[0]).to(self.device)
+        text = self._texts.encode([line.prompts[0]]).to(self.device)
         return Lane(
             seed,
             self.settings.guidance if guidance is None else guidance,
@@ -178,7 +179,7 @@ class StreamGroup:
     def warnings(self, lane: Lane) -> tuple[str, ...]:
         """What the user should know about a lane's prompt."""
         prompts = tuple(dict.fromkeys(lane.line.prompts))
-        pooled = torch.cat([self._texts(prompt).pooled for prompt in prompts])
+        pooled = self._texts.encode(prompts).pooled
         return (*too_long(self.encoder, prompts), *unfamiliar(self.bundle, prompts, pooled))
 
     def advance(self, lanes: Sequence[Lane]) -> list[Piece]:
@@ -200,8 +201,8 @@ class StreamGroup:
         prompt = lane.line.at(lane.number - lane.since)
         if prompt != lane.prompt or (self._even and lane.mirrored is None):
             start = time.perf_counter()
-            lane.text, lane.prompt = self._texts(prompt).to(self.device), prompt
-            lane.mirrored = self._texts.mirrored(prompt).to(self.device) if self._even else None
+            lane.text, lane.prompt = self._texts.encode([prompt]).to(self.device), prompt
+            lane.mirrored = self._texts.encode([mirror_text(prompt)]).to(self.device) if self._even else None
             lane.reading_ms += (time.perf_counter() - start) * 1e3
 
     def _piece(self, lane: Lane, clean: Tensor, decoded: tuple[Motion, Tensor], spent: float) -> Piece:
@@ -264,7 +265,7 @@ class StreamGroup:
         if self._even:
             text = stack([text, *(lane.mirrored for lane in lanes if lane.mirrored is not None)])
         if twice:
-            text = stack([text, *[self._texts("").to(self.device)] * len(lanes)])
+            text = stack([text, *[self._texts.encode([""]).to(self.device)] * len(lanes)])
             index_B = index_B.repeat(2)
         network, times = self._network, 2 if twice else 1
         places = [lane.line.place(lane.number - lane.since) for lane in lanes] * times

@@ -1,4 +1,4 @@
-"""Sentences encoded once, kept in one file, looked up in batches during training.
+"""Sentences encoded once: kept in one file and looked up in batches during training, or kept in memory.
 
 Shapes: ``K`` cached sentences, ``T`` tokens of all of them, ``B`` looked-up rows, ``L`` tokens of the longest row,
 ``C`` width of a token, ``P`` of a pooled sentence.
@@ -6,6 +6,8 @@ Shapes: ``K`` cached sentences, ``T`` tokens of all of them, ``B`` looked-up row
 
 import hashlib
 import json
+import threading
+from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -19,7 +21,7 @@ from torch import Tensor
 from moveset.errors import FormatError, InputError
 from moveset.io.limits import atomic_write
 from moveset.io.process import locked
-from moveset.text.encoder import TextEmbedding, TextEncoder, check_sentences
+from moveset.text.encoder import TextEmbedding, TextEncoder, check_sentences, stack
 
 _FORMAT = "moveset text cache 1"
 _TENSORS = {"tokens": (torch.float16, 2), "pooled": (torch.float16, 2), "offsets": (torch.int64, 1)}
@@ -208,6 +210,49 @@ class EmbeddingCache:
         path.parent.mkdir(parents=True, exist_ok=True)
         with atomic_write(path) as file:
             file.write(save(tensors, metadata={**meta, "sha256": self._digest()}))
+
+
+class CachedEncoder:
+    """A text encoder that keeps what it encoded last; may be used by several threads.
+
+    Every sentence is encoded alone: the same numbers whatever else is asked for.
+
+    Args:
+        encoder: what encodes.
+        limit: how many sentences are kept; one takes at most a tenth of a megabyte.
+    """
+
+    def __init__(self, encoder: TextEncoder, limit: int = 64) -> None:
+        self._encoder, self._limit = encoder, limit
+        self.name, self.dim, self.max_tokens, self.device = (
+            encoder.name,
+            encoder.dim,
+            encoder.max_tokens,
+            encoder.device,
+        )
+        self._known: OrderedDict[str, TextEmbedding] = OrderedDict()
+        self._lock = threading.Lock()
+
+    def encode(self, sentences: Sequence[str]) -> TextEmbedding:
+        """As the encoder's own."""
+        found = [self._one(sentence) for sentence in check_sentences(sentences)]
+        return found[0] if len(found) == 1 else stack(found)
+
+    def token_count(self, sentence: str) -> int:
+        """As the encoder's own."""
+        return self._encoder.token_count(sentence)
+
+    def _one(self, sentence: str) -> TextEmbedding:
+        with self._lock:
+            if sentence in self._known:
+                self._known.move_to_end(sentence)
+                return self._known[sentence]
+        found = self._encoder.encode([sentence])
+        with self._lock:
+            self._known[sentence] = found
+            if len(self._known) > self._limit:
+                self._known.popitem(last=False)
+        return found
 
 
 def _encode_all(encoder: TextEncoder, sentences: Sequence[str], batch: int = 64) -> tuple[list[Tensor], Tensor]:
