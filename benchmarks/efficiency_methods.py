@@ -12,7 +12,6 @@ from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import dataclass
 from functools import cache, cached_property
-from itertools import islice
 
 import torch
 from torch import Tensor, nn
@@ -24,8 +23,8 @@ from moveset.models.dip_decoder import DipDecoderConfig
 from moveset.models.flow import CouplingFlow, FlowConfig
 from moveset.models.segment_denoiser import SegmentDenoiser, SegmentDenoiserConfig, TextStates
 from moveset.models.segment_transformer import SegmentTransformerConfig
-from moveset.rdm.autoregressive import idle_prefix, rollout_chunks, rollout_segments
-from moveset.rdm.sampler import Denoiser, sample
+from moveset.rdm.sampler import Denoiser, Settings, sample
+from moveset.rdm.sequential import Solver, idle_prefix, rollout_chunks
 from moveset.rdm.staircase import Staircase, levels
 from moveset.rdm.transport import Transport
 
@@ -215,8 +214,8 @@ class Methods:
         made = sample(
             _bound(network, *self._text(batch), tally, once=False),
             Transport(_TimedFlow(self.flow, tally) if flow else None),
-            _SCHEDULE, levels(steps), plan, range(batch), (row.frames, network.config.features),
-            [_noise(batch, self.flow.config.text_dim)] * segments if flow else None, eta=eta,
+            Settings(solver=_solver(steps, eta), staircase=plan), range(batch), (row.frames, network.config.features),
+            [_noise(batch, self.flow.config.text_dim)] * segments if flow else None,
         )  # fmt: skip
         return made.flatten(1, 2)[:, :frames]
 
@@ -227,8 +226,10 @@ class Methods:
     def _md(self, row: Row, network: nn.Module, steps: int, frames: int, tally: Tally, eta: float) -> Tensor:
         shape = (row.frames, network.config.features)
         denoiser = _bound(network, *self._text(tally.batch), tally, once=True)
-        endless = rollout_segments(denoiser, _SCHEDULE, levels(steps), range(tally.batch), shape, eta=eta)
-        return torch.cat(list(islice(endless, pieces(row, frames))), dim=1)[:, :frames]
+        plan = Staircase(steps, pieces(row, frames), steps, lag=steps)
+        settings = Settings(solver=_solver(steps, eta), staircase=plan)
+        made = sample(denoiser, Transport(None), settings, range(tally.batch), shape)
+        return made.flatten(1, 2)[:, :frames]
 
     def _dip(self, row: Row, network: nn.Module, steps: int, frames: int, tally: Tally, eta: float) -> Tensor:
         copies = 1 if row.variant == UNGUIDED else 2
@@ -272,6 +273,10 @@ class _TimedFlow:
             return made
 
         return timed
+
+
+def _solver(steps: int, eta: float) -> Solver:
+    return Solver(schedule=_SCHEDULE, levels=levels(steps), eta=eta)
 
 
 def _noise(*shape: int) -> Tensor:

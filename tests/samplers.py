@@ -3,7 +3,9 @@
 import torch
 
 from moveset.diffusion.schedule import linear
-from moveset.rdm.sampler import sample
+from moveset.rdm.noise import segment_noise
+from moveset.rdm.sampler import Settings, sample
+from moveset.rdm.sequential import Solver
 from moveset.rdm.staircase import levels
 from moveset.rdm.transport import Transport
 
@@ -51,8 +53,20 @@ def texts(segments):
     return [torch.randn(2, 4, generator=torch.Generator().manual_seed(j)) for j in range(segments)]
 
 
-def run(plan, transport=None, denoiser=None, **options):
+def noise_of_items(seeds, segment, step, shape):
+    return torch.stack([segment_noise(seed, segment, step, shape) for seed in seeds])
+
+
+def solver(steps, **options):
+    return Solver(**{"schedule": SCHEDULE, "levels": levels(steps), **options})
+
+
+def settings(plan, *, init_noise="independent", entry="copy", **options):
+    return Settings(solver=solver(plan.steps, **options), staircase=plan, init_noise=init_noise, entry=entry)
+
+
+def run(plan, transport=None, denoiser=None, order="wavefront", **options):
     return sample(
-        denoiser or Denoiser(), transport or Transport(Scaled()), SCHEDULE, options.pop("levels", levels(plan.steps)),
-        plan, SEEDS, SHAPE, texts(plan.segments), **options,
+        denoiser or Denoiser(), transport or Transport(Scaled()), settings(plan, **options), SEEDS, SHAPE,
+        texts(plan.segments), order=order,
     )  # fmt: skip

@@ -15,12 +15,14 @@ import torch
 from moveset.diffusion.schedule import linear
 from moveset.rdm.grid import GridConfig, corrupt, draw
 from moveset.rdm.losses import masked_mse
-from moveset.rdm.sampler import sample
+from moveset.rdm.sampler import Settings, sample
+from moveset.rdm.sequential import Solver
 from moveset.rdm.staircase import Staircase, levels
 from moveset.rdm.transport import Transport
 
 T, N, RADIUS, TURN = 100, 4, 1.5, math.radians(40)
 SCHEDULE, IDENTITY = linear(T, 1e-3, 0.2), Transport(None)
+SOLVER = Solver(schedule=SCHEDULE, levels=levels(T, T), eta=1.0)
 PRINTED = GridConfig(frames=2, anchor="first", share_noise=True, condition="previous")
 ANCHORED = GridConfig(frames=2, anchor="segment", share_noise=False, condition="previous")
 
@@ -81,7 +83,7 @@ def train(config, steps, batch=384):
 def drawn(net, start, **options):
     """Mean radius of each segment, and how far the turns between them are from 40 degrees."""
     plan = Staircase(T, N, start)
-    made = sample(net, IDENTITY, SCHEDULE, levels(T, T), plan, range(150), (2, 1), eta=1.0, **options)[..., 0]
+    made = sample(net, IDENTITY, Settings(solver=SOLVER, staircase=plan, **options), range(150), (2, 1))[..., 0]
     angle = torch.atan2(made[..., 1], made[..., 0])
     turn = (angle.diff(dim=1) + math.pi) % (2 * math.pi) - math.pi
     return made.norm(dim=-1).mean(0), (turn.abs() - TURN).abs().mean(0).rad2deg()

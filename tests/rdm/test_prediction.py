@@ -6,8 +6,9 @@ from moveset.diffusion.schedule import linear
 from moveset.diffusion.steps import add_noise
 from moveset.rdm.prediction import clean_from_noise
 from moveset.rdm.sampler import sample
-from moveset.rdm.staircase import Staircase, levels
+from moveset.rdm.staircase import Staircase
 from moveset.rdm.transport import Transport
+from tests.samplers import settings
 
 SCHEDULE = linear()
 
@@ -38,9 +39,7 @@ def test_sampling_is_the_same_whatever_the_network_says():
         return sigma * score
 
     made = [
-        sample(
-            denoiser, Transport(None), SCHEDULE, levels(50), Staircase(50, 1, start=0), seeds=range(200), shape=(4, 5)
-        )
+        sample(denoiser, Transport(None), settings(Staircase(50, 1, start=0)), seeds=range(200), shape=(4, 5))
         for denoiser in (clean, clean_from_noise(SCHEDULE, noise))
     ]
     torch.testing.assert_close(made[0], made[1], rtol=1e-2, atol=1e-2)

@@ -9,12 +9,12 @@ import torch
 from moveset.diffusion.steps import denoise_step
 from moveset.errors import InputError
 from moveset.models.flow import FlowConfig
-from moveset.rdm.noise import START, noise_of_items, segment_noise
-from moveset.rdm.sampler import sample, stream
+from moveset.rdm.noise import START, segment_noise
+from moveset.rdm.sampler import Stream, sample
 from moveset.rdm.staircase import Staircase, levels
 from moveset.rdm.state import StreamState
 from moveset.rdm.transport import Transport
-from tests.samplers import IDENTITY, SCHEDULE, SEEDS, SHAPE, Denoiser, Scaled, run, texts
+from tests.samplers import IDENTITY, SCHEDULE, SEEDS, SHAPE, Denoiser, Scaled, noise_of_items, run, settings, texts
 
 CLASSES = [{"eta": 0.0}, {"eta": 0.0, "init_noise": "shared"}, {"eta": 1.0, "entry": "refreshed"}, {"eta": 0.5}]
 
@@ -92,7 +92,7 @@ def test_the_identity_flow_is_plain_diffusion_of_every_segment():
 
     net = Denoiser()
     plan = Staircase(10, 5, 10)
-    made = sample(unconditioned, IDENTITY, SCHEDULE, levels(10), plan, SEEDS, SHAPE, eta=1.0)
+    made = sample(unconditioned, IDENTITY, settings(plan, eta=1.0), SEEDS, SHAPE)
     for segment in range(5):
         z = noise_of_items(SEEDS, segment, START, SHAPE)
         for k, (t, s) in enumerate(itertools.pairwise(levels(10))):
@@ -123,7 +123,7 @@ def test_a_copied_entry_is_the_image_of_the_flow():
         pushed.update({(j, int(t[2 * k])): x[2 * k : 2 * k + 2] for k, j in enumerate(numbers[::2])})
         return 0.5 * x
 
-    sample(watch, transport, SCHEDULE, levels(6), Staircase(6, 4, 3, "triangle"), SEEDS, SHAPE, [pooled] * 4)
+    sample(watch, transport, settings(Staircase(6, 4, 3, "triangle")), SEEDS, SHAPE, [pooled] * 4)
     for j, level in ((1, 500), (2, 333), (3, 166)):
         torch.testing.assert_close(pushed[j, level], flow(pushed[j - 1, level], pooled))
 
@@ -138,7 +138,7 @@ def test_init_noise_and_entry_do_what_they_say():
 
     def first_states(plan, **options):
         starts.clear()
-        sample(watch, IDENTITY, SCHEDULE, levels(plan.steps), plan, SEEDS, SHAPE, **options)
+        sample(watch, IDENTITY, settings(plan, **options), SEEDS, SHAPE)
         return [starts[j] for j in range(plan.segments)]
 
     full = Staircase(6, 4, 6)
@@ -179,18 +179,7 @@ def test_a_stream_is_the_sample_and_can_be_stopped_anywhere(options):
             return text[segment]
 
         def start(state=None, endless=endless, enter=enter):
-            return stream(
-                Denoiser(),
-                Transport(Scaled()),
-                SCHEDULE,
-                levels(6),
-                endless,
-                SEEDS,
-                SHAPE,
-                enter,
-                state=state,
-                **options,
-            )
+            return Stream(Denoiser(), Transport(Scaled()), settings(endless, **options), SEEDS, SHAPE, enter, state)
 
         live = start()
         made, saved = [], []
@@ -214,7 +203,7 @@ def test_an_endless_stream_holds_only_the_segments_in_work():
         entered.append(segment)
         return torch.zeros(2, 4)
 
-    live = stream(Denoiser(), Transport(Scaled()), SCHEDULE, levels(6), plan, SEEDS, SHAPE, enter, eta=1.0)
+    live = Stream(Denoiser(), Transport(Scaled()), settings(plan, eta=1.0), SEEDS, SHAPE, enter)
     for number in range(500):
         assert next(live).isfinite().all()
         held = live.state
@@ -234,7 +223,7 @@ def test_an_endless_stream_holds_only_the_segments_in_work():
 
 def test_a_live_state_is_not_changed_by_what_is_done_with_its_copy():
     plan = Staircase(6, None, 4)
-    live = stream(Denoiser(), IDENTITY, SCHEDULE, levels(6), plan, SEEDS, SHAPE, lambda j: None)
+    live = Stream(Denoiser(), IDENTITY, settings(plan), SEEDS, SHAPE, lambda j: None)
     next(live)
     kept = live.state
     before = {name: held.clone() for name, held in kept.tensors().items()}, kept.numbers()
@@ -266,7 +255,7 @@ def test_noise_is_a_function_of_its_key():
         ({"eta": 1.5}, "eta 1.5"),
         ({"entry": "late"}, "late"),
         ({"init_noise": "none"}, "none"),
-        ({"past_lag": 1}, "past_lag 1 is not in 1 to 6 steps with a lag of all of them"),
+        ({"past_lag": 1}, "past_lag 1 is for a lag of all 6 steps"),
     ],
 )
 def test_settings_that_do_not_fit_are_refused(changed, message):
@@ -276,4 +265,4 @@ def test_settings_that_do_not_fit_are_refused(changed, message):
 
 def test_a_sample_has_an_end():
     with pytest.raises(InputError, match="without end"):
-        sample(Denoiser(), IDENTITY, SCHEDULE, levels(6), Staircase(6, None, 3), SEEDS, SHAPE)
+        sample(Denoiser(), IDENTITY, settings(Staircase(6, None, 3)), SEEDS, SHAPE)

@@ -11,8 +11,9 @@ import torch
 
 from moveset.diffusion.schedule import linear
 from moveset.rdm.sampler import sample
-from moveset.rdm.staircase import Staircase, levels
+from moveset.rdm.staircase import Staircase
 from moveset.rdm.transport import Transport
+from tests.samplers import settings
 
 SCHEDULE, REPEATS, N, KEEP = linear(), 4000, 4, 0.8
 A = KEEP * torch.tensor([[math.cos(0.5), -math.sin(0.5)], [math.sin(0.5), math.cos(0.5)]])
@@ -70,9 +71,7 @@ def exact(transport):
 def error(transport, lag, steps=250, start=None, eta=1.0, **options):
     """Largest error of the joint covariance of N segments, and of their means."""
     plan = Staircase(steps, N, steps if start is None else start, lag=lag)
-    made = sample(
-        exact(transport), transport, SCHEDULE, levels(steps), plan, (3,), (REPEATS, 2), eta=eta, **options
-    )[0]  # fmt: skip
+    made = sample(exact(transport), transport, settings(plan, eta=eta, **options), (3,), (REPEATS, 2))[0]
     x = made.transpose(0, 1).reshape(REPEATS, 2 * N)
     covariance = torch.cov(x.T)
     target = torch.cat(

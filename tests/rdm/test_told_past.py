@@ -4,13 +4,12 @@ import pytest
 import torch
 
 from moveset.diffusion.steps import add_noise
-from moveset.errors import InputError
-from moveset.rdm.noise import PAST, noise_of_items
-from moveset.rdm.sampler import stream
-from moveset.rdm.staircase import Staircase, levels
+from moveset.rdm.noise import PAST
+from moveset.rdm.sampler import Stream
+from moveset.rdm.staircase import Staircase
 from moveset.rdm.state import StreamState
 from moveset.rdm.transport import Transport
-from tests.samplers import IDENTITY, SCHEDULE, SEEDS, SHAPE, Denoiser, Scaled, run, texts
+from tests.samplers import IDENTITY, SCHEDULE, SEEDS, SHAPE, Denoiser, Scaled, noise_of_items, run, settings, texts
 
 
 @pytest.mark.parametrize("transport", [IDENTITY, Transport(Scaled())], ids=["identity", "flow"])
@@ -67,25 +66,8 @@ def test_a_motion_that_was_given_is_told_clean():
 
     given = torch.ones(2, *SHAPE)
     state = StreamState(wave=plan.begin(1), finished=1, left=given)
-    live = stream(
-        watch,
-        Transport(Scaled()),
-        SCHEDULE,
-        levels(5),
-        plan,
-        SEEDS,
-        SHAPE,
-        texts(4).__getitem__,
-        past_lag=1,
-        state=state,
-    )
+    live = Stream(watch, Transport(Scaled()), settings(plan, past_lag=1), SEEDS, SHAPE, texts(4).__getitem__, state)
     next(live)
     assert all(level == 0 and torch.equal(prev, given) for _, level, prev in seen)
     next(live)
     assert [level for segment, level, _ in seen if segment == 2] == [800, 600, 400, 200, 0]
-
-
-@pytest.mark.parametrize("past_lag", [0, 7])
-def test_a_past_is_told_within_the_steps(past_lag):
-    with pytest.raises(InputError, match=f"past_lag {past_lag} is not in 1 to 6"):
-        run(Staircase(6, 3, 6, lag=6), past_lag=past_lag)

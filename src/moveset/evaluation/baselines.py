@@ -26,8 +26,8 @@ from moveset.motion.foot_lock import FootLock
 from moveset.motion.hold_root import hold_root
 from moveset.pipelines.baseline_bundle import DENOISER, IDLE, BaselineBundle
 from moveset.pipelines.device import pick_device
-from moveset.rdm.autoregressive import idle_prefix, rollout_chunks, sample_piece
 from moveset.rdm.prediction import clean_from_noise
+from moveset.rdm.sequential import Solver, idle_prefix, rollout_chunks, sample_segment
 from moveset.rdm.staircase import levels
 from moveset.text.cache import CachedEncoder
 from moveset.text.encoder import TextEmbedding, get_text_encoder, stack
@@ -122,10 +122,9 @@ class Baseline:
             return made
 
         clean = clean_from_noise(self._schedule, predicted) if config.predict == "eps" else predicted
-        return sample_piece(
-            self._guided(clean), self._schedule, levels(self.steps, config.timesteps), [clip.seed for clip in clips], 0,
-            (config.frames, self._codec.dim), eta=config.eta, device=self._device,
-        )  # fmt: skip
+        solver = Solver(schedule=self._schedule, levels=levels(self.steps, config.timesteps), eta=config.eta)
+        guided, seeds = self._guided(clean), [clip.seed for clip in clips]
+        return sample_segment(lambda x, t, *_: guided(x, t), solver, seeds, [0] * len(seeds), nothing[: len(seeds)])
 
     def _chunks(self, clips: Sequence[Wanted], counts: Sequence[int]) -> Tensor:
         """(B, n, D) chunk by chunk, from a person who stands."""

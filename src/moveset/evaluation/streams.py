@@ -24,8 +24,8 @@ from moveset.motion.clip import Motion
 from moveset.pipelines.course import Course
 from moveset.pipelines.device import pick_device
 from moveset.pipelines.stream_bundle import FLOW, StreamBundle
-from moveset.pipelines.stream_settings import StreamSettings, get_schedule, share_evenly
-from moveset.rdm.sampler import stream
+from moveset.pipelines.stream_settings import StreamSettings, share_evenly
+from moveset.rdm.sampler import Settings, Stream
 from moveset.rdm.staircase import Shape, Staircase
 from moveset.rdm.transport import Transport
 from moveset.text.cache import CachedEncoder
@@ -126,14 +126,15 @@ class Streams:
         def enter(segment: int) -> Tensor | None:
             return None if flow is None else denoiser.pooled(segment)
 
-        segments = stream(
+        segments = Stream(
             denoiser,
             Transport(cast(CouplingFlow | None, flow), max(config.depth_cap, 1)),
-            get_schedule(config), settings.levels(config), plan, [one.seed for one in wanted],
+            Settings(solver=settings.solver(config, network), staircase=plan),
+            [one.seed for one in wanted],
             (config.segment, self._codec.dim),
-            enter, eta=settings.eta, past_lag=settings.past_lag, colour=getattr(network, "colour", None),
+            enter,
             device=self._device,
-        )  # fmt: skip
+        )
         assert plan.segments is not None
         made = torch.cat(list(islice(segments, plan.segments)), dim=1).cpu()
         return made * statistics["feature_std"] + statistics["feature_mean"]

@@ -35,12 +35,11 @@ from moveset.pipelines.stream_settings import (
     StreamSettings,
     Timeline,
     check_stream,
-    get_schedule,
     held,
 )
 from moveset.pipelines.stream_state import Snapshot
 from moveset.pipelines.warnings import too_long, unfamiliar
-from moveset.rdm.sampler import Stream, stream
+from moveset.rdm.sampler import Settings, Stream
 from moveset.rdm.state import StreamState
 from moveset.rdm.transport import Transport
 from moveset.text.cache import CachedEncoder
@@ -318,10 +317,10 @@ class MotionStream(Iterator[Segment]):
             course=Course(self.codec.groups["root_yaw"], self._mean, self._std, settings.steps),
             device=self.device,
         )
-        self._sampler: Stream = stream(
-            self._denoise, self._transport, get_schedule(config), settings.levels(config), settings.staircase(),
-            (self._seed,), (config.segment, self.codec.dim), self._enter, eta=settings.eta, past_lag=settings.past_lag,
-            colour=self._colour, state=state, device=self.device,
+        plan = Settings(solver=settings.solver(config, self._network), staircase=settings.staircase())
+        self._sampler = Stream(
+            self._denoise, self._transport, plan, (self._seed,), (config.segment, self.codec.dim), self._enter, state,
+            self.device,
         )  # fmt: skip
 
     def _warm_up(self) -> None:

@@ -17,7 +17,6 @@ from torch import Tensor
 
 from moveset.data.captions import mirror_text
 from moveset.diffusion.guidance import cfg
-from moveset.diffusion.steps import add_noise, denoise_step
 from moveset.errors import InputError
 from moveset.models.flow import CouplingFlow
 from moveset.models.segment_transformer import told_of
@@ -29,9 +28,9 @@ from moveset.pipelines.device import pick_device
 from moveset.pipelines.segment import Segment
 from moveset.pipelines.segment_denoise import Reader
 from moveset.pipelines.stream_bundle import FLOW, StreamBundle
-from moveset.pipelines.stream_settings import StreamSettings, Timeline, get_schedule, held
+from moveset.pipelines.stream_settings import StreamSettings, Timeline, held
 from moveset.pipelines.warnings import too_long, unfamiliar
-from moveset.rdm.noise import PAST, START, segment_noise
+from moveset.rdm.sequential import Past, sample_segment
 from moveset.rdm.transport import Transport
 from moveset.text.cache import CachedEncoder
 from moveset.text.encoder import TextEmbedding, TextEncoder, get_text_encoder, stack
@@ -137,10 +136,9 @@ class StreamGroup:
         self._network = bundle.module(settings.network, self.device)
         self._even = isinstance(self._network, Symmetric)
         self._guided = bool(config.models[settings.network].config.get("guided"))
-        self._colour: Callable[[Tensor], Tensor] | None = getattr(self._network, "colour", None)
         flow = cast(CouplingFlow, bundle.module(FLOW, self.device)) if config.flows(settings.network) else None
         self._transport = Transport(flow, max(config.depth_cap, 1))
-        self._schedule, self._levels = get_schedule(config), settings.levels(config)
+        self._solver = settings.solver(config, self._network)
         self._shape = (config.segment, self.codec.dim)
         self._course = Course(self.codec.groups["root_yaw"], self._mean, self._std, window=1)
 
@@ -217,43 +215,17 @@ class StreamGroup:
         return Piece(Segment(number, number * frames, frames, lane.prompt, motion, latency, evaluations), planted)
 
     def _sample(self, lanes: Sequence[Lane]) -> Tensor:
-        """Clean segments (B, n, D), normalised: ``rdm.sampler`` where one segment is in work at a time."""
-        levels, last = self._levels, self.settings.steps
-        index_B = torch.tensor([lane.number for lane in lanes], device=self.device)
+        """Clean segments (B, n, D), normalised."""
+        numbers, seeds = [lane.number for lane in lanes], [lane.seed for lane in lanes]
         text = lanes[0].text if len(lanes) == 1 else stack([lane.text for lane in lanes])
-        denoise, told = self._denoiser(lanes, text, index_B), self._teller(lanes)
-        y_BnD = self._noise(lanes, START)
-        for k in range(last):
-            t_B, s_B = (torch.full_like(index_B, level) for level in (levels[k], levels[k + 1]))
-            x0_BnD = denoise(self._transport.push(y_BnD, index_B, text.pooled), t_B, *told(k)).to(y_BnD.dtype)
-            if k + 1 < last:
-                y0_BnD = self._transport.pull(x0_BnD, index_B, text.pooled)
-                noise = self._noise(lanes, k) if self.settings.eta else None
-                y_BnD = denoise_step(self._schedule, y_BnD, y0_BnD, t_B, s_B, self.settings.eta, noise)
-        return x0_BnD
-
-    def _teller(self, lanes: Sequence[Lane]) -> Callable[[int], tuple[Tensor, Tensor]]:
-        """By step, what the lanes are told of the segment before: its features (B, n, D), and their levels (B,)."""
+        denoise = self._denoiser(lanes, text, torch.tensor(numbers, device=self.device))
+        # Lanes at their beginning have no past, which stays clean.
+        begun_B = torch.tensor([lane.left is not None for lane in lanes], device=self.device)
         zeros = torch.zeros(1, *self._shape, device=self.device)
         left_BnD = torch.cat([zeros if lane.left is None else lane.left for lane in lanes])
-        past_lag, levels = self.settings.past_lag, self._levels
-        if past_lag is None:
-            clean_B = torch.zeros(len(lanes), dtype=torch.long, device=self.device)
-            return lambda k: (left_BnD, clean_B)
-        # Lanes at their beginning have none, which stays clean; and segment 0 is its own y.
-        begun_B = torch.tensor([lane.left is not None for lane in lanes], device=self.device)
-        before = [max(lane.number - 1, 0) for lane in lanes]
-        index_B = torch.tensor(before, device=self.device)
         pooled_BC = torch.cat([lane.text.pooled if lane.left_pooled is None else lane.left_pooled for lane in lanes])
-        y_BnD = self._transport.pull(left_BnD, index_B, pooled_BC)
-        noise_BnD = self._noise(lanes, PAST, before)
-
-        def told(k: int) -> tuple[Tensor, Tensor]:
-            t_B = levels[min(k + past_lag, self.settings.steps)] * begun_B
-            noisy_BnD = add_noise(self._schedule, y_BnD, noise_BnD, t_B)
-            return self._transport.push(noisy_BnD, index_B, pooled_BC), t_B
-
-        return told
+        past = Past(left_BnD, seeds, [max(number - 1, 0) for number in numbers], pooled_BC, begun_B)
+        return sample_segment(denoise, self._solver, seeds, numbers, past, self._transport, text.pooled)
 
     def _denoiser(
         self, lanes: Sequence[Lane], text: TextEmbedding, index_B: Tensor
@@ -287,11 +259,3 @@ class StreamGroup:
             return cfg(*made.chunk(2), w_B) if twice else made
 
         return denoise
-
-    def _noise(self, lanes: Sequence[Lane], step: int, numbers: Sequence[int] | None = None) -> Tensor:
-        """Of the segments in work, or of those with these numbers."""
-        numbers = [lane.number for lane in lanes] if numbers is None else numbers
-        keys = zip(lanes, numbers, strict=True)
-        noise = torch.stack([segment_noise(lane.seed, number, step, self._shape) for lane, number in keys])
-        noise = noise.to(self.device)
-        return noise if self._colour is None else self._colour(noise)

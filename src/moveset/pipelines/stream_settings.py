@@ -7,6 +7,8 @@ from dataclasses import dataclass, replace
 from itertools import chain, pairwise
 from typing import cast
 
+from torch import nn
+
 from moveset.diffusion.phases import PhaseGrid
 from moveset.diffusion.schedule import Schedule, cosine, linear
 from moveset.errors import InputError
@@ -15,6 +17,7 @@ from moveset.motion.native import NativeCodec
 from moveset.motion.stream_decoder import StreamDecoder
 from moveset.pipelines.request import MAX_GUIDANCE, MAX_PROMPTS, SEEDS, check_prompt, check_real, check_whole
 from moveset.pipelines.stream_bundle import FLOW, StreamConfig
+from moveset.rdm.sequential import Solver
 from moveset.rdm.staircase import Staircase, levels
 from moveset.text.stages import split_stages
 
@@ -79,6 +82,14 @@ class StreamSettings:
         if _is_student(self.network):
             return PhaseGrid(config.points, self.steps, config.timesteps).edges[::-1]
         return levels(self.steps, config.timesteps)
+
+    def solver(self, config: StreamConfig, network: nn.Module) -> Solver:
+        """How this network samples; one that was trained on other than white noise says so itself."""
+        colour = getattr(network, "colour", None)
+        return Solver(
+            schedule=get_schedule(config), levels=self.levels(config), eta=self.eta, past_lag=self.past_lag,
+            colour=colour,
+        )  # fmt: skip
 
 
 @dataclass(frozen=True)

@@ -34,8 +34,3 @@ def segment_noise(seed: int, segment: int, step: int, shape: Sequence[int]) -> T
     # agree by chance once in 4 billion pairs, and are then far apart.
     key = hashlib.blake2b(struct.pack("<qqq", seed, segment, step), digest_size=4).digest()
     return torch.randn(*shape, generator=torch.Generator().manual_seed(int.from_bytes(key, "little")))
-
-
-def noise_of_items(seeds: Sequence[int], segment: int, step: int, shape: Sequence[int]) -> Tensor:
-    """(B, *shape) noise, each item from its own seed."""
-    return torch.stack([segment_noise(seed, segment, step, shape) for seed in seeds])

@@ -11,16 +11,15 @@ Source: RDM (arXiv 2406.07169), Algorithm 1, with the prediction (not its noise)
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Literal, get_args
 
 import torch
 from torch import Tensor
 
-from moveset.diffusion.schedule import Schedule
 from moveset.diffusion.steps import add_noise, denoise_step
 from moveset.errors import InputError
-from moveset.rdm.noise import ENTRY, PAST, START, noise_of_items
+from moveset.rdm.noise import ENTRY, START
+from moveset.rdm.sequential import Past, Solver
 from moveset.rdm.staircase import Cell, Staircase
 from moveset.rdm.state import StreamState
 from moveset.rdm.transport import Transport
@@ -37,51 +36,48 @@ class Settings:
     """How cells become samples.
 
     Args:
-        schedule: the noise schedule; its time 0 is clean.
-        levels: K + 1 falling levels of it, the last 0: ``staircase.levels(K)``, or the phase edges of a student.
-        staircase: the plan, of K steps.
-        eta: share of fresh noise in every step: 0 is DDIM, 1 is DDPM.
+        solver: schedule, levels, fresh noise, and how a finished past is told where segments wait for it (lag K).
+        staircase: the plan, of as many steps.
         init_noise: whether a segment that enters at the first step begins with its left neighbour's noise or its own.
             Without fresh noise in the steps, shared noise keeps the segments correlated.
         entry: what a segment that enters later begins with: a copy of its left neighbour's state in y-space, or the
             neighbour's current clean estimate with fresh noise.
-        past_lag: where segments are made one after the other (lag K), how many steps a segment is told the finished one
-            before it to be ahead: to the level of that step it is noised again, in y-space. None tells it clean.
-        colour: what turns standard normal noise (B, n, D) into the noise that the network was trained on, if anything.
 
     Raises:
-        InputError: levels that do not fit the staircase or the schedule, or an option out of range.
+        InputError: levels that do not fit the staircase, or an option out of range.
     """
 
-    schedule: Schedule
-    levels: tuple[int, ...]
+    solver: Solver
     staircase: Staircase
-    eta: float = 0.0
     init_noise: InitNoise = "independent"
     entry: Entry = "copy"
-    past_lag: int | None = None
-    colour: Callable[[Tensor], Tensor] | None = None
 
     def __post_init__(self) -> None:
-        if len(self.levels) != self.staircase.steps + 1:
-            count = self.staircase.steps
-            raise InputError(f"{len(self.levels)} levels do not make {count} steps; give one more level than steps")
-        falling = all(t > s for t, s in pairwise(self.levels))
-        if not (falling and self.levels[-1] == 0 and self.levels[0] < len(self.schedule)):
-            raise InputError(f"levels must fall from at most {len(self.schedule) - 1} to 0; got {self.levels}")
-        if not 0.0 <= self.eta <= 1.0:
-            raise InputError(f"eta {self.eta} is not in 0 (DDIM) to 1 (DDPM)")
-        if self.past_lag is not None and not 1 <= self.past_lag <= self.staircase.lag == self.staircase.steps:
-            count = self.staircase.steps
-            raise InputError(f"past_lag {self.past_lag} is not in 1 to {count} steps with a lag of all of them; leave "
-                             "it out where segments overlap")  # fmt: skip
+        count = self.staircase.steps
+        if self.solver.steps != count:
+            given = len(self.solver.levels)
+            raise InputError(f"{given} levels do not make {count} steps; give one more level than steps")
+        if self.solver.past_lag is not None and self.staircase.lag != count:
+            raise InputError(f"past_lag {self.solver.past_lag} is for a lag of all {count} steps; leave it out where "
+                             "segments overlap")  # fmt: skip
         for name, kind in (("init_noise", InitNoise), ("entry", Entry)):
             if getattr(self, name) not in get_args(kind):
                 raise InputError(f"{name} {getattr(self, name)!r} is not one of {', '.join(get_args(kind))}")
 
 
 class Stream(Iterator[Tensor]):
-    """Finished segments (B, n, D), one after the other; see ``stream``.
+    """Segments (B, n, D) one after the other, in constant memory: the state of those in work and one finished segment.
+
+    Args:
+        denoiser: see the module. Its rows say which segments they are, so that it can bind each one's text.
+        transport: the flow, or the identity.
+        settings: solver and plan; ``staircase.segments=None`` never ends.
+        seeds: one for every item.
+        shape: (n, D) of a segment.
+        enter: called with the number of each segment just before its first evaluation; returns its text's sentence
+            embeddings (B, C) for the flow, None where there is no flow.
+        state: where an earlier stream of the same settings and seeds was left.
+        device: where to compute; noise is always drawn on the CPU.
 
     Attributes:
         progress: the live state; ``state`` is a copy to keep.
@@ -99,10 +95,10 @@ class Stream(Iterator[Tensor]):
         device: torch.device | str = "cpu",
     ) -> None:
         self._denoiser, self._transport, self._enter_text = denoiser, transport, enter
-        self._settings, self._plan = settings, settings.staircase
+        self._settings, self._plan, self._solver = settings, settings.staircase, settings.solver
         self._seeds, self._shape, self._device = tuple(seeds), tuple(shape), device
         self.progress = StreamState() if state is None else state.copy()
-        self._past: tuple[int, Tensor, Tensor] | None = None  # a finished segment's number, its y, and its noise
+        self._past: tuple[int, Past] | None = None  # a finished segment's number, and how it is told
 
     @property
     def state(self) -> StreamState:
@@ -152,28 +148,26 @@ class Stream(Iterator[Tensor]):
             return self._advance(segments, *[self._by_segment(x0_BnD)] * 3)
         y0_BnD = self._transport.pull(x0_BnD, index_B, pooled_BC)
         s_B = self._levels([k + 1 for k in steps])
-        stepped = denoise_step(settings.schedule, y_BnD, y0_BnD, t_B, s_B, settings.eta, self._noise(segments, steps))
+        noise_BnD = self._noise(segments, steps)
+        stepped = denoise_step(self._solver.schedule, y_BnD, y0_BnD, t_B, s_B, self._solver.eta, noise_BnD)
         return self._advance(segments, *(self._by_segment(z) for z in (stepped, y0_BnD, x0_BnD)))
 
     def _past_step(self, segment: int, step: int) -> int:
         """The step that a segment is told the one before it to have reached."""
-        lag, past_lag = self._plan.lag, self._settings.past_lag
+        lag, past_lag = self._plan.lag, self._solver.past_lag
         if past_lag is not None and self.progress.left_pooled is not None:
             lag = past_lag
         return min(step + lag, self._plan.steps) if segment else self._plan.steps
 
     def _told(self, segment: int, step: int) -> Tensor | None:
         """The finished segment before this one as if it had reached that step only; None for the first of all."""
-        now, settings, before = self.progress, self._settings, segment - 1
-        if now.left is None or now.left_pooled is None or step == self._plan.steps:
+        now, items, before = self.progress, len(self._seeds), segment - 1
+        if now.left is None or now.left_pooled is None:
             return now.left
-        index_B = torch.full((len(self._seeds),), before, device=self._device)
         if self._past is None or self._past[0] != before:
-            y_BnD = self._transport.pull(now.left, index_B, now.left_pooled)
-            self._past = (before, y_BnD, self._drawn(before, PAST))
-        _, y_BnD, noise_BnD = self._past
-        noisy_BnD = add_noise(settings.schedule, y_BnD, noise_BnD, self._levels([step]))
-        return self._transport.push(noisy_BnD, index_B, now.left_pooled)
+            noisy_B = torch.ones(items, dtype=torch.bool, device=self._device)
+            self._past = (before, Past(now.left, self._seeds, [before] * items, now.left_pooled, noisy_B))
+        return self._past[1].at(self._solver, self._transport, step)[0]
 
     def _advance(
         self, segments: list[int], y: Sequence[Tensor], y0: Sequence[Tensor], x0: Sequence[Tensor]
@@ -189,7 +183,7 @@ class Stream(Iterator[Tensor]):
             return None
         # Only the oldest can be finished: each segment ends after its left neighbour.
         now.left = x0[segments.index(now.finished)].clone()
-        now.left_pooled = None if self._settings.past_lag is None else now.pooled[0]
+        now.left_pooled = None if self._solver.past_lag is None else now.pooled[0]
         now.finished += 1
         del now.steps[0], now.y[0], now.pooled[0]
         return now.left
@@ -204,7 +198,7 @@ class Stream(Iterator[Tensor]):
             assert now.waiting is not None
             y = now.waiting
             if at and settings.entry == "refreshed":
-                y = add_noise(settings.schedule, y, self._drawn(segment, ENTRY), self._levels([at]))
+                y = add_noise(self._solver.schedule, y, self._drawn(segment, ENTRY), self._levels([at]))
         now.steps.append(at)
         now.y.append(y)
         now.waiting = None
@@ -245,11 +239,11 @@ class Stream(Iterator[Tensor]):
         return rows.split(len(self._seeds))
 
     def _levels(self, steps: Sequence[int]) -> Tensor:
-        of_segments = torch.tensor([self._settings.levels[k] for k in steps], device=self._device)
+        of_segments = torch.tensor([self._solver.levels[k] for k in steps], device=self._device)
         return of_segments.repeat_interleave(len(self._seeds))
 
     def _noise(self, segments: Sequence[int], steps: Sequence[int]) -> Tensor | None:
-        if not self._settings.eta:
+        if not self._solver.eta:
             return None
         # The step to a clean level has no noise.
         zeros = torch.zeros(len(self._seeds), *self._shape, device=self._device)
@@ -257,75 +251,17 @@ class Stream(Iterator[Tensor]):
         return torch.cat(drawn)
 
     def _drawn(self, segment: int, step: int) -> Tensor:
-        noise = noise_of_items(self._seeds, segment, step, self._shape).to(self._device)
-        return noise if self._settings.colour is None else self._settings.colour(noise)
-
-
-def stream(
-    denoiser: Denoiser,
-    transport: Transport,
-    schedule: Schedule,
-    levels: tuple[int, ...],
-    staircase: Staircase,
-    seeds: Sequence[int],
-    shape: tuple[int, int],
-    enter: Callable[[int], Tensor | None],
-    *,
-    eta: float = 0.0,
-    init_noise: InitNoise = "independent",
-    entry: Entry = "copy",
-    past_lag: int | None = None,
-    colour: Callable[[Tensor], Tensor] | None = None,
-    state: StreamState | None = None,
-    device: torch.device | str = "cpu",
-) -> Stream:
-    """Segments one after the other, in constant memory: the state of those in work and one finished segment.
-
-    Args:
-        denoiser: see the module. Its rows say which segments they are, so that it can bind each one's text.
-        transport: the flow, or the identity.
-        schedule: the noise schedule, with a clean time 0.
-        levels: K + 1 falling noise levels.
-        staircase: the plan; ``segments=None`` never ends.
-        seeds: one for every item.
-        shape: (n, D) of a segment.
-        enter: called with the number of each segment just before its first evaluation; returns its text's sentence
-            embeddings (B, C) for the flow, None where there is no flow.
-        eta, init_noise, entry, past_lag, colour: see ``Settings``.
-        state: where an earlier stream of the same settings and seeds was left.
-        device: where to compute; noise is always drawn on the CPU.
-
-    Raises:
-        InputError: settings that do not fit together.
-    """
-    settings = Settings(
-        schedule=schedule,
-        levels=levels,
-        staircase=staircase,
-        eta=eta,
-        init_noise=init_noise,
-        entry=entry,
-        past_lag=past_lag,
-        colour=colour,
-    )
-    return Stream(denoiser, transport, settings, seeds, shape, enter, state, device)
+        return self._solver.noise(self._seeds, [segment] * len(self._seeds), step, self._shape).to(self._device)
 
 
 def sample(
     denoiser: Denoiser,
     transport: Transport,
-    schedule: Schedule,
-    levels: tuple[int, ...],
-    staircase: Staircase,
+    settings: Settings,
     seeds: Sequence[int],
     shape: tuple[int, int],
     pooled: Sequence[Tensor] | None = None,
     *,
-    eta: float = 0.0,
-    init_noise: InitNoise = "independent",
-    entry: Entry = "copy",
-    past_lag: int | None = None,
-    colour: Callable[[Tensor], Tensor] | None = None,
     order: Order = "wavefront",
     device: torch.device | str = "cpu",
 ) -> Tensor:
@@ -335,19 +271,16 @@ def sample(
         pooled: (B, C) sentence embeddings of every segment, for the flow; None where there is no flow.
         order: "wavefront" evaluates all cells that can be at once as one batch; "rows" goes one by one, noise level by
             noise level, with the same result and calls.
-        others: as for ``stream``.
+        others: as for ``Stream``.
 
     Raises:
-        InputError: settings that do not fit together, or a staircase without end.
+        InputError: a staircase without end.
     """
-    if staircase.segments is None:
+    if settings.staircase.segments is None:
         raise InputError("a sample needs a number of segments; use a stream for one without end")
-    run = stream(
-        denoiser, transport, schedule, levels, staircase, seeds, shape,
-        (lambda segment: None) if pooled is None else pooled.__getitem__,
-        eta=eta, init_noise=init_noise, entry=entry, past_lag=past_lag, colour=colour, device=device,
-    )  # fmt: skip
+    enter = (lambda segment: None) if pooled is None else pooled.__getitem__
+    run = Stream(denoiser, transport, settings, seeds, shape, enter, device=device)
     done = []
     if order == "rows":
-        done = [segment for cell in staircase.rows() if (segment := run.evaluate((cell,))) is not None]
+        done = [segment for cell in settings.staircase.rows() if (segment := run.evaluate((cell,))) is not None]
     return torch.stack([*done, *run], dim=1)
