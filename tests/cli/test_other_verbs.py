@@ -1,12 +1,14 @@
 """``convert``, ``models`` and ``doctor``."""
 
 import json
+import os
 import shutil
 
 import pytest
 
 from moveset import load
 from moveset.cli.__main__ import main
+from moveset.errors import InputError
 from moveset.io import read_metadata
 from moveset.io.take_writer import open_take
 from moveset.pipelines import model_folder
@@ -104,6 +106,28 @@ def test_convert_refuses_in_one_line(clip, tmp_path, monkeypatch, capsys, source
     assert message in err
     assert err.count("\n") == 1
     assert sorted(tmp_path.iterdir()) == before
+
+
+@pytest.mark.parametrize("suffix", [".bvh", ".npy", ".amass.npz"])
+def test_a_name_with_no_room_for_its_notes_is_refused_before_anything_is_written(clip, tmp_path, capsys, suffix):
+    before = sorted(tmp_path.iterdir())
+    target = tmp_path / ("a" * (254 - len(suffix)) + suffix)
+    assert main(["convert", str(clip), str(target)]) == 2
+    assert "longer than 255 bytes" in capsys.readouterr().err
+    with pytest.raises(InputError, match="longer than 255 bytes"):
+        load(clip).save(target)
+    assert sorted(tmp_path.iterdir()) == before
+    assert main(["convert", str(clip), str(target.with_name("a" * 246 + ".glb"))]) == 0
+
+
+def test_convert_writes_through_links_and_not_over_pipes(clip, tmp_path, capsys):
+    (tmp_path / "link.glb").symlink_to("real.glb")
+    assert main(["convert", str(clip), str(tmp_path / "link.glb")]) == 0
+    assert (tmp_path / "link.glb").is_symlink()
+    assert len(load(tmp_path / "real.glb")) == len(load(clip))
+    os.mkfifo(tmp_path / "pipe.glb")
+    assert main(["convert", str(clip), str(tmp_path / "pipe.glb")]) == 2
+    assert "no regular file" in capsys.readouterr().err
 
 
 def test_models_lists_what_is_shipped(shipped, capsys):

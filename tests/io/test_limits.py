@@ -1,5 +1,6 @@
 import errno
 import os
+import stat
 import tempfile
 
 import pytest
@@ -46,6 +47,34 @@ def test_a_full_disk_at_the_very_end_leaves_nothing(tmp_path, monkeypatch):
         file.write(b"abc")
     assert not isinstance(caught.value, InputError)
     assert os.listdir(tmp_path) == []
+
+
+def test_a_link_leads_to_what_is_written_and_stays(tmp_path):
+    (tmp_path / "deep").mkdir()
+    for name, target in (("a", "deep/take.bin"), ("b", "a"), ("c", "deep/new.bin")):
+        (tmp_path / name).symlink_to(target)
+    (tmp_path / "deep" / "take.bin").write_bytes(b"old")
+    for name in "abc":
+        with atomic_write(tmp_path / name) as file:
+            file.write(name.encode())
+    assert (tmp_path / "deep" / "take.bin").read_bytes() == b"b"
+    assert (tmp_path / "deep" / "new.bin").read_bytes() == b"c"
+    assert all((tmp_path / name).is_symlink() for name in "abc")
+    assert sorted(os.listdir(tmp_path / "deep")) == ["new.bin", "take.bin"]
+    with pytest.raises(ValueError, match="no"), atomic_write(tmp_path / "a"):
+        raise ValueError("no")
+    assert (tmp_path / "a").read_bytes() == b"b"
+
+
+def test_what_is_no_regular_file_is_not_replaced(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "link").symlink_to("pipe")
+    (tmp_path / "null").symlink_to("/dev/null")
+    for name in ("pipe", "link", "null"):
+        with pytest.raises(InputError, match="no regular file"), atomic_write(tmp_path / name):
+            pass
+    assert stat.S_ISFIFO((tmp_path / "pipe").stat().st_mode)
+    assert len(os.listdir(tmp_path)) == 3
 
 
 def test_folders_that_cannot_be_written_to_are_the_users_mistake(tmp_path, monkeypatch):

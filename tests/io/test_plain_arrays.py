@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from moveset.errors import FormatError, InputError
-from moveset.io.arrays import array_shape, read_array, read_arrays
+from moveset.io.numpy_file import array_shape, read_array, read_arrays
 
 BROKEN_HEADERS = (b"{'descr': (", b"{[]: 1}", b"{" + b"-" * 40)
 

@@ -71,6 +71,14 @@ def test_pages_that_may_use_the_server_may_also_read_its_answers(paged):
         assert "Origin" in answer.headers["vary"]
 
 
+@pytest.mark.parametrize("origin", ["null", "file://", "app://studio", "capacitor://localhost"])
+def test_pages_of_programs_may_where_they_are_named(serving, origin):
+    with serving(origins=(origin,)) as client:
+        answer = client.post("/v1/generate", json=PROMPTS, headers={"Origin": origin})
+        assert (answer.status_code, answer.headers["access-control-allow-origin"]) == (200, origin)
+        assert client.post("/v1/generate", json=PROMPTS, headers={"Origin": "app://other"}).status_code == 403
+
+
 @pytest.mark.parametrize("origin", ["https://evil.example", "null", "", "http://127.0.0.1"])
 def test_other_pages_read_nothing(paged, origin):
     asked = {"Origin": origin, "Access-Control-Request-Method": "POST"}
@@ -89,7 +97,8 @@ def test_other_names_are_not_answered(paged, host):
 
 def test_any_name_where_it_is_meant_to_be_reached(serving):
     with serving(hosts=None) as client:
-        assert client.get("/healthz", headers={"Host": "studio.lan:8765"}).status_code == 200
+        for host in ("studio.lan:8765", "moveset_server", "moveset_server:8765", "_x"):  # as in docker compose
+            assert client.get("/healthz", headers={"Host": host}).status_code == 200
         assert client.get("/healthz", headers={"Host": "a;b"}).status_code == 403
 
 

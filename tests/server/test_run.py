@@ -132,6 +132,10 @@ def test_a_port_that_is_taken(capsys, models):
         (["--idle", "0"], "seconds"),
         (["--allow-origin", "example.org"], "example.org"),
         (["--allow-origin", "https://example.org/path"], "example.org"),
+        *(
+            (["--allow-origin", origin], "is no origin")
+            for origin in ("*", "", "https://", "file:///a", "app://a?b", "x:")
+        ),
         (["--model", "nothing"], "nothing"),
         (["--device", "abacus"], "abacus"),
     ],
@@ -141,6 +145,15 @@ def test_options_that_do_not_go(options, word, capsys):
     err = capsys.readouterr().err
     assert word in err
     assert err.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    "origin", ["null", "file://", "app://studio", "app://.", "capacitor://localhost", "http://192.168.0.2:5173"]
+)
+def test_origins_that_browsers_send_can_be_allowed(origin):
+    from moveset.cli.serve import _options
+
+    assert _options("127.0.0.1", (), "cpu", (origin,), 16, 120.0).origins == (origin,)
 
 
 def test_without_the_extra_it_says_how_to_get_it():

@@ -14,6 +14,8 @@ def convert(
     *,
     skeleton: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None,
     fps: Annotated[float | None, tyro.conf.arg(metavar="N")] = None,
+    source_fps: Annotated[float | None, tyro.conf.arg(metavar="N")] = None,
+    animation: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None,
     in_place: tyro.conf.FlagCreatePairsOff[bool] = False,
     loop: tyro.conf.FlagCreatePairsOff[bool] = False,
 ) -> int:
@@ -24,6 +26,8 @@ def convert(
         target: File to write: .bvh .glb .npz .amass.npz .npy .html .mp4 .gif or .png.
         skeleton: Retarget to smpl, mixamo, vrm, ue5, hml22 or kit21.
         fps: Frame rate of the new file.
+        source_fps: Frame rate of the source, whatever it says of itself.
+        animation: Which of a glTF file's animations, or the number of one of an array's motions.
         in_place: Without travel over the ground.
         loop: Blend the end into the beginning.
     """
@@ -37,7 +41,8 @@ def convert(
         frames = recover_take(source)
         source = source.with_suffix("")
         print(f"{source}: {frames} frames rescued")
-    motion, _ = write(load(source), paths, finish, _notes(source))
+    motion = load(source, fps=fps, source_fps=source_fps, animation=animation)
+    motion, _ = write(motion, paths, finish, _notes(source))
     print(f"{target}: {len(motion)} frames at {motion.fps:g} fps on {motion.skeleton.name}")
     return 0
 

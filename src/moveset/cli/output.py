@@ -1,6 +1,5 @@
 """Which files a command writes, checked before anything is computed."""
 
-import os
 import re
 import sys
 import tempfile
@@ -16,8 +15,6 @@ from moveset.pipelines.finish import Finish as Finish
 if TYPE_CHECKING:
     from moveset.motion.clip import Motion
 
-_LONGEST = 255  # bytes of a file's name, on the file systems in use
-
 
 def plan_outputs(outputs: Sequence[Path], names: Sequence[str]) -> list[list[Path]]:
     """The files of each item: ``outputs`` as they are for the name "", else ``stem-name.suffix``.
@@ -26,20 +23,20 @@ def plan_outputs(outputs: Sequence[Path], names: Sequence[str]) -> list[list[Pat
         InputError: an extension that cannot be written, a name too long or given twice, or a folder that cannot
             be written to.
     """
-    from moveset.io import WRITABLE
+    from moveset.io import WRITABLE, check_name
+    from moveset.io.limits import written_to
 
     for path in outputs:
-        _check_length(path)
+        check_name(path)
         if path.suffix.lower() not in WRITABLE:
             raise InputError(f"cannot write {str(path)!r}: unknown extension; use one of {' '.join(WRITABLE)}")
-        if path.is_dir():
-            raise InputError(f"cannot write {str(path)!r}: it is a folder; give the path of a file")
-    for folder in {path.parent for path in outputs}:
+    for folder in {written_to(path).parent for path in outputs}:
         check_folder(folder)
     planned = [[_named(path, name) if name else path for path in outputs] for name in names]
     everything = [path for paths in planned for path in paths]
     for path in everything:
-        _check_length(path)
+        check_name(path)
+        written_to(path)
     if len(outputs) > 1 and (twice := [path for path, count in Counter(everything).items() if count > 1]):
         raise InputError(f"{str(min(twice))!r} would be written twice; give every output a name of its own")
     return planned
@@ -68,12 +65,6 @@ def write(
             print(f"moveset: {path} has {kept:g} frames a second, not {motion.fps:g}", file=sys.stderr)
     spent = round((time.perf_counter() - start) * 1e3, 3)
     return motion.resampled(rate_of(motion.fps, paths[0])), spent
-
-
-def _check_length(path: Path) -> None:
-    for name in path.parts:
-        if len(os.fsencode(name)) > _LONGEST:
-            raise InputError(f"the name {name!r} is longer than {_LONGEST} bytes; give a shorter one")
 
 
 def _named(path: Path, name: str) -> Path:

@@ -1,5 +1,6 @@
 """``moveset serve``: the studio page and the server that engines talk to."""
 
+import re
 import sys
 from typing import TYPE_CHECKING, Annotated
 
@@ -10,6 +11,8 @@ from moveset.errors import InputError
 if TYPE_CHECKING:
     from moveset.server.service import Options
 
+# What browsers send: a scheme and a host without a path, a scheme alone (file://), or "null" for pages without a site.
+_ORIGIN = re.compile(r"null|https?://[^/?#@\s]+|(?!https?:)[a-z][a-z0-9+.-]*://[^/?#@\s]*", re.ASCII)
 _LOOPBACK = ("127.0.0.1", "localhost", "::1")
 
 
@@ -32,7 +35,8 @@ def serve(
         model: A shipped model or a model folder; several times for several. Without it all shipped models.
         device: auto, cpu, cuda or mps.
         open: Open the page in a browser.
-        allow_origin: Another site whose pages may use this server, such as https://example.org; may be repeated.
+        allow_origin: Another site whose pages may use this server, such as https://example.org, or null, file:// or
+            app://name for pages of programs; may be repeated.
         streams: Most streams at a time.
         idle: Seconds without a message after which a stream is closed.
     """
@@ -79,15 +83,15 @@ def _require() -> None:
 def _options(
     host: str, models: tuple[str, ...], device: str, origins: tuple[str, ...], streams: int, idle: float
 ) -> "Options":
-    from urllib.parse import urlsplit
-
     from moveset.server.limits import Limits
     from moveset.server.service import Options
 
     for origin in origins:
-        parts = urlsplit(origin)
-        if parts.scheme not in ("http", "https") or not parts.netloc or parts.path or parts.query:
-            raise InputError(f"{origin!r} is no origin; give a scheme and a host, such as https://example.org")
+        if not _ORIGIN.fullmatch(origin):
+            raise InputError(
+                f"{origin!r} is no origin; give a scheme and a host, such as https://example.org, or what a program's "
+                "own pages say: null, file:// or app://name"
+            )
     room = Limits()
     limits = Limits(
         streams=streams,

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from moveset.data.plain_pickle import read_plain_pickle
 from moveset.errors import FormatError, InputError
-from moveset.io.arrays import read_array
+from moveset.io.numpy_file import read_array
 
 PREFIX = "our_vab"
 MAX_WORDS = 2_000_000

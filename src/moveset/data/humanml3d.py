@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from moveset.errors import FormatError, InputError
-from moveset.io.arrays import array_shape, read_array
+from moveset.io.numpy_file import array_shape, read_array
 
 _MAX_TEXT = 2**20
 

@@ -20,8 +20,8 @@ from moveset.data.humanml3d import Caption, parse_caption
 from moveset.errors import FormatError, InputError
 from moveset.evaluation.generators import resampled
 from moveset.evaluation.items import Item, ItemSet
-from moveset.io.arrays import read_array
 from moveset.io.limits import read_limited
+from moveset.io.numpy_file import read_array
 from moveset.motion.features import get_codec
 from moveset.motion.hml import HmlCodec
 

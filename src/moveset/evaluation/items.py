@@ -21,7 +21,7 @@ from moveset.data.humanml3d import Caption, HumanML3D
 from moveset.data.humanml3d import Item as FolderItem
 from moveset.data.splits import Split
 from moveset.errors import InputError
-from moveset.io.arrays import array_shape
+from moveset.io.numpy_file import array_shape
 from moveset.motion.clip import Motion
 from moveset.motion.features import get_codec
 from moveset.motion.hml import HmlCodec

@@ -24,7 +24,7 @@ from moveset.data.glove_files import read_glove
 from moveset.data.humanml3d import HUMANML3D, KIT, Layout
 from moveset.errors import FormatError, InputError
 from moveset.evaluation.evaluator import Evaluator, EvaluatorCard
-from moveset.io.arrays import read_array
+from moveset.io.numpy_file import read_array
 from moveset.models.evaluator import CONTACTS, EvaluatorConfig, MatchingEvaluator
 from moveset.text.glove import GloveWords
 

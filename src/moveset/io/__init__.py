@@ -15,6 +15,8 @@ Metadata is kept inside .glb (``asset.extras.moveset``), .npz and .html (``metad
 """
 
 import json
+import os
+import warnings
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -26,29 +28,65 @@ if TYPE_CHECKING:
 
 READABLE = (".bvh", ".glb", ".npz", ".npy", ".html")
 WRITABLE = (*READABLE, ".mp4", ".gif", ".png")
+_OF_BLENDER = (".fbx", ".dae", ".usd", ".usda", ".usdc", ".usdz", ".blend", ".abc")
+_THROUGH_BLENDER = (
+    ": open it in Blender and export it as glTF 2.0 (.glb) or BVH",
+    ": write a .glb or .bvh, import that into Blender and export it from there",
+)
+_PICKLES = (".pkl", ".pickle", ".pt", ".pth", ".joblib")
+_PICKLE = ": a pickle could run anything and is never read; save its joint positions (frames, 22, 3) by numpy.save"
+_USUAL = (5.0, 480.0)  # frames a second of motion that is meant to be seen
+_LONGEST = 255  # bytes of a file's name, on the file systems in use
 
 
-def load(path: str | Path) -> "Motion":
+def load(
+    path: str | Path, *, fps: float | None = None, source_fps: float | None = None, animation: str | None = None
+) -> "Motion":
     """Read a motion.
+
+    Args:
+        path: the file; its extension says how it is read.
+        fps: rate at which curves are sampled (glTF); other files keep the rate of their frames.
+        source_fps: frames per second of the file, whatever it says.
+        animation: name of one of a glTF file's animations, or number of one of an array's motions.
 
     Raises:
         InputError: an unknown extension, or a file that cannot be read.
         FormatError: a file that is damaged, absurd or not what its extension says.
     """
+    from dataclasses import replace
+
     suffix = _suffix(path, READABLE, "read")
+    if animation is not None and suffix not in (".glb", ".npy"):
+        raise InputError(f"{path}: {suffix} files hold one motion; leave --animation out")
+    if source_fps is not None and not 0.01 <= source_fps <= 1000:
+        raise InputError(f"a source of {source_fps:g} frames a second is not in 0.01 to 1000; give one such as 30")
     if suffix == ".bvh":
-        return _load_bvh(path)
-    if suffix == ".glb":
+        motion = _load_bvh(path, source_fps)
+    elif suffix == ".glb":
         from moveset.io.gltf_reader import read_glb
 
-        return read_glb(path)
-    if suffix == ".html":
+        motion = read_glb(path, fps=fps)
+    elif suffix == ".html":
         from moveset.io.html import read_html
 
-        return read_html(path)
-    from moveset.io.arrays import read_npy, read_npz
+        motion = read_html(path)
+    elif suffix == ".npz":
+        from moveset.io.arrays import read_npz
 
-    return read_npz(path) if suffix == ".npz" else read_npy(path)
+        motion = read_npz(path, fps=source_fps)
+    else:
+        from moveset.io.joint_arrays import read_npy
+
+        motion = read_npy(path, fps=source_fps, sample=animation, notes=_notes_beside(Path(path)))
+    motion = motion if source_fps is None else replace(motion, fps=source_fps)
+    if len(motion) > 1 and not _USUAL[0] <= motion.fps <= _USUAL[1]:
+        meant = f", {1000 * motion.fps:.4g} for milliseconds" if _USUAL[0] <= 1000 * motion.fps <= _USUAL[1] else ""
+        warnings.warn(
+            f"{path}: {motion.fps:.3g} frames a second are unusual; if they are not meant, give --source-fps{meant}",
+            stacklevel=2,
+        )
+    return motion
 
 
 def save(motion: "Motion", path: str | Path, *, metadata: Mapping[str, str | int | float | None] | None = None) -> Path:
@@ -60,9 +98,10 @@ def save(motion: "Motion", path: str | Path, *, metadata: Mapping[str, str | int
         metadata: what to remember with it (prompt, seed, model, …); ``prompt`` is also the caption of pictures.
 
     Raises:
-        InputError: an unknown extension, or a path that cannot be written to.
+        InputError: an unknown extension, a name too long, or a path that cannot be written to.
     """
     suffix, path = _suffix(path, WRITABLE, "write"), Path(path)
+    check_name(path)
     motion, notes = motion.detached(), dict(metadata or {})
     if suffix == ".bvh":
         from moveset.io.bvh import write_bvh
@@ -87,8 +126,12 @@ def save(motion: "Motion", path: str | Path, *, metadata: Mapping[str, str | int
             arrays.write_npz(motion, path, metadata=notes)
     else:
         _save_picture(motion, path, suffix, notes)
+    if suffix == ".npy":
+        from moveset.io.joint_arrays import still_notes
+
+        notes |= still_notes(motion)
     # Where there are none, those of another motion that was here before must not be taken for its own.
-    if (suffix in (".bvh", ".npy") or _is_amass(path)) and (notes or _beside(path).exists()):
+    if _has_beside(path) and (notes or _beside(path).exists()):
         save_beside(notes, path)
     return path
 
@@ -141,9 +184,13 @@ def read_metadata(path: str | Path) -> dict[str, Any]:
         from moveset.io.filmstrip import filmstrip_metadata
 
         return filmstrip_metadata(path)
+    return _notes_beside(Path(path))
+
+
+def _notes_beside(path: Path) -> dict[str, Any]:
     from moveset.io.limits import read_limited
 
-    beside = _beside(Path(path))
+    beside = _beside(path)
     if not beside.exists():
         return {}
     try:
@@ -156,8 +203,9 @@ def read_metadata(path: str | Path) -> dict[str, Any]:
 def _suffix(path: str | Path, known: tuple[str, ...], verb: str) -> str:
     suffix = Path(path).suffix.lower()
     if suffix not in known:
+        way = _THROUGH_BLENDER[verb == "write"] if suffix in _OF_BLENDER else _PICKLE if suffix in _PICKLES else ""
         raise InputError(
-            f"cannot {verb} {str(path)!r}: its extension is not one of {' '.join(known)}; use one of these"
+            f"cannot {verb} {str(path)!r}: its extension is not one of {' '.join(known)}; use one of these{way}"
         )
     return suffix
 
@@ -166,18 +214,34 @@ def _is_amass(path: str | Path) -> bool:
     return Path(path).name.lower().endswith(".amass.npz")
 
 
+def check_name(path: Path) -> None:
+    """Refuse a name that the file system has no room for, together with that of the notes beside it.
+
+    Raises:
+        InputError: it is too long.
+    """
+    for name in (*path.parts, _beside(path).name if _has_beside(path) else ""):
+        if len(os.fsencode(name)) > _LONGEST:
+            raise InputError(f"the name {name!r} is longer than {_LONGEST} bytes; give a shorter one")
+
+
+def _has_beside(path: Path) -> bool:
+    """Whether metadata has no place in the file itself."""
+    return path.suffix.lower() in (".bvh", ".npy") or _is_amass(path)
+
+
 def _beside(path: Path) -> Path:
     return path.with_name(path.name + ".json")
 
 
-def _load_bvh(path: str | Path) -> "Motion":
+def _load_bvh(path: str | Path, fps: float | None) -> "Motion":
     from dataclasses import replace
 
     from moveset.io.bvh import bvh_motion, likely_scale
     from moveset.io.bvh_parser import read_bvh
     from moveset.motion.rigs import as_skeleton, name_after
 
-    bvh = read_bvh(path)
+    bvh = read_bvh(path, fps=fps)
     motion = bvh_motion(bvh, scale=likely_scale(bvh))
     found, name = motion.skeleton, name_after(Path(path))
     return replace(motion, skeleton=as_skeleton(name, found.joints, found.parents, found.offsets))

@@ -1,7 +1,8 @@
 """BVH (Biovision hierarchy) to ``Motion`` and back. F frames, J joints."""
 
 import re
-from collections.abc import Iterator
+import warnings
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -126,18 +127,10 @@ def bvh_motion(bvh: BvhFile, *, scale: float = CENTIMETRES) -> Motion:
         scale: metres per unit of the file: 0.01 for centimetres, which most files use and ``write_bvh`` writes; see
             ``likely_scale``.
 
-    Raises:
-        FormatError: a joint slides within its parent, beyond 2 % of the body's reach: no skeleton of fixed bones can
-            hold that.
+    Bones that stretch, as depth cameras see them, get their mean lengths, with a warning.
     """
     frames = local_frames(bvh)
-    limit = STRETCH * bone_reach(frames.parents, frames.offsets)
-    worst = int(frames.stretch.argmax())
-    if frames.stretch[worst] > limit:
-        raise FormatError(
-            f"joint {frames.joints[worst]!r} slides by {float(frames.stretch[worst]) * scale:.3g} m within its parent, "
-            f"more than the {limit * scale:.3g} m that fixed bones forgive; export the file with rotations only"
-        )
+    warn_of_stretch(frames.joints, frames.stretch * scale, bone_reach(frames.parents, frames.offsets) * scale)
     turned = rotations.normalize(frames.rotations).float()
     root, offsets = (frames.root * scale).float(), (frames.offsets * scale).float()
     if set(frames.joints) == set(HML22.joints):
@@ -148,6 +141,20 @@ def bvh_motion(bvh: BvhFile, *, scale: float = CENTIMETRES) -> Motion:
             return Motion(turned[:, order], root, bvh.fps, HML22)
     skeleton = Skeleton("bvh", frames.joints, frames.parents, offsets)
     return Motion(turned, root, bvh.fps, skeleton)
+
+
+def warn_of_stretch(joints: Sequence[str], stretch: Tensor, reach: float) -> None:
+    """Warn where joints (J,) slide within their parents by more than fixed bones forgive: 2 % of the body's reach."""
+    sliding = [j for j in stretch.argsort(descending=True).tolist() if float(stretch[j]) > STRETCH * reach]
+    if sliding:
+        names = ", ".join(f"{joints[j]!r} by {float(stretch[j]):.3g} m" for j in sliding[:3]) + ", …" * (
+            len(sliding) > 3
+        )
+        warnings.warn(
+            f"joints slide within their parents ({names}); bones keep their mean lengths, so joints end elsewhere than "
+            "in the file",
+            stacklevel=3,
+        )
 
 
 def write_bvh(motion: Motion, path: str | Path, *, scale: float = 1.0 / CENTIMETRES, order: str = "ZXY") -> Path:

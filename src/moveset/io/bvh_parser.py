@@ -1,6 +1,11 @@
-"""The text of BVH files (Biovision hierarchy): a strict parser with limits. F frames, J joints, C channels."""
+"""The text of BVH files (Biovision hierarchy): a parser with limits. F frames, J joints, C channels.
+
+It takes the spellings that Blender and three.js take: any case, ``Frames:4`` and ``Frames Time:``, rows more or one row
+less than declared (with a warning). Whatever else is not as it should be is refused with its line and a remedy.
+"""
 
 import re
+import warnings
 from dataclasses import dataclass, field
 from itertools import chain
 from pathlib import Path
@@ -17,6 +22,9 @@ _DIGITS = b"0123456789+-.eE \t"
 _BLOCK = 256
 _MAX_HEADER_LINES = 100_000
 _MAX_NAME = 128
+_SECONDS = (1e-3, 100.0)  # of a frame
+# What names are written in: the first that fits all. BVH has no say in it; Japanese and Chinese tools use their own.
+_ENCODINGS = ("utf-8", "cp932", "gb18030", "latin-1")
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +58,7 @@ class BvhFile:
 
 @dataclass
 class _Joint:
-    name: str
+    name: bytes
     parent: int
     depth: int
     line: int
@@ -91,6 +99,18 @@ class _Reader:
             self.tokens = self.next_line()
         return self.tokens.pop(0)
 
+    def keywords(self, *words: bytes) -> bytes:
+        """One of some words in capitals, and a colon behind it or not, with or without blanks."""
+        token = self.token()
+        word, colon, rest = token.partition(b":")
+        if word.upper() not in words:
+            self.fail(f"expected {words[0].decode()!r} and found {_show(token)}; the file is damaged")
+        if not colon and self.tokens and self.tokens[0].startswith(b":"):
+            rest = self.tokens.pop(0)[1:]
+        if rest:
+            self.tokens.insert(0, rest)
+        return word.upper()
+
     def rest_of_line(self) -> list[bytes]:
         """Tokens left on this line, up to an opening brace."""
         stop = self.tokens.index(b"{") if b"{" in self.tokens else len(self.tokens)
@@ -104,6 +124,10 @@ class _Reader:
 
     def number(self, token: bytes) -> float:
         if len(token) > 64 or not _NUMBER.fullmatch(token):
+            if _NUMBER.fullmatch(token.replace(b",", b".", 1)):
+                self.fail(f"{_show(token)} has a decimal comma; export the file with decimal points")
+            if token.endswith((b"\0", b"\x1a")):
+                self.fail("NUL or Ctrl-Z bytes stand behind a number, as DOS ends files; delete them")
             self.fail(f"{_show(token)} is not a finite number; export the file again")
         value = float(token)
         if abs(value) > MAX_NUMBER:
@@ -126,36 +150,30 @@ def _show(token: bytes) -> str:
     return repr(text if len(token) <= 32 else text + "…")
 
 
-def read_bvh(path: str | Path) -> BvhFile:
-    """Parse a BVH file strictly.
+def read_bvh(path: str | Path, *, fps: float | None = None) -> BvhFile:
+    """Parse a BVH file.
+
+    Args:
+        path: the file.
+        fps: frames per second, whatever the file says.
 
     Raises:
         InputError: the file cannot be read.
         FormatError: anything in it is missing, doubled, absurd, not finite, or over the limits of ``io.limits``.
     """
     data = read_limited(path).removeprefix(b"\xef\xbb\xbf")
+    if data[:2] in (b"\xff\xfe", b"\xfe\xff") or b"\0" in data[:16]:
+        raise FormatError(f"{path}, line 1: this is no plain text, UTF-16 perhaps; save it as UTF-8")
     if b"\r" in data:
         data = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
     reader = _Reader(path, data)
     reader.expect(b"HIERARCHY")
     joints, end_sites = _hierarchy(reader)
     reader.expect(b"MOTION")
-    reader.expect(b"Frames:")
-    frames = reader.count(reader.token(), MAX_FRAMES, "frames")
-    if frames < 1:
-        reader.fail("the file declares no frames; export at least one")
-    reader.expect(b"Frame")
-    reader.expect(b"Time:")
-    frame_time = reader.number(reader.token())
-    if not 1e-3 <= frame_time <= 100:
-        reader.fail(f"a frame time of {frame_time:g} s is not in [0.001, 100]; export with a true frame rate")
-    if reader.tokens:
-        reader.fail(f"unexpected {_show(reader.tokens[0])} after the frame time; the file is damaged")
-    if frames * len(joints) > MAX_POSES:
-        reader.fail(f"{frames} frames of {len(joints)} joints exceed the limit of {MAX_POSES} poses; split the file")
-    values = _frames(reader, frames, sum(len(joint.channels or ()) for joint in joints))
+    frames, frame_time = _timing(reader, fps)
+    values = _frames(reader, frames, len(joints), sum(len(joint.channels or ()) for joint in joints))
     return BvhFile(
-        joints=tuple(joint.name for joint in joints),
+        joints=_names([joint.name for joint in joints]),
         parents=tuple(joint.parent for joint in joints),
         offsets=np.array([joint.offset for joint in joints], dtype=np.float64),
         channels=tuple(joint.channels or () for joint in joints),
@@ -165,20 +183,49 @@ def read_bvh(path: str | Path) -> BvhFile:
     )
 
 
+def _names(raw: list[bytes]) -> tuple[str, ...]:
+    """Joint names in the first encoding that all of them are in; as different from each other as their bytes are."""
+    for encoding in _ENCODINGS:
+        try:
+            names = tuple(name.decode(encoding) for name in raw)
+        except UnicodeDecodeError:
+            continue
+        if len(set(names)) == len(raw):
+            return names
+    raise AssertionError("latin-1 takes any bytes, one letter each")
+
+
+def _timing(reader: _Reader, fps: float | None) -> tuple[int, float]:
+    """The declared number of frames, and seconds per frame."""
+    reader.keywords(b"FRAMES", b"FRAME")
+    frames = reader.count(reader.token(), MAX_FRAMES, "frames")
+    if frames < 1:
+        reader.fail("the file declares no frames; export at least one")
+    if reader.keywords(b"FRAME", b"FRAMES", b"FRAMETIME") != b"FRAMETIME":
+        reader.keywords(b"TIME")
+    token = reader.token()
+    frame_time = 1.0 / fps if fps is not None else reader.number(token)
+    if not _SECONDS[0] <= frame_time <= _SECONDS[1]:
+        reader.fail(f"a frame time of {frame_time:g} s is not in {list(_SECONDS)}; give the true rate by --source-fps")
+    if reader.tokens:
+        reader.fail(f"unexpected {_show(reader.tokens[0])} after the frame time; the file is damaged")
+    return frames, frame_time
+
+
 def _hierarchy(reader: _Reader) -> tuple[list[_Joint], tuple[tuple[int, tuple[float, float, float]], ...]]:
     """The joint tree, by a loop over tokens with an explicit stack: depth is limited, nothing recurses."""
     joints: list[_Joint] = []
-    names: set[str] = set()
+    names: set[bytes] = set()
     end_sites: list[tuple[int, tuple[float, float, float]]] = []
     stack: list[int] = []
     while stack or not joints:
         word = reader.token().upper()
         if word == (b"JOINT" if joints else b"ROOT"):
-            name = b" ".join(reader.rest_of_line()).decode("utf-8", "replace")
+            name = b" ".join(reader.rest_of_line())
             if not name or name in names:
-                reader.fail(f"the joint name {name[:32]!r} is {'used twice' if name else 'empty'}; rename the joint")
+                reader.fail(f"the joint name {_show(name)} is {'used twice' if name else 'empty'}; rename the joint")
             if len(name) > _MAX_NAME:
-                reader.fail(f"a joint name of {len(name)} letters exceeds the limit of {_MAX_NAME}; rename the joint")
+                reader.fail(f"a joint name of {len(name)} bytes exceeds the limit of {_MAX_NAME}; rename the joint")
             if len(joints) >= MAX_JOINTS or len(stack) >= MAX_DEPTH:
                 reader.fail(f"more than {MAX_JOINTS} joints or {MAX_DEPTH} levels of them; simplify the skeleton")
             reader.expect(b"{")
@@ -189,11 +236,11 @@ def _hierarchy(reader: _Reader) -> tuple[list[_Joint], tuple[tuple[int, tuple[fl
             reader.fail(f"expected 'ROOT' and found {_show(word)}; the file is damaged")
         elif word == b"OFFSET":
             if joints[stack[-1]].offset is not None:
-                reader.fail(f"joint {joints[stack[-1]].name!r} has two OFFSET lines; the file is damaged")
+                reader.fail(f"joint {_show(joints[stack[-1]].name)} has two OFFSET lines; the file is damaged")
             joints[stack[-1]].offset = reader.vector()
         elif word == b"CHANNELS":
             if joints[stack[-1]].channels is not None:
-                reader.fail(f"joint {joints[stack[-1]].name!r} has two CHANNELS lines; the file is damaged")
+                reader.fail(f"joint {_show(joints[stack[-1]].name)} has two CHANNELS lines; the file is damaged")
             joints[stack[-1]].channels = _channels(reader)
         elif word == b"END":
             reader.rest_of_line()
@@ -206,9 +253,8 @@ def _hierarchy(reader: _Reader) -> tuple[list[_Joint], tuple[tuple[int, tuple[fl
         elif word == b"}":
             joint = joints[stack.pop()]
             if joint.offset is None or joint.channels is None:
-                reader.fail(
-                    f"joint {joint.name!r} (line {joint.line}) lacks its OFFSET or CHANNELS; the file is damaged"
-                )
+                where = f"joint {_show(joint.name)} (line {joint.line})"
+                reader.fail(f"{where} lacks its OFFSET or CHANNELS; the file is damaged")
         else:
             reader.fail(f"expected a joint, OFFSET, CHANNELS or '}}' and found {_show(word)}; the file is damaged")
     return joints, tuple(end_sites)
@@ -225,20 +271,31 @@ def _channels(reader: _Reader) -> tuple[str, ...]:
     return names
 
 
-def _frames(reader: _Reader, frames: int, width: int) -> np.ndarray:
+def _frames(reader: _Reader, frames: int, joints: int, width: int) -> np.ndarray:
     """(F, C) values after the frame time, a block of lines at a time so that memory follows the file's size."""
     if width == 0:
         reader.fail("no joint has channels, so nothing moves; export the file with channels")
     size = len(reader.data) - reader.position
-    if size < 2 * frames * width - 1:
+    if size < 2 * (frames - 1) * width - 1:
         reader.fail(f"{size} bytes cannot hold {frames} frames of {width} values; the file is truncated")
     if reader.data.count(b"\n", reader.position) > 2 * frames + 1000:
         reader.fail(f"many more lines follow than the {frames} declared frames; the file is damaged")
     lines = reader.data[reader.position :].split(b"\n")
     numbered = [(number, line) for number, line in enumerate(lines, start=reader.line + 1) if line.strip()]
-    if len(numbered) != frames:
-        reader.fail(f"{frames} frames are declared and {len(numbered)} are there; the file is truncated or damaged")
-    blocks = [_block(reader, numbered[k : k + _BLOCK], width) for k in range(0, frames, _BLOCK)]
+    count = len(numbered)
+    for number, line in numbered[frames:]:
+        # Words that some programs leave behind, or Ctrl-Z and NULs, where DOS ended files.
+        if not _NUMBER.match(line.lstrip()):
+            reader.fail(f"{_show(line.strip())} after the last frame is no row of numbers; delete this line", number)
+    # Rokoko counts one too few, others one too many; fewer are there where the file was cut off.
+    if count < max(frames - 1, 1):
+        reader.fail(f"{frames} frames are declared and {count} are there; the file is truncated or damaged")
+    if count * joints > MAX_POSES or count > MAX_FRAMES:
+        reader.fail(f"{count} frames of {joints} joints exceed the limit of {MAX_POSES} poses; split the file")
+    blocks = [_block(reader, numbered[k : k + _BLOCK], width) for k in range(0, count, _BLOCK)]
+    if count != frames:
+        said = f"{frames} frames are declared and {count} are there, which are read"
+        warnings.warn(f"{reader.path}: {said}; see whether the end is as it should be", stacklevel=3)
     return np.concatenate(blocks)
 
 

@@ -10,7 +10,7 @@ from typing import IO
 
 from moveset.errors import FormatError, InputError, MovesetError
 
-MAX_BYTES = 64 * 2**20
+MAX_BYTES = 256 * 2**20
 MAX_LINE = 64 * 2**10
 MAX_JOINTS = 512
 MAX_DEPTH = 128
@@ -35,30 +35,45 @@ def read_limited(path: str | Path, max_bytes: int = MAX_BYTES) -> bytes:
     try:
         with path.open("rb") as file:
             # What is asked for is set aside at once, so ask for no more than there is.
-            data = file.read(min(os.fstat(file.fileno()).st_size, max_bytes) + 1)
+            size = os.fstat(file.fileno()).st_size
+            data = file.read(size + 1) if size <= max_bytes else b""
     except OSError as error:
         raise InputError(
             f"cannot read {path}: {error.strerror or error}; check the path and its permissions"
         ) from error
-    if len(data) > max_bytes:
+    if max(size, len(data)) > max_bytes:
         raise FormatError(f"{path} is larger than the limit of {max_bytes / 2**20:g} MB; split or reduce it")
     return data
+
+
+def written_to(path: str | Path) -> Path:
+    """Where a file is written for ``path``: there, or, for a link, where that leads.
+
+    Raises:
+        InputError: there is something that a file cannot take the place of: a folder, a pipe, a device.
+    """
+    path = Path(path)
+    # A rename would replace the link itself.
+    target = Path(os.path.realpath(path)) if path.is_symlink() else path
+    if target.is_dir():
+        raise InputError(f"cannot write {path}: it is a folder; give the path of a file")
+    if target.exists() and not target.is_file():
+        raise InputError(f"cannot write {path}: it is no regular file but a pipe or a device; give the path of a file")
+    return target
 
 
 @contextmanager
 def atomic_write(path: str | Path) -> Iterator[IO[bytes]]:
     """A binary file that appears at ``path`` whole or not at all.
 
-    The bytes go to a hidden temporary file beside ``path``, which is fsynced and renamed when the block ends well and
-    removed when it does not.
+    The bytes go to a hidden temporary file beside ``path``, or beside what that links to, which is fsynced and renamed
+    when the block ends well and removed when it does not.
 
     Raises:
-        InputError: the folder is missing or cannot be written to, or ``path`` is a folder.
+        InputError: the folder is missing or cannot be written to, or ``path`` is a folder, a pipe or a device.
         MovesetError: writing fails half-way, for example on a full disk.
     """
-    path = Path(path)
-    if path.is_dir():
-        raise InputError(f"cannot write {path}: it is a folder; give the path of a file")
+    path = written_to(path)
     try:
         handle, name = tempfile.mkstemp(prefix=f".{path.name[:32]}.", suffix=".part", dir=path.parent)
     except OSError as error:

@@ -17,7 +17,7 @@ from typing import Self
 
 from moveset.errors import InputError, MovesetError
 from moveset.io.growing import part_of
-from moveset.io.limits import MAX_FRAMES, MAX_JOINTS, MAX_POSES
+from moveset.io.limits import MAX_FRAMES, MAX_JOINTS, MAX_POSES, written_to
 from moveset.io.take_bvh import BvhTake, recover_bvh
 from moveset.io.take_html import HtmlTake, recover_html
 from moveset.io.take_rows import RowsTake, recover_rows
@@ -44,9 +44,7 @@ def open_take(
             one of whose takes there is a part already.
         MovesetError: no space to begin with.
     """
-    path = _checked(path)
-    if path.is_dir():
-        raise InputError(f"cannot write {path}: it is a folder; give the path of a file")
+    path = written_to(_checked(path))
     if not 0 < fps <= 1000 or len(skeleton) > MAX_JOINTS:
         raise InputError(f"{len(skeleton)} joints at {fps:g} fps are not within {MAX_JOINTS} and (0, 1000]")
     notes = dict(metadata or {})

@@ -14,7 +14,7 @@ from moveset.server.limits import Limits
 from moveset.server.metrics import Metrics
 from moveset.server.wire import MEDIA_TYPE
 
-_HOST = re.compile(r"(\[[0-9a-fA-F:.]+\]|[A-Za-z0-9.-]+)(?::(\d{1,5}))?")
+_HOST = re.compile(r"(\[[0-9a-fA-F:.]+\]|[A-Za-z0-9._-]+)(?::(\d{1,5}))?")
 _SAFE = ("GET", "OPTIONS")
 _TYPES = {"/v1/generate": "application/json", "/v1/jobs": "application/json", "/v1/export": MEDIA_TYPE}
 _HEADERS = {
