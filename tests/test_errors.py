@@ -16,7 +16,6 @@ import pytest
         ("training.exchange", ["nobody", "pcm-1=nowhere", "--out", "out"], "unknown model 'nobody'"),
         ("training.unpack", ["nobody"], "unknown model 'nobody'"),
         ("evaluation.report", ["nowhere"], "nowhere has no rows.json"),
-        ("evaluation.content_training", ["--corpus", "nowhere"], "no corpus at nowhere"),
     ],
 )
 def test_a_program_says_in_one_line_what_is_wrong(program, arguments, message, tmp_path, monkeypatch, capsys):

@@ -105,7 +105,6 @@ def test_what_the_evaluator_does_not_read_of_long_motions_is_said(evaluate, tmp_
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["mine", "--wording", "held-out"], "mine has prompts of its own, so there is no other wording"),
         (["mine", "--split", "rollout"], "mine cannot be rolled out"),
         ([None, "tiny", "--network", "vae", "--split", "rollout"], "tiny-vae cannot be rolled out"),
     ],
@@ -161,7 +160,6 @@ def spoiled(folder, name, array):
         (["real", "--repeats", "0"], "repeats 0 is not in 1"),
         (["real", "--split", "train"], "train"),
         (["real", "--split", "val"], "no val clips"),
-        (["real", "--wording", "loud"], "loud"),
         (["real", "--seams", "0.22"], "seams 0.22 s apart are less than 0.25 s"),
         (["real", "--seams", "0.01"], "seams 0.01 s apart are less than 0.25 s"),
         (["real", "--items", "-5"], "-5 items are fewer than 1"),
@@ -265,7 +263,7 @@ def test_notes_say_what_was_not_as_asked_for():
         "model": "m", "network": "pcm-4", "steps": 4, "items": 100, "labels": None, "distinct_texts": 90, "groups": 3,
         "data": {"name": "d"}, "evaluator": {"name": "e"}, "shortened": 2, "dropped": {"too short": 5},
         "metrics": {"multimodality": {}}, "repeats": [{}], "rollouts": 6, "windows": 30,
-        "protocol": {"split": "test", "wording": "known", "group": 32, "multimodality": 90, "samples": 30,
+        "protocol": {"split": "test", "group": 32, "multimodality": 90, "samples": 30,
                      "diversity": 100},
     }  # fmt: skip
     said = " ".join(notes(result))

@@ -1,4 +1,4 @@
-"""Captions: English, deterministic, mirrored, and held-out ones apart from training ones."""
+"""Captions: English, deterministic, mirrored."""
 
 import itertools
 import re
@@ -7,11 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from moveset.data import held_out_phrases, phrases, styles
+from moveset.data import phrases, styles
 from moveset.data.captions import (
     composed_captions,
-    heldout_captions,
-    heldout_composed_captions,
     mirror_text,
     normal_form,
     train_captions,
@@ -56,7 +54,6 @@ def test_mirrored_labels_have_mirrored_captions():
         assert train_captions(mirror_label(content), "happy") == tuple(
             mirror_text(s) for s in train_captions(content, "happy")
         )
-        assert heldout_captions(mirror_label(content)) == tuple(mirror_text(s) for s in heldout_captions(content))
         assert not any("right" in s for s in train_captions(content))
 
 
@@ -97,25 +94,6 @@ def trained() -> frozenset[str]:
     return frozenset(every_training_sentence())
 
 
-def test_held_out_sentences_are_never_trained_on(trained):
-    known = {normal_form(s) for s in trained}
-    held_out = {s for c in CONTENTS for st in (None, *styles.STYLES) for s in heldout_captions(c, st)}
-    for kind in ("in_time", "body"):
-        held_out |= {s for pair in itertools.permutations(CONTENTS, 2) for s in heldout_composed_captions(kind, pair)}
-    assert len(held_out) > 1000
-    assert not known & {normal_form(s) for s in held_out}
-
-
-def test_held_out_verb_phrases_and_style_words_are_disjoint_from_training_ones():
-    assert phrases.TRAIN.keys() == held_out_phrases.HELD_OUT.keys()
-    assert styles.STYLES.keys() == held_out_phrases.HELD_OUT_STYLES.keys()
-    train = {p for written in phrases.TRAIN.values() for p in written}
-    held_out = {p for written in held_out_phrases.HELD_OUT.values() for p in written}
-    assert not train & held_out
-    words = {w for style in styles.STYLES.values() for group in style.values() for w in group}
-    assert not words & {w for written in held_out_phrases.HELD_OUT_STYLES.values() for w in written}
-
-
 def test_sentences_are_well_formed(trained):
     for sentence in trained:
         assert not re.search(r"[\[\]{}<>_]|  | ,|^ | $|\.\.", sentence), sentence
@@ -129,12 +107,10 @@ def test_sentences_are_well_formed(trained):
 def test_there_are_enough_sentences():
     for content in CONTENTS:
         assert len(set(train_captions(content))) >= 40
-        assert len(heldout_captions(content)) >= 6
         for style in styles.STYLES:
             sentences = train_captions(content, style)
             assert len({normal_form(s) for s in sentences}) >= 50
             assert sentences[: len(train_captions(content))] == train_captions(content)
-    assert all(len(heldout_captions(c)) >= 6 for c in BANDAI)
 
 
 def test_what_people_type_is_there():
@@ -173,11 +149,8 @@ def test_unknown_labels_are_refused():
     for call in (
         lambda: train_captions("fly"),
         lambda: train_captions("walk", "purple"),
-        lambda: heldout_captions("fly"),
-        lambda: heldout_captions("walk", "purple"),
         lambda: composed_captions("sideways", ("walk", "run"), "x"),
         lambda: composed_captions("body", ("walk", "fly"), "x"),
-        lambda: heldout_composed_captions("sideways", ("walk", "run")),
     ):
         with pytest.raises(InputError):
             call()

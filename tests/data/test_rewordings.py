@@ -1,40 +1,17 @@
-"""Rewordings: no word of the held-out phrases, a phrase for each content, and the sides stay."""
+"""Rewordings: a phrase for each content, and the sides stay."""
 
 import re
 
 import pytest
 
-from moveset.data import captions, held_out_phrases, phrases, reworded_phrases, reworded_styles, styles
+from moveset.data import phrases, reworded_phrases, reworded_styles, styles
 from moveset.data.captions import composed_captions, mirror_text, normal_form, train_captions
 from moveset.data.labels import mirror_label
 from moveset.data.rewordings import all_words, reword
-from moveset.text.english import inflect
-
-#: Words without which no English sentence is written, and those that training captions have anyway.
-FUNCTION_WORDS = set(
-    re.findall(
-        "[a-z]+",
-        "a an the in at on to by as it and or with for of off up out down over into from like them then they after "
-        "toward before is s one two both which very way about across along some through time",
-    )
-)
 
 
 def words(x: object) -> set[str]:
     return set(re.findall("[a-z]+", str(x).lower()))
-
-
-def forms(x: object) -> set[str]:
-    """Words, and the forms of verbs."""
-    verbs = set(re.findall(r"\[([a-z]+)\]", str(x)))
-    return words(x) | {inflect(verb, form) for verb in verbs for form in ("present", "past", "ing")}
-
-
-def test_no_word_is_used_that_only_the_held_out_phrases_have() -> None:
-    trained = forms(phrases.TRAIN) | words(phrases.SHORT) | words(styles.STYLES)
-    held = forms(held_out_phrases.HELD_OUT) | words(held_out_phrases.HELD_OUT_STYLES) | words(captions._HELD_OUT_FORMS)
-    mine = forms(reworded_phrases.PHRASES) | words(reworded_styles.STYLES)
-    assert not (mine & held) - trained - FUNCTION_WORDS
 
 
 def test_every_content_and_every_way_of_a_style_has_other_words() -> None:

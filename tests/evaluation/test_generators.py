@@ -252,7 +252,7 @@ def test_motions_of_generate_with_several_of_a_prompt_and_several_prompts(tmp_pa
         '{"name": "about-turn", "prompt": "they turn"}',
     )
     (folder / "prompts.jsonl").write_text("\n".join(lines))
-    said = {item.name: item.prompts for item in folder_motions(folder, None, 20.0).items}
+    said = {item.name: item.captions for item in folder_motions(folder, None, 20.0).items}
     turned = ("A person turns, then she bows",)
     assert said == {"m-turn-0": turned, "m-turn-1": turned, "m-0-0": ("he\u2028sits",), "m-about-turn": ("they turn",)}
 

@@ -3,10 +3,10 @@
 import pytest
 import torch
 
-from moveset.data.captions import heldout_captions, mirror_text, train_captions
+from moveset.data.captions import mirror_text, train_captions
 from moveset.data.humanml3d import HUMANML3D, KIT, HumanML3D
 from moveset.errors import FormatError, InputError
-from moveset.evaluation.items import LONGEST, Draw, open_items, text_of
+from moveset.evaluation.items import LONGEST, Draw, open_items
 from moveset.motion.features import get_codec
 from tests.evaluation.corpora import content_corpus
 from tests.training.hml_folder import write_folder
@@ -46,7 +46,7 @@ def test_lengths_are_honest(items):
 
 def test_a_crop_has_the_joints_of_its_features(items):
     item = max(items.items, key=lambda item: item.rows)
-    draw = Draw(item, item.captions[0], item.prompts[0], start=7, rows=12)
+    draw = Draw(item, item.captions[0], start=7, rows=12)
     assert torch.equal(draw.joints(), item.joints()[7:20])
     assert torch.equal(draw.features(), item.features()[7:19])
 
@@ -57,31 +57,17 @@ def test_a_mirror_image_is_told_and_labelled_as_one(items):
     mirrored = by_name[f"{plain.name} mirrored"]
     assert mirrored.label == ("wave-right-hand",)
     assert mirrored.captions == tuple(mirror_text(text) for text in plain.captions)
-    assert mirrored.prompts == heldout_captions("wave-right-hand")
-
-
-def test_held_out_wordings_are_no_captions(items):
-    for item in items.items:
-        assert item.prompts
-        assert not set(item.prompts) & set(item.captions)
 
 
 def test_labels_keep_both_contents_of_a_composition(items):
     assert next(item for item in items.items if item.name == "both").label == ("walk", "wave-left-hand")
 
 
-@pytest.mark.parametrize("wording", ["known", "held-out"])
-def test_the_evaluator_always_reads_the_known_caption(items, wording):
-    for draw in items.draw(generator(), wording):
-        assert draw.caption in draw.item.captions
-        assert draw.prompt in (draw.item.prompts if wording == "held-out" else (draw.caption,))
+def test_a_prompt_is_one_of_the_captions(items):
+    assert [d.prompt for d in items.draw(generator())] != [d.prompt for d in items.draw(generator(1))]
+    for draw in items.draw(generator()):
+        assert draw.prompt == draw.caption in draw.item.captions
         assert (draw.start, draw.rows, draw.frames) == (0, draw.item.rows, draw.item.rows + 1)
-
-
-def test_wordings_draw_the_same_captions(items):
-    known, other = ([d.caption for d in items.draw(generator(), wording)] for wording in ("known", "held-out"))
-    assert known == other
-    assert known != [d.caption for d in items.draw(generator(1))]
 
 
 def test_all_captions_are_drawn_alike(items):
@@ -149,13 +135,6 @@ def test_crops_are_whole_tokens_single_or_double(tmp_path):
     double = sum(drawn[long].rows == 192 for drawn in draws) / len(draws)
     assert 0.2 < double < 0.47  # one in three
     assert len({drawn[long].start for drawn in draws if drawn[long].rows == 196}) == 4
-
-
-def test_folders_have_no_other_wordings(tmp_path):
-    items = open_items(write_folder(tmp_path / "data"), "train")
-    with pytest.raises(InputError, match="no held-out wordings"):
-        items.draw(generator(), "held-out")
-    assert text_of(items.draw(generator())[0].caption) == items.draw(generator())[0].prompt
 
 
 def test_kit_joints_are_turned_to_the_axes_of_motion(tmp_path):

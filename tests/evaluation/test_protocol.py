@@ -71,17 +71,6 @@ def test_numbers_are_those_of_the_pure_functions(items, oracle):
     assert found["fid"] == pytest.approx(frechet_distance(real, motion))
 
 
-def test_held_out_wording_prompts_otherwise_and_reads_the_same(items):
-    readers, painters = [], []
-    for wording in ("known", "held-out"):
-        oracle, painter = Oracle(items), Painter()
-        run_repeat(session(items, painter, oracle, Protocol(wording=wording, multimodality=0)), 0)
-        readers.append(oracle.read)
-        painters.append([one.parts[0][0] for one in painter.asked])
-    assert readers[0] == readers[1] == painters[0]
-    assert not set(painters[0]) & set(painters[1])
-
-
 def test_lengths_are_the_items(items, oracle):
     painter = Painter()
     run_repeat(session(items, painter, oracle), 0)
@@ -120,7 +109,7 @@ def test_too_much_is_reduced_and_too_little_refused(items):
         Protocol().fitted(items.limited(31), random=True)
 
 
-@pytest.mark.parametrize("wrong", [{"repeats": 0}, {"seed": -1}, {"samples": 9}, {"group": 2}, {"wording": "loud"}])
+@pytest.mark.parametrize("wrong", [{"repeats": 0}, {"seed": -1}, {"samples": 9}, {"group": 2}])
 def test_protocols_out_of_range(wrong):
     with pytest.raises(InputError):
         Protocol(**wrong)

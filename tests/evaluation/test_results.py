@@ -123,7 +123,7 @@ def test_more_repeats_keep_those_that_are_there(items, oracle, tmp_path):
     assert len(results.finish()["repeats"]) == 2
 
 
-@pytest.mark.parametrize("change", [{"seed": 1}, {"wording": "held-out"}, {"multimodality": 3}, {"group": 9}])
+@pytest.mark.parametrize("change", [{"seed": 1}, {"multimodality": 3}, {"group": 9}])
 def test_another_protocol_is_another_evaluation(items, oracle, tmp_path, change):
     make(*opened(items, oracle, tmp_path), range(4))
     _, results = opened(items, oracle, tmp_path, replace(PROTOCOL, **change))

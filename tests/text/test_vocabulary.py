@@ -4,7 +4,6 @@ import json
 
 import pytest
 
-from moveset.data.captions import heldout_captions
 from moveset.pipelines.model_folder import shipped
 from moveset.text.vocabulary import figures_of, unread, words_of
 
@@ -48,7 +47,4 @@ def test_shipped_models_know_their_captions_and_not_everything(name):
     stored = json.loads((shipped()[name] / "prompts.json").read_text())
     words = frozenset(stored["words"])
     assert not {word for caption in stored["captions"] for word in unread(caption, words)}
-    # Words of the wordings that are kept out of training are out of the list too, or the warning would never come.
-    held = [caption for content in ("walk", "bow", "run") for caption in heldout_captions(content)]
-    assert sum(bool(unread(caption, words)) for caption in held) > 0.8 * len(held)
     assert unread("a person does a cartwheel on a skateboard", words) == ("cartwheel", "skateboard")

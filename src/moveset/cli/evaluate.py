@@ -44,7 +44,6 @@ def evaluate(
     split: Literal["test", "val", "rollout"] = "test",
     repeats: Annotated[int, tyro.conf.arg(metavar="N")] = 20,
     seed: Annotated[int, tyro.conf.arg(metavar="N")] = 0,
-    wording: Literal["known", "held-out"] = "known",
     multimodality: Annotated[int, tyro.conf.arg(metavar="N")] = 100,
     data: Annotated[Path, tyro.conf.arg(metavar="PATH")] = Path("data/corpus.safetensors"),
     evaluator: Annotated[str, tyro.conf.arg(metavar="NAME")] = "t2m-small",
@@ -83,7 +82,6 @@ def evaluate(
         split: test, once, at the end; val for every choice; rollout: half a minute of changing prompts, in windows.
         repeats: How often captions, crops, noise and groups are drawn again; intervals are over these.
         seed: The same seed gives the same table.
-        wording: Prompt with the sentences that the evaluator reads, or with other words for the same (held-out).
         multimodality: Texts of which 30 motions are made in each repeat; 0 leaves it out, which is much faster.
         data: What `moveset data build` wrote, or a HumanML3D or KIT-ML folder.
         evaluator: A shipped evaluator, or the folder of one.
@@ -109,9 +107,7 @@ def evaluate(
     from moveset.evaluation.job import Job
     from moveset.evaluation.protocol import Protocol
 
-    protocol = Protocol(
-        split=split, repeats=repeats, seed=seed, wording=wording, multimodality=multimodality, seams=seams
-    )
+    protocol = Protocol(split=split, repeats=repeats, seed=seed, multimodality=multimodality, seams=seams)
     given = {"guidance": guidance, "start": start, "lag": lag, "past_lag": past_lag, "eta": eta, "shape": shape}
     given["stages"] = None if stages else False
     settings = tuple((name, value) for name, value in given.items() if value is not None)
@@ -335,7 +331,7 @@ def notes(result: dict[str, Any]) -> list[str]:
     how = f"{data['name']}, {protocol['split']}"
     # Motions with prompts of their own: FID is larger the fewer real ones it is to, so it must be said how many.
     given = result.get("settings", {}).get("motions")
-    how = f"{given}; FID to {data['items']} items of {how}" if given else f"{how}, {protocol['wording']} wording"
+    how = f"{given}; FID to {data['items']} items of {how}" if given else how
     said = [
         f"{texts} {how}; {plural(result['groups'], 'group')} of {protocol['group']}; mean ± 95 % interval of "
         f"{plural(count, 'repeat')}; judged by {result['evaluator']['name']}."

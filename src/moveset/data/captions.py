@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cache
 
-from moveset.data import held_out_phrases, phrases, styles
+from moveset.data import phrases, styles
 from moveset.errors import InputError
 from moveset.text.english import inflect_marked
 
@@ -214,41 +214,6 @@ def train_captions(content: str, style: str | None = None, *, plain: int = 44, s
     return _sided(content, write)
 
 
-# ---------------------------------------------------------------------------------------------- held-out sentences
-
-_HELD_OUT_FORMS = (
-    ("somebody {v}", "present"),
-    ("the character is {v}", "ing"),
-    ("an individual {v}", "present"),
-    ("we watch the performer {v}", "base"),
-    ("the subject {v}", "past"),
-    ("an actor is {v}", "ing"),
-)
-
-
-@cache
-def heldout_captions(content: str, style: str | None = None) -> tuple[str, ...]:
-    """Sentences for evaluation only, at least 6: other words, other sentence forms; none is a training caption.
-
-    Raises:
-        InputError: an unknown content or style.
-    """
-    _phrases(held_out_phrases.HELD_OUT, content)
-    if style is not None and style not in held_out_phrases.HELD_OUT_STYLES:
-        raise InputError(f"no captions are written for the style {style!r}; known are {', '.join(styles.STYLES)}")
-
-    def write(label: str) -> tuple[str, ...]:
-        out = []
-        for k, phrase in enumerate(held_out_phrases.HELD_OUT[label] * 3):
-            template, form = _HELD_OUT_FORMS[(k + _rank(label)) % len(_HELD_OUT_FORMS)]
-            sentence = template.format(v=render(phrase, form, "their"))
-            tails = held_out_phrases.HELD_OUT_STYLES[style] if style is not None else ("",)
-            out.append(f"{sentence} {tails[k % len(tails)]}".strip())
-        return _distinct(out, len(out))
-
-    return _sided(content, write)
-
-
 # ------------------------------------------------------------------------------------------- composed sentences
 
 
@@ -291,20 +256,6 @@ _BODY = (
     _Wording("{a} while {b}", "ing", "ing"),
     _Wording("{s} {a} while {b}", "past", "ing"),
 )
-_HELD_OUT_WORDINGS = {
-    "in_time": (
-        _Wording("somebody {a}, next they {b}", "present", "base"),
-        _Wording("an individual starts by {a} and finishes by {b}", "ing", "ing"),
-        _Wording("the character {a}, followed by {b}", "present", "ing"),
-        _Wording("the subject {a}; finally the subject {b}", "present", "present"),
-    ),
-    "body": (
-        _Wording("somebody keeps {b} and meanwhile {a}", "present", "ing"),
-        _Wording("as the character {b}, they {a}", "base", "present"),
-        _Wording("the performer combines {b} with {a}", "ing", "ing"),
-        _Wording("an individual {b} and simultaneously {a}", "present", "present"),
-    ),
-}
 _PAIR_SUBJECTS = (*("a person",) * 4, "someone", "a man", "a woman", "the person", "a human")
 _PRONOUN = {"man": "he", "woman": "she"}
 
@@ -352,18 +303,3 @@ def composed_captions(kind: str, contents: tuple[str, str], key: str, count: int
             )
 
     return _distinct(all_sentences(), count)
-
-
-def heldout_composed_captions(kind: str, contents: tuple[str, str]) -> tuple[str, ...]:
-    """Sentences for evaluation only for two contents in one clip (see ``composed_captions``).
-
-    Raises:
-        InputError: an unknown kind or content.
-    """
-    if kind not in _HELD_OUT_WORDINGS:
-        raise InputError(f"no composed captions of kind {kind!r}; use 'in_time' or 'body'")
-    first, second = (_simple(held_out_phrases.HELD_OUT, c) for c in contents)
-    wordings = _HELD_OUT_WORDINGS[kind]
-    return tuple(
-        _compose(w, first[k % len(first)], second[k % len(second)], "somebody") for k, w in enumerate(wordings)
-    )

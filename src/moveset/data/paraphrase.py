@@ -2,7 +2,7 @@
 
 The written captions use few subjects and few verbs, and a text encoder that small does not see that an unknown subject
 does not matter. Substitutions are form-aligned word for word, so that the sentence stays English and its meaning stays
-what it was. Words of the held-out phrases must not be used here.
+what it was.
 """
 
 import hashlib

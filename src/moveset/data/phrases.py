@@ -2,7 +2,7 @@
 
 A verb phrase marks its verbs with brackets, ``[walk] forward and [turn] left``, so that it can be inflected, and writes
 ``{their}`` where the sentence's subject decides between his, her and their. Only left-hand variants are written;
-right-hand ones are their mirror images. Phrases of ``held_out_phrases`` must not be used here.
+right-hand ones are their mirror images.
 """
 
 TRAIN: dict[str, tuple[str, ...]] = {

@@ -1,7 +1,6 @@
 """Other words for what ``phrases`` say, for ``rewordings``. For training only.
 
-Markup as in ``phrases``; of ``(a|b|c)`` one is said, and an empty one is nothing. Words of the held-out phrases must
-not be used here.
+Markup as in ``phrases``; of ``(a|b|c)`` one is said, and an empty one is nothing.
 """
 
 _ON_FOOT = "([hike]|[tread]|[trek]|[tramp]|[parade]|[promenade]|[ramble]|[toddle]|[strut]|[stroll]|[walk]|[walk]|[go])"

@@ -1,4 +1,4 @@
-"""Other words for what ``styles`` say, for ``rewordings``. For training only; none is of the held-out styles."""
+"""Other words for what ``styles`` say, for ``rewordings``. For training only."""
 
 #: By style and way, as in ``styles``.
 STYLES: dict[str, dict[str, tuple[str, ...]]] = {

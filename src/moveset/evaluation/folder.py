@@ -19,7 +19,7 @@ from torch import Tensor
 from moveset.data.humanml3d import Caption, parse_caption
 from moveset.errors import FormatError, InputError
 from moveset.evaluation.generators import resampled
-from moveset.evaluation.items import Item, ItemSet
+from moveset.evaluation.items import Item, ItemSet, text_of
 from moveset.io.limits import read_limited
 from moveset.io.numpy_file import read_array
 from moveset.motion.features import get_codec
@@ -67,12 +67,11 @@ def folder_motions(folder: Path, prompts: Path | None, fps: float, codec: str = 
 
 
 def _item(name: str, joints: Tensor, caption: Caption | str, codec: HmlCodec) -> Item:
-    text = caption if isinstance(caption, str) else caption.text
+    text = text_of(caption)
     return Item(
         name=name,
         rows=len(joints) - 1,
         captions=(caption,),
-        prompts=(text,),
         # Two motions of one prompt are never told apart.
         label=(words(text) or text,),
         codec=codec.name,

@@ -1,21 +1,19 @@
 """What models are judged on: test items of a corpus, or of a HumanML3D or KIT-ML folder.
 
-An item is a real motion with its sentences. A corpus's items also have a label (what is shown) and sentences of other
-words than any of training; a folder's items have neither, but are cropped anew in every repeat, as the sets' own
-loaders do. F joints frames give F - 1 rows of features; J joints, D features.
+An item is a real motion with its sentences. A corpus's items also have a label (what is shown); a folder's have none,
+but are cropped anew in every repeat, as the sets' own loaders do. F joints frames give F - 1 rows of features; J
+joints, D features.
 """
 
 import hashlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TypeVar
 
 import torch
 from torch import Tensor
 
-from moveset.data.captions import heldout_captions, heldout_composed_captions
 from moveset.data.corpus import Corpus
 from moveset.data.humanml3d import Caption, HumanML3D
 from moveset.data.humanml3d import Item as FolderItem
@@ -25,8 +23,6 @@ from moveset.io.numpy_file import array_shape
 from moveset.motion.clip import Motion
 from moveset.motion.features import get_codec
 from moveset.motion.hml import HmlCodec
-
-Option = TypeVar("Option")
 
 SHORTEST = 24  # frames of an item of a corpus
 LONGEST = 196  # rows of features of an item of a folder
@@ -42,7 +38,6 @@ class Item:
         name: unique in its set.
         rows: rows of features; one frame of joints more.
         captions: sentences that the evaluator reads, one drawn in each repeat.
-        prompts: sentences of other words that mean the same, for held-out wording; none where unknown.
         label: what is shown; None where unknown. Items of one label are never told apart.
         codec: name of the features' codec.
         features: (rows, D) its features, not normalised.
@@ -54,7 +49,6 @@ class Item:
     name: str
     rows: int
     captions: tuple[Caption | str, ...]
-    prompts: tuple[str, ...]
     label: tuple[str, ...] | None
     codec: str
     features: Callable[[], Tensor]
@@ -65,13 +59,17 @@ class Item:
 
 @dataclass(frozen=True, eq=False)
 class Draw:
-    """An item as one repeat uses it: which caption, which prompt, and rows [start, start + rows) of its features."""
+    """An item as one repeat uses it: which caption, and rows [start, start + rows) of its features."""
 
     item: Item
     caption: Caption | str
-    prompt: str
     start: int
     rows: int
+
+    @property
+    def prompt(self) -> str:
+        """The sentence."""
+        return text_of(self.caption)
 
     @property
     def frames(self) -> int:
@@ -128,16 +126,9 @@ class ItemSet:
         dropped = {**self.dropped, "left out at random by --items": len(self.items) - count}
         return ItemSet(kept, self.name, self.sha256, self.codec, dropped)
 
-    def draw(self, generator: torch.Generator, wording: str = "known") -> list[Draw]:
-        """Caption, prompt and crop of every item for one repeat.
-
-        Args:
-            wording: "known" prompts with the caption itself, "held-out" with other words for the same.
-
-        Raises:
-            InputError: other words are asked for, but an item has none.
-        """
-        return [_draw(item, generator, wording) for item in self.items]
+    def draw(self, generator: torch.Generator) -> list[Draw]:
+        """Caption and crop of every item for one repeat."""
+        return [_draw(item, generator) for item in self.items]
 
 
 def text_of(caption: Caption | str) -> str:
@@ -243,16 +234,10 @@ def long_items(data: HumanML3D, split: Split) -> ItemSet:
 
 def _corpus_item(corpus: Corpus, k: int, codec: HmlCodec, mirrored: bool) -> Item:
     record, contents = corpus.records[k], corpus.contents(k, mirrored)
-    said = (
-        heldout_captions(contents[0])
-        if len(contents) == 1
-        else heldout_composed_captions(record.kind, (contents[0], contents[1]))
-    )
     return Item(
         name=record.name + " mirrored" * mirrored,
         rows=record.frames - 1,
         captions=corpus.captions(k, mirrored),
-        prompts=said,
         label=contents,
         codec=codec.name,
         features=lambda: codec.encode(corpus.motion(k, mirrored)),
@@ -269,7 +254,6 @@ def _folder_item(data: HumanML3D, item: FolderItem, codec: HmlCodec, number: int
         name=f"{number} {item.name}",
         rows=item.stop - item.start,
         captions=item.captions,
-        prompts=(),
         label=None,
         codec=codec.name,
         features=features,
@@ -278,24 +262,15 @@ def _folder_item(data: HumanML3D, item: FolderItem, codec: HmlCodec, number: int
     )
 
 
-def _draw(item: Item, generator: torch.Generator, wording: str) -> Draw:
+def _draw(item: Item, generator: torch.Generator) -> Draw:
     # Every item takes as many numbers from the generator, whatever it needs.
-    caption, prompt, coin, where = torch.rand(4, generator=generator, dtype=torch.float64).tolist()
-    chosen = _pick(item.captions, caption)
-    if wording == "held-out" and not item.prompts:
-        raise InputError(
-            f"item {item.name!r} has no held-out wordings; only our own corpus has, so use --wording known"
-        )
-    said = _pick(item.prompts, prompt) if wording == "held-out" else text_of(chosen)
+    which, coin, where = torch.rand(3, generator=generator, dtype=torch.float64).tolist()
+    caption = item.captions[int(which * len(item.captions))]
     if not item.cropped:
-        return Draw(item, chosen, said, 0, item.rows)
+        return Draw(item, caption, 0, item.rows)
     tokens = item.rows // TOKEN - (0 if coin < SINGLE else 1)
     rows = min(tokens * TOKEN, LONGEST)
-    return Draw(item, chosen, said, int(where * (item.rows - rows + 1)), rows)
-
-
-def _pick(options: Sequence[Option], share: float) -> Option:
-    return options[int(share * len(options))]
+    return Draw(item, caption, int(where * (item.rows - rows + 1)), rows)
 
 
 def _sha256(path: Path) -> str:

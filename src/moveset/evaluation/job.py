@@ -123,8 +123,7 @@ def _check_fit(job: Job, generator: Generator, judged: ItemSet, items: ItemSet) 
     """What no repeat could judge is refused before anything is made or written.
 
     Raises:
-        InputError: motions on another skeleton than the data, prompts in other words where there are none, or what
-            cannot be rolled out.
+        InputError: motions on another skeleton than the data, or what cannot be rolled out.
     """
     if judged.codec.name != items.codec.name:
         raise InputError(
@@ -137,13 +136,6 @@ def _check_fit(job: Job, generator: Generator, judged: ItemSet, items: ItemSet) 
             f"R-precision needs groups of {job.protocol.group} items of different labels, and the {len(items)} drawn "
             f"at random have {kinds} distinct ones; raise --items, or leave it out for all of them"
         )
-    if job.protocol.wording == "held-out":
-        if judged is not items:
-            raise InputError(f"{judged.name} has prompts of its own, so there is no other wording; leave --wording out")
-        if lacking := [item.name for item in items.items if not item.prompts]:
-            raise InputError(
-                f"item {lacking[0]!r} has no held-out wordings; only our own corpus has, so use --wording known"
-            )
     if job.protocol.split == "rollout" and (isinstance(generator, Reconstruction) or judged is not items):
         raise InputError(f"{generator.slug} cannot be rolled out; evaluate a model that makes motion, or real motion")
 

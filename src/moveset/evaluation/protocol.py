@@ -11,7 +11,7 @@ import hashlib
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any, Literal
+from typing import Any
 from typing import Protocol as Interface
 
 import torch
@@ -29,7 +29,6 @@ from moveset.motion.measures import boundary_jerk, measure
 ENCODED = 64  # clips turned into features at once
 PHYSICAL = ("skating", "penetration", "floating", "jerk", "root_drift")
 
-Wording = Literal["known", "held-out"]
 Say = Callable[[str, int, int], None]
 
 
@@ -61,7 +60,6 @@ class Protocol:
         split: "test", "val" or "rollout" (``evaluation.rollout``).
         repeats: how often everything random is drawn again.
         seed: of all of it.
-        wording: what prompts say: the caption that the evaluator reads, or other words for it ("held-out").
         multimodality: texts of which ``samples`` motions are made in each repeat; 0 leaves it out.
         samples: motions of each of them.
         pairs: of motions of a text.
@@ -73,7 +71,6 @@ class Protocol:
     split: str = "test"
     repeats: int = 20
     seed: int = 0
-    wording: Wording = "known"
     multimodality: int = 100
     samples: int = 30
     pairs: int = 10
@@ -89,8 +86,6 @@ class Protocol:
             value = getattr(self, name)
             if not low <= value <= high:
                 raise InputError(f"{name} {value} is not in {low} to {high}")
-        if self.wording not in ("known", "held-out"):
-            raise InputError(f"wording {self.wording!r} is neither 'known' nor 'held-out'")
 
     def fitted(self, items: ItemSet, random: bool) -> "Protocol":
         """With as many texts and pairs as there are items for; nothing that is random where nothing is.
@@ -162,7 +157,7 @@ def run_repeat(session: Session, number: int, say: Say = lambda stage, done, cou
     """
     begun = time.perf_counter()
     protocol, generator = session.protocol, session.generator
-    asked = session.judged.draw(random_of(protocol, number, "items"), protocol.wording)
+    asked = session.judged.draw(random_of(protocol, number, "items"))
     real = asked if session.judged is session.items else session.items.draw(random_of(protocol, number, "items"))
     wanted = [Wanted(((d.prompt, d.frames),), seed_of(protocol, number, d.item.name), d) for d in asked]
     made = _made(session, wanted, asked, say)

@@ -246,7 +246,7 @@ def _groups(session: Session, number: int, told: Sequence[Told]) -> list[list[in
 def _chosen(session: Session, number: int) -> list[Rollout]:
     """Rollouts of single actions in random order; of a folder its long motions."""
     protocol = session.protocol
-    draws = session.items.draw(random_of(protocol, number, "items"), protocol.wording)
+    draws = session.items.draw(random_of(protocol, number, "items"))
     if session.items.labels is None:
         limit = round(SECONDS * session.items.codec.fps)
         return [Rollout((draw,), (min(draw.rows, limit),)) for draw in draws]

@@ -80,7 +80,7 @@ def calibrate(inside: Sequence[float] | Tensor, outside: Sequence[float] | Tenso
     """The threshold with the least ``weight * false_alarms + missed``, midway in its gap.
 
     Args:
-        inside: best cosines (``KnownPrompts.similarity``) of held-out sentences about what the model knows.
+        inside: best cosines (``KnownPrompts.similarity``) of sentences about what the model knows, without themselves.
         outside: the same for sentences about things it does not know.
         weight: how much worse a needless warning is than a missing one.
 

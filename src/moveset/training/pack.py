@@ -9,7 +9,6 @@ from typing import Any
 import torch
 from torch import nn
 
-from moveset.data.captions import heldout_captions
 from moveset.data.corpus import Corpus
 from moveset.data.dataset import CorpusDataset
 from moveset.data.disturbance import Disturbance, wordings
@@ -27,6 +26,7 @@ from moveset.training.reading import embedded
 from moveset.training.tasks import Sources
 
 KNOWN_CAPTIONS = 2000
+ROWS = 1024  # captions looked up at once
 UNKNOWN_ACTIONS = (
     "a person plays the piano", "someone cooks dinner", "a cat sleeps on the sofa", "a man drives a car",
     "a person swims in a pool", "someone rides a bicycle", "a person sits on a chair", "climb the stairs",
@@ -215,23 +215,20 @@ def trained_words(corpus: Corpus, task: Mapping[str, Any]) -> set[str]:
 
 
 def familiarity_limit(known: torch.Tensor, text_encoder: str) -> float:
-    """The similarity that best separates held-out wordings of known contents from actions that are not in the data."""
-    encoder = get_text_encoder(text_encoder)
-    contents = (
-        "walk",
-        "run",
-        "wave-left-hand",
-        "raise-up-both-hands",
-        "walk-turn-left",
-        "bow",
-        "kick",
-        "dash",
-        "salsa",
-    )
-    inside = [sentence for content in contents for sentence in heldout_captions(content)]
+    """The similarity that best separates captions, each looked up among the others, from actions not in the data.
+
+    Args:
+        known: (N, C) sentence embeddings of captions.
+        text_encoder: which made them.
+    """
     unit = torch.nn.functional.normalize(known.float(), dim=-1)
-    best = [(encoder.encode(list(texts)).pooled @ unit.T).amax(dim=1) for texts in (inside, UNKNOWN_ACTIONS)]
-    found = calibrate(*best)
+    inside = []
+    for start in range(0, len(unit), ROWS):
+        similar = unit[start : start + ROWS] @ unit.T
+        similar[torch.arange(len(similar)), torch.arange(start, start + len(similar))] = -1.0
+        inside.append(similar.amax(dim=1))
+    outside = torch.nn.functional.normalize(get_text_encoder(text_encoder).encode(list(UNKNOWN_ACTIONS)).pooled, dim=-1)
+    found = calibrate(torch.cat(inside), (outside @ unit.T).amax(dim=1))
     print(f"far prompts: below {found.cosine:.2f}; {found.false_alarms:.0%} false alarms, {found.missed:.0%} missed")
     return round(found.cosine, 3)
 
