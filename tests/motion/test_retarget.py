@@ -7,8 +7,9 @@ import torch
 
 from moveset.errors import InputError
 from moveset.motion import rotations
+from moveset.motion.body_axes import leg_length
 from moveset.motion.clip import Motion
-from moveset.motion.retarget import leg_length, retarget
+from moveset.motion.retarget import retarget
 from moveset.motion.rigs import RIGS, as_skeleton, get_rig, pairs_by_name, roles
 from moveset.motion.skeleton import HML22, Skeleton
 from tests.motions import gait, wander

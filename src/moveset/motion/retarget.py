@@ -1,12 +1,25 @@
 """The same motion on another skeleton: joints matched by role, rest poses reconciled, feet kept on the floor."""
 
+import itertools
+
 import torch
 from torch import Tensor
 
 from moveset.errors import InputError
 from moveset.motion import rotations
+from moveset.motion.body_axes import Roles, ankle_height, leg_length
 from moveset.motion.clip import Motion
 from moveset.motion.kinematics import global_to_local
+from moveset.motion.reference import (
+    Reference,
+    as_before,
+    find_reference,
+    on_floor,
+    reference_at_rest,
+    standing,
+    stood,
+    warn_of,
+)
 from moveset.motion.rigs import get_rig, roles
 from moveset.motion.skeleton import Skeleton
 
@@ -26,22 +39,31 @@ _LIMBS = {
     )
 }
 _SHORTEST_LEG = 1e-6  # metres
+_TRUNK = ("pelvis", "spine1", "spine2", "spine3", "neck", "head")
 
 
-def retarget(motion: Motion, target: str | Skeleton) -> Motion:
+def retarget(motion: Motion, target: str | Skeleton, *, reference: Reference | None = None) -> Motion:
     """The motion on another skeleton.
 
-    With G the world rotation of a joint in the source and d_s, d_t the rest directions of the same limb in source and
-    target, the target's joint turns by G·C, where C is the shortest arc from d_t to d_s: both limbs then point the same
-    way. Joints without a counterpart keep their rest pose. The path of the
-    centre between the hips is scaled by the leg lengths, and raised or lowered once, so that a foot that stands flat on
-    the floor does so afterwards (exactly where thigh and shin have the same proportions in both, as in the presets).
+    Both bodies are compared in a pose in which they stand (``motion.reference``), so that neither the axes of joints
+    nor the zero pose matter. With G the world rotation of a joint in the source from there and d_s, d_t the directions
+    of the same limb in that pose, the target's joint turns by G·C, where C is the shortest arc from d_t to d_s: both
+    limbs then point the same way. Joints of the trunk that only the target has share the turn of those around them;
+    other joints without a counterpart keep their rest pose. The path of the centre between the hips is scaled by the
+    leg lengths, and raised or lowered once, so that a foot that stands flat on the floor does so afterwards (exactly
+    where thigh and shin have the same proportions in both, as in the presets).
 
     Where both skeletons are one body (``Skeleton.order_in``) nothing moves, be there roles or not.
 
     Args:
         motion: on a skeleton whose joints ``rigs.roles`` recognises.
-        target: "smpl", "mixamo", "vrm", "ue5", "hml22", "kit21", or any skeleton with recognisable joints.
+        target: "smpl", "mixamo", "vrm", "ue5", "hml22", "kit21", or any skeleton with recognisable joints; the result
+            has its up axis.
+        reference: how the source stands, where another take of the same skeleton shows it better, or where many takes
+            are to be read alike; None to find out (``find_reference``).
+
+    Warns:
+        UserWarning: how the source's joints are turned had to be worked out.
 
     Raises:
         InputError: an unknown name, or a skeleton without recognisable legs or with legs of no length.
@@ -52,16 +74,28 @@ def retarget(motion: Motion, target: str | Skeleton) -> Motion:
         return motion
     if (order := skeleton.order_in(source)) is not None:
         return Motion(motion.rotations[:, order], motion.root, motion.fps, skeleton)
-    theirs, ours = roles(source), roles(skeleton)
-    for body, found in ((source, theirs), (skeleton, ours)):
-        if leg_length(body, found) < _SHORTEST_LEG:
+    for body in (source, skeleton):
+        if leg_length(body, roles(body)) < _SHORTEST_LEG:
             raise InputError(f"skeleton {body.name!r} has legs of no length, which say no size; give its bones lengths")
+    theirs, ours = reference or find_reference(motion), reference_at_rest(skeleton)
+    if reference is None:
+        warn_of(source, theirs)
+    there = _retarget_standing(
+        on_floor(standing(motion, theirs)), stood(skeleton, ours), roles(source), roles(skeleton)
+    )
+    return as_before(there, skeleton, ours)
+
+
+def _retarget_standing(motion: Motion, skeleton: Skeleton, theirs: Roles, ours: Roles) -> Motion:
+    """Between skeletons that rest Y up, facing +Z."""
+    source = motion.skeleton
     turned = motion.global_rotations
     wanted = {
         ours[role]: rotations.mul(turned[:, theirs[role]], _correction(source, theirs, skeleton, ours, role))
         for role in ours
         if role in theirs
     }
+    wanted |= _between(turned, theirs, ours)
     for above_pelvis in _ancestors(skeleton, ours["pelvis"]):
         wanted[above_pelvis] = rotations.heading(turned[:, theirs["pelvis"]])
 
@@ -75,13 +109,25 @@ def retarget(motion: Motion, target: str | Skeleton) -> Motion:
     return Motion(rotations.unroll(local), root, motion.fps, skeleton)
 
 
-def _correction(
-    source: Skeleton, theirs: dict[str, int], skeleton: Skeleton, ours: dict[str, int], role: str
-) -> Tensor:
+def _between(turned: Tensor, theirs: Roles, ours: Roles) -> dict[int, Tensor]:
+    """Turns (F, 4) of joints of the trunk that only the target has: evenly between those that both have."""
+    known = [k for k, role in enumerate(_TRUNK) if role in theirs]
+    found = {}
+    for low, high in itertools.pairwise(known):
+        for k in range(low + 1, high):
+            if _TRUNK[k] in ours:
+                ends = (turned[:, theirs[_TRUNK[low]]], turned[:, theirs[_TRUNK[high]]])
+                found[ours[_TRUNK[k]]] = rotations.slerp(*ends, (k - low) / (high - low))
+    return found
+
+
+def _correction(source: Skeleton, theirs: Roles, skeleton: Skeleton, ours: Roles, role: str) -> Tensor:
     """C (4,): from the target's rest direction of a limb to the source's; the identity for what is no limb."""
     start, end = _LIMBS.get(role, ("", ""))
     if not all(name in found for name in (start, end) for found in (theirs, ours)):
-        return rotations.identity()
+        # A forearm that ends nowhere goes on as the upper arm does at rest.
+        above = role.replace("elbow", "shoulder").replace("wrist", "elbow")
+        return _correction(source, theirs, skeleton, ours, above) if start and above != role else rotations.identity()
     d_s = source.rest_positions[theirs[end]] - source.rest_positions[theirs[start]]
     d_t = skeleton.rest_positions[ours[end]] - skeleton.rest_positions[ours[start]]
     return rotations.between(d_t, d_s)
@@ -95,28 +141,9 @@ def _ancestors(skeleton: Skeleton, joint: int) -> list[int]:
     return above
 
 
-def _hip_centre(motion: Motion, skeleton: Skeleton, theirs: dict[str, int], ours: dict[str, int]) -> Tensor:
+def _hip_centre(motion: Motion, skeleton: Skeleton, theirs: Roles, ours: Roles) -> Tensor:
     """Where the point between the target's hips goes: (F, 3)."""
     scale = leg_length(skeleton, ours) / leg_length(motion.skeleton, theirs)
-    below, above = _ankle_height(motion.skeleton, theirs), _ankle_height(skeleton, ours)
-    lift = 0.0 if below is None or above is None else above - scale * below
+    lift = ankle_height(skeleton, ours) - scale * ankle_height(motion.skeleton, theirs)
     centre = motion.joints[:, [theirs["left_hip"], theirs["right_hip"]]].mean(dim=1)
     return scale * centre + centre.new_tensor((0.0, lift, 0.0))
-
-
-def leg_length(skeleton: Skeleton, found: dict[str, int]) -> float:
-    """Hip to knee to ankle, metres, mean of both sides."""
-    rest = skeleton.rest_positions
-    length = 0.0
-    for side in ("left", "right"):
-        hip, knee, ankle = (rest[found[f"{side}_{part}"]] for part in ("hip", "knee", "ankle"))
-        length += 0.5 * float((knee - hip).norm() + (ankle - knee).norm())
-    return length
-
-
-def _ankle_height(skeleton: Skeleton, found: dict[str, int]) -> float | None:
-    """Height of the ankles above the toe joints at rest, metres; None where there are no toe joints."""
-    rest = skeleton.rest_positions
-    sides = [side for side in ("left", "right") if f"{side}_foot" in found]
-    drops = [float(rest[found[f"{side}_ankle"], 1] - rest[found[f"{side}_foot"], 1]) for side in sides]
-    return max(0.0, sum(drops) / len(drops)) if drops else None

@@ -13,6 +13,7 @@ bone are left out, and the arms of ``ue5`` hang by exactly 45 degrees.
 import re
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
 
 import torch
@@ -20,10 +21,9 @@ from torch import Tensor
 
 from moveset.errors import InputError
 from moveset.motion import rotations
+from moveset.motion.body_shape import body_shape
+from moveset.motion.joint_names import Recognition, recognise
 from moveset.motion.skeleton import HML22, KIT21, Skeleton
-
-_ROLES = frozenset(HML22.joints)
-_SMPL = {role: role for role in HML22.joints}
 
 
 def _sided(centre: Mapping[str, str], sides: Mapping[str, str], left: str, right: str) -> dict[str, str]:
@@ -62,14 +62,6 @@ _UE5 = _sided(
     "l",
     "r",
 )  # fmt: skip
-_KIT = _sided(
-    {"pelvis": "root", "spine1": "torso", "spine3": "chest", "neck": "neck", "head": "head"},
-    {"hip": "{}_hip", "knee": "{}_knee", "ankle": "{}_ankle", "foot": "{}_toe",
-     "shoulder": "{}_shoulder", "elbow": "{}_elbow", "wrist": "{}_wrist"},
-    "left",
-    "right",
-)  # fmt: skip
-
 # Joints of ue5 half-way between two roles: they keep their rest pose, so that the others stay exactly in place.
 _UE5_BETWEEN = {
     "spine_02": ("spine1", "spine2"),
@@ -78,23 +70,31 @@ _UE5_BETWEEN = {
 }
 
 
+@lru_cache(maxsize=64)
 def roles(skeleton: Skeleton) -> dict[str, int]:
-    """Which joint plays which role, by name; case and prefixes that end in a colon ("mixamorig:") do not matter.
+    """Which joint plays which role: as the skeleton says, else by names and tree (``joint_names``), else by shape.
 
     Raises:
         InputError: fewer than pelvis, hips, knees and ankles can be recognised.
     """
-    plain = {re.sub(r"^.*:", "", name).lower(): j for j, name in reversed(list(enumerate(skeleton.joints)))}
-    found: dict[str, int] = {}
-    for names in (_SMPL, _KIT, _MIXAMO, _VRM, _UE5):
-        match = {role: plain[name.lower()] for role, name in names.items() if name.lower() in plain}
-        found = match if len(match) > len(found) else found
-    need = [f"{side}_{part}" for part in ("hip", "knee", "ankle") for side in ("left", "right")]
-    missing = [role for role in ["pelvis", *need] if role not in found]
-    if missing:
+    return recognised(skeleton).roles
+
+
+def recognised(skeleton: Skeleton) -> Recognition:
+    """The same, and by what each joint was recognised.
+
+    Raises:
+        InputError: fewer than pelvis, hips, knees and ankles can be recognised.
+    """
+    if skeleton.roles:
+        return Recognition(dict(skeleton.roles), {role: "as given" for role, _ in skeleton.roles}, "as given")
+    found = recognise(skeleton.joints, skeleton.parents)
+    if found.missing and (shape := body_shape(skeleton)) is not None:
+        found = Recognition(shape, dict.fromkeys(shape, "the body's shape"), "unknown names")
+    if found.missing:
         raise InputError(
-            f"skeleton {skeleton.name!r} has no joint recognisable as {', '.join(missing)}; name its joints as one of "
-            f"{', '.join(RIGS)}"
+            f"skeleton {skeleton.name!r} has no joint recognisable as {', '.join(found.missing)}; name its joints as "
+            f"one of {', '.join(RIGS)} does, or say which joint is which"
         )
     return found
 

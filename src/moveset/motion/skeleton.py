@@ -25,6 +25,7 @@ class Skeleton:
         offsets: (J, 3) position of each joint relative to its parent in the rest pose, metres, Y up, facing +Z.
         pairs: (left, right) joint indices, for mirroring.
         feet: indices of left ankle, left toe, right ankle, right toe; empty where unknown.
+        roles: (joint of ``hml22``, index of the joint that plays it) where somebody said so; empty to recognise them.
     """
 
     name: str
@@ -33,6 +34,7 @@ class Skeleton:
     offsets: Tensor
     pairs: tuple[tuple[int, int], ...] = ()
     feet: tuple[int, ...] = ()
+    roles: tuple[tuple[str, int], ...] = ()
 
     def __post_init__(self) -> None:
         if not isinstance(self.offsets, Tensor):

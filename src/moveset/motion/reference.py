@@ -1,0 +1,292 @@
+"""A standing pose to compare bodies by: which way every joint's axes are turned while the body stands.
+
+Rotations say nothing by themselves: a file's joints may have any axes and any zero pose (a T-pose, all bones along +X,
+the axes of the world). What two bodies have in common is how they stand: upright, facing +Z, arms level or lowered.
+The *reference* of a skeleton is the world rotation of each of its joints in such a pose, found in this order:
+
+1. the rest pose, where that is one, whatever its up axis and facing;
+2. the frame that is unmistakably a T- or A-pose;
+3. made up from what cannot be otherwise (``moveset.motion.derived_pose``): hips and shoulders left and right, bones
+   along their offsets, knees and elbows bending about their hinges, soles flat on the floor.
+
+Thighs and upper arms are then turned about themselves so that knees and elbows bend about the same axes in all bodies,
+where the motion shows these axes clearly. All but 1 depends on joint positions and on how joints turn relative to where
+they were, so that equal positions give equal results, whatever the axes. F frames, J joints; float64.
+"""
+
+import warnings
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import torch
+from torch import Tensor
+
+from moveset.errors import InputError
+from moveset.motion import rotations
+from moveset.motion.body_axes import (
+    Roles,
+    ankle_height,
+    body_frame,
+    centre,
+    frame,
+    leg_length,
+    snapped,
+    to_upright,
+    top,
+    unit,
+    unlike_standing,
+    unlike_t_pose,
+)
+from moveset.motion.clip import Motion
+from moveset.motion.derived_pose import by_hinges, derived_pose
+from moveset.motion.rigs import RIGS, roles
+from moveset.motion.skeleton import Skeleton
+
+AXES = ("x", "y", "z", "-x", "-y", "-z")
+_FRAMES = 400  # looked at, evenly spaced
+_NEAR = 1e-6
+_SURE = 0.7  # mean body axis along an axis of the world
+_Y = torch.tensor((0.0, 1.0, 0.0), dtype=torch.float64)
+_STEP = (0.09, 0.5)  # of a leg: soles that much off the floor are so on purpose
+
+
+@dataclass(frozen=True, eq=False)
+class Reference:
+    """How a body stands.
+
+    Args:
+        turns: (J, 4) world rotation of each joint's axes in the reference pose, which is Y up and faces +Z.
+        up: (4,) rotation that takes the world of the motion to Y up.
+        how: "rest pose", "T-pose" or "derived".
+    """
+
+    turns: Tensor
+    up: Tensor
+    how: str
+
+    @property
+    def plain(self) -> bool:
+        """Whether the rest pose itself stands Y up and faces +Z: nothing needs to be turned."""
+        still = torch.cat((self.turns, self.up[None]))
+        return bool((still[:, :3].abs() < _NEAR).all())
+
+
+def axis_vector(name: str) -> Tensor:
+    """(3,) float64 of "x", "-z", …
+
+    Raises:
+        InputError: another name.
+    """
+    if name not in AXES:
+        raise InputError(f"axis {name!r} is not one of {', '.join(AXES)}; give one of these")
+    out = torch.zeros(3, dtype=torch.float64)
+    out["xyz".index(name[-1])] = -1.0 if name.startswith("-") else 1.0
+    return out
+
+
+def find_reference(motion: Motion, *, up: str | None = None, facing: str | None = None) -> Reference:
+    """The reference of the body of a motion.
+
+    Args:
+        motion: whose joints ``rigs.roles`` recognises.
+        up: axis of the motion's world that points up; None to find out.
+        facing: axis along which the rest pose looks; None to find out by its left and right hips. The result is turned
+            so that this becomes +Z.
+
+    Raises:
+        InputError: legs cannot be recognised, or an unknown axis.
+    """
+    skeleton = motion.skeleton
+    if up is None and facing is None and any(skeleton is rig for rig in RIGS.values()):
+        return _still(len(skeleton))
+    found, rest = roles(skeleton), _of_rest(skeleton)
+    if facing is not None and rest is None:
+        raise InputError(
+            f"skeleton {skeleton.name!r} does not stand at rest, so that no facing can be given; leave it out"
+        )
+    few = motion[:: max(1, -(-len(motion) // _FRAMES))]
+    turned, placed = few.global_rotations.double(), few.joints.double()
+    upward = _world_up(rest, placed, found) if up is None else _turn_up(axis_vector(up))
+    if facing is not None and rest is not None:
+        # Where the rest pose looks is to be ahead: the whole world is turned.
+        upward = _turn_up(rotations.rotate(rotations.inv(upward), _Y), axis_vector(facing))
+        return replace(rest, up=upward, turns=upward.expand(len(skeleton), 4))
+    placed, turned = rotations.rotate(upward, placed), rotations.mul(upward, turned)
+    if rest is not None:
+        return Reference(by_hinges(rest.turns, skeleton, found, turned, placed), upward, "rest pose")
+    if (turns := _t_pose(turned, placed, found)) is not None:
+        return Reference(by_hinges(turns, skeleton, found, turned, placed), upward, "T-pose")
+    return Reference(derived_pose(skeleton, found, turned, placed), upward, "derived")
+
+
+@lru_cache(maxsize=64)
+def reference_at_rest(skeleton: Skeleton) -> Reference:
+    """The reference of a body of which there is no motion.
+
+    Raises:
+        InputError: legs cannot be recognised.
+    """
+    if any(skeleton is rig for rig in RIGS.values()):
+        return _still(len(skeleton))
+    if (rest := _of_rest(skeleton)) is not None:
+        return rest
+    nothing = torch.zeros(0, len(skeleton), 4, dtype=torch.float64)
+    return Reference(derived_pose(skeleton, roles(skeleton), nothing, nothing[..., :3]), _still(1).up, "derived")
+
+
+def standing(motion: Motion, reference: Reference) -> Motion:
+    """The same motion, Y up, on a skeleton whose rest pose is the reference pose: no joint moves."""
+    if reference.plain:
+        return motion
+    skeleton = stood(motion.skeleton, reference)
+    up, turns = reference.up.to(motion.root), reference.turns.to(motion.root)
+    above = torch.cat((_still(1).turns.to(turns), turns[list(motion.skeleton.parents[1:])]))
+    local = rotations.mul(above, rotations.mul(motion.rotations, rotations.inv(turns)))
+    local[:, 0] = rotations.mul(up, local[:, 0])
+    return Motion(rotations.unroll(rotations.normalize(local)), rotations.rotate(up, motion.root), motion.fps, skeleton)
+
+
+def stood(skeleton: Skeleton, reference: Reference) -> Skeleton:
+    """The skeleton at rest in its reference pose."""
+    if reference.plain:
+        return skeleton
+    offsets = skeleton.offsets.double().clone()
+    offsets[1:] = rotations.rotate(reference.turns[list(skeleton.parents[1:])], offsets[1:])
+    # The root joint has no parent: where it says how high it rests, that is in the axes of the world.
+    offsets[0] = rotations.rotate(reference.up, offsets[0])
+    return replace(skeleton, offsets=offsets.to(skeleton.offsets.dtype))
+
+
+def as_before(motion: Motion, skeleton: Skeleton, reference: Reference) -> Motion:
+    """The way back of ``standing``: onto the skeleton with its own zero pose and its own up axis."""
+    if reference.plain:
+        return motion
+    up, turns = rotations.inv(reference.up.to(motion.root)), reference.turns.to(motion.root)
+    above = torch.cat((_still(1).turns.to(turns), turns[list(skeleton.parents[1:])]))
+    local = rotations.mul(rotations.inv(above), rotations.mul(motion.rotations, turns))
+    local[:, 0] = rotations.mul(up, local[:, 0])
+    return Motion(rotations.unroll(rotations.normalize(local)), rotations.rotate(up, motion.root), motion.fps, skeleton)
+
+
+def upright(motion: Motion, *, up: str | None = None, facing: str | None = None) -> Motion:
+    """A motion from a file whose world or rest pose has another up axis or facing, Y up and facing +Z at rest.
+
+    Where the rest pose is no standing one, the world is turned up alone; where no legs are recognised, only what
+    ``up`` says.
+
+    Raises:
+        InputError: an unknown axis.
+    """
+    try:
+        found = find_reference(motion, up=up, facing=facing)
+    except InputError:
+        if up is None and facing is None:
+            return motion
+        turn = _turn_up(axis_vector(up or "y"), None if facing is None else axis_vector(facing))
+        found = Reference(turn.expand(len(motion.skeleton), 4), turn, "rest pose")
+    if found.how != "rest pose":
+        found = replace(found, turns=_still(len(motion.skeleton)).turns)
+        if found.plain:
+            return motion
+        skeleton = motion.skeleton
+        turned = motion.transformed(found.up, torch.zeros(3))
+        return replace(turned, skeleton=skeleton)
+    return standing(motion, found)
+
+
+def on_floor(motion: Motion) -> Motion:
+    """Raised or lowered so that the soles touch the floor: by a little, as thick as soles are, or by much, as where a
+    file's root stands at height zero. In between they may well be off the floor: on steps, or in the air.
+
+    Soles are below the toe joints and ankles of a body that rests Y up; the lowest 1 % of frames say where.
+    """
+    skeleton, found = motion.skeleton, roles(motion.skeleton)
+    if any(skeleton is rig for rig in RIGS.values()):
+        return motion
+    leg = leg_length(skeleton, found)
+    placed = motion.joints[..., 1]
+    soles = [placed[:, found[f"{side}_ankle"]] - ankle_height(skeleton, found) for side in ("left", "right")]
+    soles += [placed[:, found[role]] for role in ("left_foot", "right_foot") if role in found]
+    low = torch.stack(soles).amin(dim=0).quantile(0.01)
+    if _STEP[0] * leg < float(low.abs()) < _STEP[1] * leg:
+        return motion
+    return replace(motion, root=motion.root - torch.stack((low * 0.0, low, low * 0.0)))
+
+
+def _still(joints: int) -> Reference:
+    one = rotations.identity(joints).double()
+    return Reference(one, one[0], "rest pose")
+
+
+def _turn_up(up: Tensor, facing: Tensor | None = None) -> Tensor:
+    """(4,) the rotation that takes ``up`` to +Y and, if given, ``facing`` to +Z."""
+    if facing is None:
+        # Z up files face -Y, so that the shortest turn lets them face +Z.
+        return rotations.between(up, _Y)
+    if bool((up * facing).sum().abs() > 0.5):
+        raise InputError("up and facing lie along one axis; give two different ones")
+    return to_upright(torch.stack((torch.linalg.cross(up, facing), up, facing), dim=-1))
+
+
+@lru_cache(maxsize=64)
+def _of_rest(skeleton: Skeleton) -> Reference | None:
+    """By the rest pose; None where nobody stands so."""
+    found, placed = roles(skeleton), skeleton.rest_positions.double()
+    axes = body_frame(placed, found)
+    if not torch.isfinite(axes).all() or float(torch.linalg.det(axes)) < 0.5:
+        return None
+    axes = snapped(axes)
+    if float(unlike_standing(placed, found, axes)) > 1.0:
+        return None
+    turn = to_upright(axes)
+    # The world is turned up with the rest pose, but not about it: who looks elsewhere at rest walks as before.
+    return Reference(turn.expand(len(skeleton), 4).clone(), _turn_up(_nearest(axes[:, 1])), "rest pose")
+
+
+def _nearest(v: Tensor) -> Tensor:
+    """(3,) the axis of the world nearest to a direction."""
+    axis = int(v.abs().argmax())
+    out = torch.zeros(3, dtype=torch.float64)
+    out[axis] = v[axis].sign()
+    return out
+
+
+def _world_up(rest: Reference | None, placed: Tensor, found: Roles) -> Tensor:
+    """(4,) the turn that makes the world Y up, by how the body stands in it."""
+    ankles, hips = centre(placed, found, "ankle"), centre(placed, found, "hip")
+    body = unit(top(placed, found) - ankles).mean(dim=0)
+    along = _nearest(body)
+    expected = rest.up if rest is not None else rotations.identity().double()
+    if torch.equal(rotations.rotate(expected, along).round(), _Y):
+        return expected
+    if float(body.abs().max()) < _SURE:
+        return expected
+    if rest is not None:
+        # Somebody who lies all the time is not standing in a world turned over: feet would be at height zero there.
+        legs = (hips - ankles).norm(dim=-1).median()
+        if float(body.abs().max()) < 0.85 or not 0.5 < float(((hips * along).sum(-1) / legs).median()) < 1.4:
+            return expected
+    return _turn_up(along)
+
+
+def _t_pose(turned: Tensor, placed: Tensor, found: Roles) -> Tensor | None:
+    """(J, 4) joints' axes in the frame that is unmistakably a T- or A-pose, turned to face +Z; None without one."""
+    axes = body_frame(placed, found)
+    unlike = unlike_t_pose(placed, found, axes)
+    tilt = torch.rad2deg(torch.acos(axes[..., 1, 1].clamp(-1.0, 1.0)))
+    unlike = torch.maximum(unlike, tilt / 15.0)
+    best = int(unlike.argmin())
+    if not float(unlike[best]) <= 1.0:
+        return None
+    level = frame(axes[best, :, 0], _Y) if float(tilt[best]) > 0.0 else axes[best]
+    return rotations.mul(to_upright(level), turned[best])
+
+
+def warn_of(skeleton: Skeleton, reference: Reference) -> None:
+    """Say it where the body's geometry left something to guess."""
+    if reference.how == "derived":
+        warnings.warn(
+            f"skeleton {skeleton.name!r} stands neither at rest nor in any frame as in a T-pose: how its joints are "
+            "turned was worked out from bones, hinges and soles; look at the result",
+            stacklevel=3,
+        )
