@@ -6,7 +6,7 @@ import torch
 from scipy import linalg
 
 from moveset.errors import InputError
-from moveset.evaluation.frechet import frechet_distance
+from moveset.evaluation.metrics import frechet_distance
 
 
 def _oracle(a, b):
@@ -105,5 +105,5 @@ def test_one_row_is_refused():
 def test_what_is_not_finite_is_counted_and_refused(value):
     x = torch.zeros(5, 3)
     x[2, 1] = x[4, 0] = value
-    with pytest.raises(InputError, match="2 of 5 rows"):
+    with pytest.raises(InputError, match="2 of 5 motion"):
         frechet_distance(torch.zeros(5, 3), x)

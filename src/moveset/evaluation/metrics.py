@@ -1,8 +1,7 @@
-"""Text and motion embeddings to numbers: R-precision, matching score, diversity, multimodality; and joint errors.
+"""Text and motion embeddings to numbers: R-precision, FID, matching score, diversity, multimodality; joint errors.
 
 Pure functions of embeddings in float64; whoever calls embeds, so no evaluator is known here. The sampling rules are
 those of Guo et al. 2022 ("Generating Diverse and Natural 3D Human Motions from Text") as used by MLD and MotionLCM.
-FID is ``evaluation.frechet.frechet_distance`` of motion embeddings.
 
 Shapes: M items, E embedding width, G groups of S items, T texts with n motions each, F frames, J joints.
 """
@@ -90,6 +89,33 @@ def matching_score(text_ME: Tensor, motion_ME: Tensor, groups: Sequence[Sequence
     return _distances(text_ME, motion_ME, groups).diagonal(dim1=1, dim2=2).mean().item()
 
 
+def frechet_distance(a: Tensor, b: Tensor) -> float:
+    """Squared Fréchet (2-Wasserstein) distance between Gaussians fitted to the rows of a (N, E) and b (M, E).
+
+    |mean_a - mean_b|^2 + tr(A) + tr(B) - 2 tr((A B)^1/2), with sample covariances A and B (Dowson and Landau 1982;
+    Heusel et al. 2017, arXiv 1706.08500). With centred rows X and Y, A = X'X / (N - 1) and B = Y'Y / (M - 1), the
+    trace of the root is the sum of the singular values of X Y' / sqrt((N - 1) (M - 1)). No matrix root is taken: fewer
+    rows than columns (singular covariances) need no added diagonal, and nothing imaginary is thrown away.
+
+    Raises:
+        InputError: fewer than two rows, different numbers of columns, or values that are not finite.
+
+    >>> x = torch.tensor([[0.0, 1.0], [2.0, 0.0], [1.0, 5.0]])
+    >>> round(frechet_distance(x, x), 9), round(frechet_distance(x, x + 3.0), 6)
+    (0.0, 18.0)
+    """
+    if a.ndim != 2 or b.ndim != 2 or a.shape[1] != b.shape[1] or min(len(a), len(b)) < 2:
+        raise InputError(
+            f"a Fréchet distance needs two tables of features with at least 2 rows and equal columns, not "
+            f"{tuple(a.shape)} and {tuple(b.shape)}"
+        )
+    a, b = _finite(a, 2, "motion"), _finite(b, 2, "motion")
+    x, y = _triangle(a), _triangle(b)
+    cross = torch.linalg.svdvals(x @ y.T).sum()
+    distance = (a.mean(0) - b.mean(0)).square().sum() + x.square().sum() + y.square().sum() - 2.0 * cross
+    return max(distance.item(), 0.0)
+
+
 def diversity(motion_ME: Tensor, generator: torch.Generator, pairs: int = 300) -> float:
     """Mean distance of ``pairs`` pairs of motions, whatever their texts.
 
@@ -165,6 +191,12 @@ def _distances(text_ME: Tensor, motion_ME: Tensor, groups: Sequence[Sequence[int
         raise InputError(f"a group names item {int(index.max())}, and items are 0 to {len(text) - 1}")
     # Without the quadratic expansion, which would lose the digits of small distances.
     return torch.cdist(text[index], motion[index], compute_mode="donot_use_mm_for_euclid_dist")
+
+
+def _triangle(rows: Tensor) -> Tensor:
+    """(min(N, E), E) matrix R with R'R the sample covariance of rows (N, E)."""
+    triangle: Tensor = torch.linalg.qr(rows - rows.mean(0), mode="r").R
+    return triangle / (len(rows) - 1) ** 0.5
 
 
 def _finite(values: Tensor, dims: int, what: str) -> Tensor:

@@ -20,7 +20,6 @@ from torch import Tensor
 from moveset.data.humanml3d import Caption
 from moveset.errors import InputError
 from moveset.evaluation import metrics
-from moveset.evaluation.frechet import frechet_distance
 from moveset.evaluation.generators import Generator, Given, Reconstruction, Wanted, check_made
 from moveset.evaluation.items import Draw, ItemSet
 from moveset.motion.hml import HmlCodec
@@ -171,7 +170,7 @@ def run_repeat(session: Session, number: int, say: Say = lambda stage, done, cou
     top = metrics.r_precision(text, motion, groups)
     found: dict[str, float] = {f"r{k}": float(rate) for k, rate in enumerate(top, start=1)}
     found["mm_dist"] = metrics.matching_score(text, motion, groups)
-    found["fid"] = frechet_distance(session.real(real), motion)
+    found["fid"] = metrics.frechet_distance(session.real(real), motion)
     pairs = min(protocol.diversity, len(asked))
     found["diversity"] = metrics.diversity(motion, random_of(protocol, number, "diversity"), pairs)
     texts = {}

@@ -20,7 +20,6 @@ from torch import Tensor
 from moveset.data.humanml3d import Caption
 from moveset.errors import InputError
 from moveset.evaluation import metrics
-from moveset.evaluation.frechet import frechet_distance
 from moveset.evaluation.generators import Given, Reconstruction, Wanted
 from moveset.evaluation.items import Draw, text_of
 from moveset.evaluation.protocol import Say, Session, encoded, physical, random_of, seed_of
@@ -186,7 +185,7 @@ def run_rollout(session: Session, number: int, say: Say = lambda stage, done, co
     judged = session.evaluator.embed_motions([x for _, found in real for x in found])
     found = {f"r{k}": float(rate) for k, rate in enumerate(top, start=1)}
     found["mm_dist"] = metrics.matching_score(text, motion, groups)
-    found["fid"] = frechet_distance(judged, motion)
+    found["fid"] = metrics.frechet_distance(judged, motion)
     pairs = min(protocol.diversity, len(told))
     found["diversity"] = metrics.diversity(motion, random_of(protocol, number, "diversity"), pairs)
     found |= physical(made, codec, generator.segment or protocol.seams)

@@ -18,8 +18,7 @@ from torch import Tensor
 from moveset.data.humanml3d import Caption
 from moveset.errors import InputError
 from moveset.evaluation.evaluator import EvaluatorCard
-from moveset.evaluation.frechet import frechet_distance
-from moveset.evaluation.metrics import GROUP, group, matching_score, r_precision
+from moveset.evaluation.metrics import GROUP, frechet_distance, group, matching_score, r_precision
 from moveset.motion.features import get_codec
 from moveset.motion.hml import HmlCodec
 
