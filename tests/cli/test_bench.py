@@ -17,14 +17,14 @@ def models(tmp_path_factory):
     return ["--clips", str(tiny_bundle(root / "clips")), "--streams", str(tiny_stream(root / "streams"))]
 
 
-@pytest.fixture
-def threads():
+@pytest.fixture(autouse=True)
+def threads(monkeypatch):
     before = torch.get_num_threads()
+    monkeypatch.setenv("OMP_NUM_THREADS", str(before))  # put back as it was, whatever a bench says
     yield
     torch.set_num_threads(before)
 
 
-@pytest.mark.usefixtures("threads")
 def test_a_report_with_its_page_and_again_from_its_file(models, tmp_path, capsys):
     out = tmp_path / "costs.json"
     command = ["bench", "--quick", "--parts", "clips", "operations", "--threads", "1", "--device", "cpu", *models]

@@ -3,7 +3,6 @@
 import json
 
 import pytest
-import torch
 
 from moveset.cli.__main__ import main
 from tests.bundles import tiny_bundle
@@ -52,18 +51,6 @@ def test_batch_one_equals_single_commands(bulk, model, tmp_path):
     assert bulk()[0] == 0
     main(["generate", "a person bows", "--seconds", "1", "--seed", "1", "-o", "alone.bvh", "--model", str(model)])
     assert (tmp_path / "out" / "take-bow2.bvh").read_bytes() == (tmp_path / "alone.bvh").read_bytes()
-
-
-@pytest.mark.parametrize(("batch", "threads"), [("1", 1), ("2", 2)])
-def test_one_clip_at_a_time_is_computed_by_one_thread_as_single_commands_are(bulk, monkeypatch, batch, threads):
-    monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
-    before = torch.get_num_threads()
-    torch.set_num_threads(2)
-    try:
-        assert bulk("--batch", batch)[0] == 0
-        assert torch.get_num_threads() == threads
-    finally:
-        torch.set_num_threads(before)
 
 
 def test_resuming_and_sharing_change_no_byte(bulk, tmp_path, monkeypatch):

@@ -2,6 +2,7 @@
 
 import importlib.util
 import json as jsonlib
+import os
 import sys
 from collections.abc import Callable
 from dataclasses import replace
@@ -48,7 +49,7 @@ def bench(
         processes: Whole processes of each kind (5).
         endless: Segments of the long stream (2000).
         quick: One round of the least: does it run?
-        threads: CPU threads; by default torch's choice.
+        threads: CPU threads; 1 by default, as clips and segments are made.
         device: auto, cpu, cuda or mps.
         json: Print the report as JSON on stdout and nothing else.
     """
@@ -74,7 +75,7 @@ def bench(
         plan = Plan(clips=clips, streams=streams, device=device, parts=parts or PARTS)
         given = {"rounds": rounds, "count": processes, "endless": endless}
         asked: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
-        report = _measure(replace(shortest(plan) if quick else plan, **asked), threads)
+        report = _measure(replace(shortest(plan) if quick else plan, **asked), 1 if threads is None else threads)
     # Printed first: what took an hour to measure must not be lost to a disk that has filled up meanwhile.
     name = output.stem if output is not None else "benchmarks"
     print(jsonlib.dumps(report) if json else markdown(report, name), flush=True)
@@ -83,16 +84,18 @@ def bench(
     return 0
 
 
-def _measure(plan: "Plan", threads: int | None) -> dict[str, Any]:
+def _measure(plan: "Plan", threads: int) -> dict[str, Any]:
     import torch
 
     from moveset.bench.machine import cores
     from moveset.bench.run import Bench
 
-    if threads is not None:
-        if not 1 <= threads <= 4 * cores():
-            raise InputError(f"{threads} threads on {cores()} cores; use 1 to {4 * cores()}")
-        torch.set_num_threads(threads)
+    if not 1 <= threads <= 4 * cores():
+        raise InputError(f"{threads} threads on {cores()} cores; use 1 to {4 * cores()}")
+    torch.set_num_threads(threads)
+    os.environ["OMP_NUM_THREADS"] = str(
+        threads
+    )  # so that one clip at a time is made with as many, here and in processes
     return Bench(plan, _bar).run()
 
 

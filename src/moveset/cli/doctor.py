@@ -93,12 +93,10 @@ def _video() -> dict[str, Any]:
 
 
 def _self_test(model: str, device: str) -> dict[str, Any]:
-    from moveset.cli.threads import one_thread
     from moveset.pipelines.model_folder import STREAM, find_folder, task_of
     from moveset.pipelines.motion_stream import MotionStream
     from moveset.pipelines.text_to_motion import TextToMotion
 
-    one_thread()
     if task_of(find_folder(model)) == STREAM:
         stream = MotionStream.from_pretrained(model, "a person walks forward", device=device)
         segments = [next(stream) for _ in range(2)]

@@ -64,7 +64,6 @@ def generate(
         json: Print one JSON object on stdout and nothing else.
     """
     from moveset.cli.output import Finish, plan_outputs, write
-    from moveset.cli.threads import one_thread
     from moveset.pipelines.request import check_method, check_request
     from moveset.pipelines.text_to_motion import TextToMotion
 
@@ -72,8 +71,6 @@ def generate(
     t2m = TextToMotion.from_pretrained(model, device=device)
     method = check_method(t2m.bundle.config, solver, steps, guidance)
     outputs = output or (DEFAULT_OUTPUT,)
-    if batch == 1:
-        one_thread()  # for prompts of a file, too: other threads add in another order, and a clip is the same bytes
     if prompts is not None:
         if prompt or seconds or seed:
             raise InputError("with --prompts the prompts, seconds and seeds stand in the file; leave them out here")

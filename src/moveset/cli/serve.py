@@ -47,11 +47,9 @@ def serve(
     if not 1.0 <= idle <= 86_400.0:
         raise InputError(f"{idle:g} seconds are not in 1 to 86400; leave it out for 120")
     _require()
-    from moveset.cli.threads import one_thread
     from moveset.server.app import create_app
     from moveset.server.run import listen, make_server
 
-    one_thread()
     app = create_app(_options(host, model, device, allow_origin, streams, idle))
     socket = listen(host, port)
     url = f"http://{f'[{host}]' if ':' in host else host}:{socket.getsockname()[1]}/"

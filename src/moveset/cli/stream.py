@@ -97,7 +97,6 @@ def stream(
     from moveset.cli.growing_files import GrowingFiles, plan_takes
     from moveset.cli.interrupts import Interrupts
     from moveset.cli.prompt_lines import PromptLines
-    from moveset.cli.threads import one_thread
     from moveset.pipelines.motion_stream import MotionStream
     from moveset.pipelines.stream_bundle import StreamBundle
     from moveset.pipelines.stream_settings import MAX_SECONDS, check_stream
@@ -115,7 +114,6 @@ def stream(
     if length <= request.seconds and not (seconds or loop or forever or prompts):
         # Nobody said how long each prompt lasts, but it ends: so that all of them come, and know of it.
         request = check([length * share / request.seconds for share in request.durations])
-    one_thread()
     with ExitStack() as stack:
         lines = None if prompts is None else stack.enter_context(PromptLines(prompts))
         made = MotionStream(bundle, request, seed_motion=_clip(seed_motion), device=device)

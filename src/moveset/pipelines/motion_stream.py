@@ -24,7 +24,7 @@ from moveset.models.flow import CouplingFlow
 from moveset.models.segment_transformer import UNKNOWN
 from moveset.motion.clip import Motion
 from moveset.pipelines.course import Course
-from moveset.pipelines.device import pick_device
+from moveset.pipelines.device import one_thread, pick_device
 from moveset.pipelines.seed_motion import SeedMotion
 from moveset.pipelines.segment import Segment
 from moveset.pipelines.segment_denoise import SegmentDenoise
@@ -145,6 +145,7 @@ class MotionStream(Iterator[Segment]):
             self._ahead.append(self._pool.submit(self._make))
         return self._waiting.popleft() if self._waiting else self._ahead.popleft().result()
 
+    @one_thread()
     def prompt(self, text: str) -> int:
         """Go on with another prompt, until the next call; what was left of a timeline is dropped.
 
@@ -182,6 +183,7 @@ class MotionStream(Iterator[Segment]):
         return self._seed
 
     @property
+    @one_thread()
     def warnings(self) -> tuple[str, ...]:
         """What the user should know about the prompts of the timeline, or about the last one given."""
         prompts = tuple(dict.fromkeys(self._timeline.prompts))
@@ -273,6 +275,7 @@ class MotionStream(Iterator[Segment]):
         """
         return self.restore(Snapshot.load(path))
 
+    @one_thread()
     def _begin(self, settings: StreamSettings, seed: SeedMotion | None) -> None:
         """Everything anew, by these settings."""
         config = self.bundle.config
@@ -333,6 +336,7 @@ class MotionStream(Iterator[Segment]):
             self._make()
         self._settings, self._timeline = settings, timeline
 
+    @one_thread()
     def _make(self) -> Segment:
         """The next segment."""
         with self._lock:

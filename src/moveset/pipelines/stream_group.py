@@ -24,7 +24,7 @@ from moveset.models.symmetric import Symmetric
 from moveset.motion.clip import Motion
 from moveset.motion.stream_decoder import StreamDecoder
 from moveset.pipelines.course import Course
-from moveset.pipelines.device import pick_device
+from moveset.pipelines.device import one_thread, pick_device
 from moveset.pipelines.segment import Segment
 from moveset.pipelines.segment_denoise import Reader
 from moveset.pipelines.stream_bundle import FLOW, StreamBundle
@@ -113,6 +113,7 @@ class StreamGroup:
         FormatError: a damaged model.
     """
 
+    @one_thread()
     def __init__(
         self,
         bundle: StreamBundle,
@@ -142,6 +143,7 @@ class StreamGroup:
         self._shape = (config.segment, self.codec.dim)
         self._course = Course(self.codec.groups["root_yaw"], self._mean, self._std, window=1)
 
+    @one_thread()
     def open(self, prompt: str, seed: int, guidance: float | None = None) -> Lane:
         """A stream at its beginning.
 
@@ -161,6 +163,7 @@ class StreamGroup:
             reading_ms=(time.perf_counter() - start) * 1e3,
         )
 
+    @one_thread()
     def prompt(self, lane: Lane, text: str) -> int:
         """Go on with another prompt.
 
@@ -174,12 +177,14 @@ class StreamGroup:
         self._read(lane)
         return lane.number * self.bundle.config.segment
 
+    @one_thread()
     def warnings(self, lane: Lane) -> tuple[str, ...]:
         """What the user should know about a lane's prompt."""
         prompts = tuple(dict.fromkeys(lane.line.prompts))
         pooled = self._texts.encode(prompts).pooled
         return (*too_long(self.encoder, prompts), *unfamiliar(self.bundle, prompts, pooled))
 
+    @one_thread()
     def advance(self, lanes: Sequence[Lane]) -> list[Piece]:
         """The next segment of every lane."""
         for lane in lanes:

@@ -4,6 +4,7 @@ Shapes: B rows (one clip each), N latent tokens, d numbers in each, F frames, D 
 """
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import accumulate
@@ -24,7 +25,7 @@ from moveset.motion.join import join
 from moveset.pcm.sampler import item_noise
 from moveset.pipelines.bundle import DEFAULT_MODEL, Bundle
 from moveset.pipelines.denoise import Denoise
-from moveset.pipelines.device import Stopwatch, pick_device
+from moveset.pipelines.device import Stopwatch, one_thread, pick_device
 from moveset.pipelines.request import Method, Request, check_method, check_request, check_whole
 from moveset.pipelines.warnings import too_long, unfamiliar
 from moveset.text.encoder import TextEmbedding, TextEncoder, get_text_encoder, stack
@@ -159,12 +160,24 @@ class TextToMotion:
     ) -> tuple[Generation, ...]:
         """One ``Generation`` for every request, whatever their prompts and lengths; their timings are those of all.
 
+        One clip at a time is computed with one thread (``device.one_thread``), batches with as many as torch has.
         ``between`` is called before every evaluation of a network, with the share of the work that is done; what it
         raises ends the work.
         """
         check_whole("batch", batch)
         if batch < 1:
             raise InputError(f"batch {batch} is not at least 1; give 1 unless there is a GPU")
+        with one_thread() if batch == 1 else nullcontext():
+            return self._generate(requests, method, foot_lock, batch, between)
+
+    def _generate(
+        self,
+        requests: Sequence[Request],
+        method: Method,
+        foot_lock: bool,
+        batch: int,
+        between: Callable[[float], None] | None,
+    ) -> tuple[Generation, ...]:
         rows = [slice(k, k + batch) for k in range(0, sum(len(r.prompts) for r in requests), batch)]
         done = 0
 

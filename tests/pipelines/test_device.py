@@ -1,0 +1,68 @@
+"""With how many threads networks are called, whatever the program around has set."""
+
+import pytest
+import torch
+from torch.nn.modules.module import register_module_forward_pre_hook
+
+from moveset.pipelines.motion_stream import MotionStream
+from moveset.pipelines.stream_bundle import StreamBundle
+from moveset.pipelines.stream_group import StreamGroup
+from moveset.pipelines.stream_settings import check_stream
+from moveset.pipelines.text_to_motion import TextToMotion
+from tests.bundles import tiny_bundle
+from tests.streams import tiny_stream
+
+
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory):
+    root = tmp_path_factory.mktemp("models")
+    return {"clips": tiny_bundle(root / "clips"), "streams": tiny_stream(root / "streams")}
+
+
+def clips(folders, batch=1):
+    made = TextToMotion.from_pretrained(folders["clips"], device="cpu")("a person walks", seconds=2, num=2, batch=batch)
+    return [motion.root for motion in made.motions]
+
+
+def stream(folders, buffer=0):
+    made = MotionStream.from_pretrained(folders["streams"], "a person walks", buffer=buffer, device="cpu")
+    made.prompt("a person bows")
+    return [next(made).motion.root for _ in range(3)]
+
+
+def group(folders):
+    bundle = StreamBundle.find(folders["streams"])
+    lanes = StreamGroup(bundle, check_stream(bundle.config, network="pcm-1").settings, device="cpu")
+    lane = lanes.open("a person walks", 0)
+    lanes.prompt(lane, "a person bows")
+    return [lanes.advance([lane])[0].segment.motion.root]
+
+
+def called(make, folders, monkeypatch, threads):
+    """What is made, and with how many threads networks were called, where torch has some number of them."""
+    seen = set()
+    before = torch.get_num_threads()
+    monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
+    handle = register_module_forward_pre_hook(lambda *_: seen.add(torch.get_num_threads()))
+    torch.set_num_threads(threads)
+    try:
+        made = make(folders)
+        assert torch.get_num_threads() == threads
+    finally:
+        handle.remove()
+        torch.set_num_threads(before)
+    return made, seen
+
+
+@pytest.mark.parametrize("make", [clips, stream, lambda folders: stream(folders, buffer=2), group])
+def test_one_clip_or_segment_at_a_time_is_made_by_one_thread(make, folders, monkeypatch):
+    alone, one = called(make, folders, monkeypatch, 1)
+    among, two = called(make, folders, monkeypatch, 2)
+    assert one == two == {1}
+    assert all(torch.equal(a, b) for a, b in zip(alone, among, strict=True))
+
+
+def test_batches_and_whoever_says_so_have_more(folders, monkeypatch):
+    assert called(lambda folders: clips(folders, batch=2), folders, monkeypatch, 2)[1] == {2}
+    make = lambda folders: monkeypatch.setenv("OMP_NUM_THREADS", "2") or clips(folders)  # noqa: E731
+    assert called(make, folders, monkeypatch, 2)[1] == {2}
