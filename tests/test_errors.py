@@ -9,12 +9,6 @@ import pytest
 @pytest.mark.parametrize(
     ("program", "arguments", "message"),
     [
-        ("training.pack", ["--runs", "nowhere", "--out", "out"], "no corpus at"),
-        ("training.pack_stream", ["--runs", "nowhere", "--out", "out"], "no usable checkpoint in nowhere/rdm-7"),
-        ("training.pack_baseline", ["nowhere", "--out", "out"], "no usable checkpoint in nowhere"),
-        ("training.pack_evaluator", ["--run", "nowhere", "--out", "out"], "no usable checkpoint in nowhere"),
-        ("training.exchange", ["nobody", "pcm-1=nowhere", "--out", "out"], "unknown model 'nobody'"),
-        ("training.unpack", ["nobody"], "unknown model 'nobody'"),
         ("evaluation.report", ["nowhere"], "nowhere has no rows.json"),
     ],
 )

@@ -1,11 +1,8 @@
-"""The length predictor learns lengths from embeddings, predicts medians, and draws reproducibly."""
+"""The length predictor predicts medians, and draws reproducibly."""
 
-import pytest
 import torch
 
-from moveset.errors import InputError
 from moveset.models.length import LengthPredictorConfig
-from moveset.training.length import train_length
 
 
 def test_median_and_draws():
@@ -18,32 +15,3 @@ def test_median_and_draws():
     draws = [model.predict(pooled, torch.Generator().manual_seed(seed)).tolist() for seed in (0, 0, *range(40))]
     assert draws[0] == draws[1]
     assert {length for pair in draws for length in pair} == {0, 12, 16, 20}
-
-
-def test_lengths_are_learned_and_reproducible():
-    generator = torch.Generator().manual_seed(0)
-    pooled = torch.randn(600, 16, generator=generator)
-    frames = (100 + 60 * torch.tanh(pooled[:, 0])).long()
-    held_out = torch.arange(600) % 5 == 0
-    first, again = (train_length(pooled, frames, held_out=held_out, epochs=15, seed=3) for _ in range(2))
-    assert first.median_error < 0.5 * first.constant_error
-    for a, b in zip(first.model.parameters(), again.model.parameters(), strict=True):
-        assert torch.equal(a, b)
-
-
-def test_training_does_not_touch_the_global_generator():
-    state = torch.random.get_rng_state()
-    train_length(torch.randn(10, 4), torch.full((10,), 40), held_out=torch.arange(10) < 2, epochs=1)
-    pooled, frames = torch.zeros(10, 4), torch.full((10,), 40)
-    torch.random.set_rng_state(state)
-    before = torch.rand(1)
-    torch.random.set_rng_state(state)
-    train_length(pooled, frames, held_out=torch.arange(10) < 2, epochs=1)
-    assert torch.equal(before, torch.rand(1))
-
-
-def test_arrays_must_fit():
-    with pytest.raises(InputError, match="do not belong together"):
-        train_length(torch.zeros(3, 4), torch.zeros(2), held_out=torch.zeros(3))
-    with pytest.raises(InputError, match="keep some on either side"):
-        train_length(torch.zeros(3, 4), torch.ones(3), held_out=torch.zeros(3))

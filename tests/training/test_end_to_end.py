@@ -11,24 +11,22 @@ from typing import Any
 import pytest
 import torch
 
+from moveset.data.dataset import open_for_training
 from moveset.data.synthetic import synthetic_corpus
 from moveset.errors import InputError
-from moveset.pipelines.bundle import Bundle
 from moveset.recipes import tiny
 from moveset.training import checkpoint
-from moveset.training import pack as packing
 from moveset.training.distill import DistillationConfig
 from moveset.training.engine import run
-from moveset.training.pack import pack
+from moveset.training.export import ClipExport, export
 from moveset.training.tasks import Sources, task_maker, with_settings
-from moveset.training.unpack import unpack
 
 
 @pytest.fixture(scope="module")
 def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("runs")
     synthetic_corpus(folder / "corpus.safetensors", clips=24, seed=0)
-    for what in ("vae", "decoder", "teacher", "lcm", "pcm"):
+    for what in ("vae", "decoder", "teacher", "length", "lcm", "pcm"):
         recipe = tiny.TRAINING[what]()
         run(task_maker(what, recipe.task, sources(folder)), recipe.engine, folder / what)
     return folder
@@ -160,37 +158,18 @@ def test_what_a_student_cannot_learn_is_refused(
         run(task_maker(what, task, sources(trained)), tiny.TRAINING[what]().engine, tmp_path / "run")
 
 
-def test_a_folder_reads_as_its_teacher_did(trained: Path, tmp_path: Path, monkeypatch) -> None:
-    step, asked = checkpoint.resolve(trained / "teacher"), []
-    config = checkpoint.read_document(step, "config")
-    config["config"]["text_encoder"] = "sentence-t5:where"
-    tensors = {"teacher_ema": checkpoint.read_tensors(step, "teacher_ema")}
-    teacher = checkpoint.write(tmp_path / "teacher", 4, tensors, {"config": config})
-    read = packing.embedded
-    monkeypatch.setattr(
-        packing, "embedded", lambda folder, name, said: asked.append(name) or read(folder, "minilm", said)
-    )
-    monkeypatch.setattr(packing, "familiarity_limit", lambda known, encoder: asked.append(encoder) or 0.42)
-    encoder = packing.get_text_encoder("minilm")
-    monkeypatch.setattr(packing, "get_text_encoder", lambda name: asked.append(name) or encoder)
-    out = pack(replace(sources(trained), teacher=teacher), {}, {"teacher": 2.0}, "t5", tmp_path / "packed")
-    assert json.loads((out / "config.json").read_text())["text_encoder"] == "sentence-t5:where"
-    assert set(asked) == {"sentence-t5:where"}
+def exported(folder: Path, out: Path, students: dict[str, str], **more: str) -> Path:
+    runs = {"vae": "vae", "teacher": "teacher", **students, **more}
+    scales = dict.fromkeys(("teacher", *students), 2.0)
+    dataset = open_for_training(folder / "corpus.safetensors")
+    return export(ClipExport(name="tiny", runs=runs, guidance=scales), dataset, folder, folder / "cache", out)
 
 
-def test_a_packed_model_generates_by_every_method(trained: Path, tmp_path: Path) -> None:
+def test_an_exported_model_generates_by_every_method(trained: Path, tmp_path: Path) -> None:
     from moveset.pipelines.text_to_motion import TextToMotion
 
-    students = {"lcm-1": trained / "lcm", "pcm-1": trained / "pcm"}
-    out = pack(
-        sources(trained),
-        students,
-        {n: 2.0 for n in ("teacher", *students)},
-        "tiny",
-        tmp_path / "tiny",
-        True,
-        trained / "decoder",
-    )
+    students = {"lcm-1": "lcm", "pcm-1": "pcm"}
+    out = exported(trained, tmp_path / "tiny", students, decoder="decoder", length="length")
     t2m = TextToMotion.from_pretrained(out, device="cpu")
     for solver, steps in (("pcm", 1), ("lcm", 1), ("teacher", 3)):
         made = t2m("a person walks forward", seconds=2.0, steps=steps, solver=solver, seed=3)
@@ -198,35 +177,9 @@ def test_a_packed_model_generates_by_every_method(trained: Path, tmp_path: Path)
     assert t2m("a person walks").motion.seconds > 0.9
 
 
-def test_students_keep_their_grid_and_must_fit_their_names(trained: Path, tmp_path: Path, monkeypatch) -> None:
-    made = {}
-    for name, run_folder, phases in (("pcm-4", "pcm", 4), ("lcm-1", "lcm", 1)):
-        step = checkpoint.resolve(trained / run_folder)
-        config = checkpoint.read_document(step, "config")
-        config["config"] |= {"points": 20, "phases": phases}
-        tensors = {"student_ema": checkpoint.read_tensors(step, "student_ema")}
-        made[name] = checkpoint.write(tmp_path / name, 4, tensors, {"config": config})
-    four, scales = made["pcm-4"], {"teacher": 2.0, "pcm-4": 2.0, "lcm-1": 2.0}
-    monkeypatch.setattr(packing, "familiarity_limit", lambda known, encoder: 0.42)
-    out = pack(sources(trained), made, scales, "four", tmp_path / "packed")
-    # A student of several phases is evaluated where the phases of its own grid begin.
-    assert Bundle(out).config.points == 20
-    again = unpack(out, tmp_path / "again", "tiny")
-    assert [checkpoint.read_document(again[name], "config")["config"]["points"] for name in made] == [20, 20]
-    for students, message in (
-        ({"pcm-2": four}, "a student of 4 phases"),
-        ({"pcm": four}, "'pcm' is no student"),
-        ({"pcm-4": four, "lcm-1": trained / "lcm"}, r"grids of \[10, 20\] points"),
-    ):
-        with pytest.raises(InputError, match=message):
-            pack(sources(trained), students, scales, "wrong", tmp_path / "wrong")
-    other = synthetic_corpus(tmp_path / "corpus.safetensors", clips=12, seed=1)
-    with pytest.raises(InputError, match="made from other clips"):
-        pack(replace(sources(trained), corpus=other), made, scales, "wrong", tmp_path / "wrong")
-    monkeypatch.setattr(sys, "argv", ["pack", "--guidance", "2", "1", "--out", str(tmp_path / "wrong")])
-    with pytest.raises(InputError, match="2 guidance scales for teacher, lcm-1, pcm-1, pcm-2, pcm-4"):
-        packing.main()
-    assert not (tmp_path / "wrong").exists()
+def test_a_student_must_fit_its_name(trained: Path, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="a student of 1 phases"):
+        exported(trained, tmp_path / "wrong", {"pcm-2": "pcm"})
 
 
 def test_a_latent_of_one_token_is_learned_packed_and_sampled(tmp_path: Path) -> None:
@@ -238,7 +191,7 @@ def test_a_latent_of_one_token_is_learned_packed_and_sampled(tmp_path: Path) -> 
         recipe = tiny.TRAINING[what]()
         task = replace(recipe.task, model=replace(recipe.task.model, **sizes, **more))
         run(task_maker(what, task, sources(tmp_path)), recipe.engine, tmp_path / what)
-    out = pack(sources(tmp_path), {}, {"teacher": 2.0}, "one", tmp_path / "one")
+    out = exported(tmp_path, tmp_path / "one", {})
     made = TextToMotion.from_pretrained(out, device="cpu")("a person walks", seconds=2.0, steps=3, solver="teacher")
     assert len(made.motion) == 40
 

@@ -11,11 +11,11 @@ from moveset.evaluation.evaluator import Evaluator
 from moveset.motion.features import get_codec
 from moveset.recipes import tiny
 from moveset.training import evaluator as training
-from moveset.training import frozen
 from moveset.training.engine import run
 from moveset.training.evaluator import contrast
-from moveset.training.pack_evaluator import pack_evaluator
+from moveset.training.export import EvaluatorExport, export
 from moveset.training.tasks import Sources, task_maker, with_settings
+from moveset.training.trained import load_trained
 from tests.training.hml_folder import write_folder
 from tests.training.segment_corpus import Words, write_corpus
 
@@ -26,7 +26,7 @@ WORDS = ("model.word_width=8", "max_words=16")
 def words():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(training, "get_text_encoder", lambda name: Words())
-        patch.setattr("moveset.training.pack_evaluator.get_text_encoder", lambda name: Words())
+        patch.setattr("moveset.training.export.get_text_encoder", lambda name: Words())
         patch.setattr("moveset.evaluation.evaluator.get_text_encoder", lambda name: Words())
         yield
 
@@ -47,6 +47,11 @@ def trained(folder, what, *settings, into=None, resume=False, corpus="corpus.saf
     return run(maker, replace(recipe.engine, **given), into or folder / what, resume)
 
 
+def packed_evaluator(folder):
+    what = EvaluatorExport(name="judge", runs={"evaluator": "e"})
+    return export(what, None, folder, folder, folder / "packed")
+
+
 def test_the_movement_autoencoder_learns(folder):
     result = trained(folder, "movement", "lr=0.003", into=folder / "longer", steps=150)
     early = trained(folder, "movement", "lr=0.003", into=folder / "shorter", steps=2)
@@ -63,7 +68,7 @@ def test_it_learns_what_belongs_together(folder):
 
 def test_statistics_and_the_frozen_encoder_are_in_the_checkpoint(folder):
     trained(folder, "evaluator", *WORDS, into=folder / "e", steps=2)
-    found, movement = frozen.load(folder / "e", "evaluator_ema"), frozen.load(folder / "movement", "movement")
+    found, movement = load_trained(folder / "e", "evaluator_ema"), load_trained(folder / "movement", "movement")
     for name, value in movement.module.encoder.state_dict().items():
         assert torch.equal(found.module.movement.state_dict()[name], value)
     groups = get_codec("hml").groups
@@ -71,7 +76,7 @@ def test_statistics_and_the_frozen_encoder_are_in_the_checkpoint(folder):
     assert torch.equal(found.module.mean, plain.mean)
     torch.testing.assert_close(found.module.std[groups["root_yaw"]] * 5, plain.std[groups["root_yaw"]])
     torch.testing.assert_close(found.module.std[groups["positions"]], plain.std[groups["positions"]])
-    packed = pack_evaluator(folder / "e", folder / "packed")
+    packed = packed_evaluator(folder)
     assert Evaluator.open(packed).card.provenance["steps"] == 2
 
 
@@ -81,7 +86,7 @@ def test_resuming_is_exact(folder):
     for later in (folder / "parts").glob("step_6"):
         later.rename(folder / "set-aside")
     trained(folder, "evaluator", *WORDS, into=folder / "parts", steps=6, resume=True)
-    one, other = (frozen.load(folder / name, "evaluator") for name in ("whole", "parts"))
+    one, other = (load_trained(folder / name, "evaluator") for name in ("whole", "parts"))
     assert one.digest == other.digest
 
 
@@ -99,7 +104,7 @@ def test_words_of_a_table_are_read_and_packed(folder, tmp_path):
     given = (f"words=glove:{table}", "model.word_width=3", "model.speech_classes=15")
     movement = trained(tmp_path, "movement", corpus="hml", steps=1)
     trained(tmp_path, "evaluator", *given, corpus="hml", into=tmp_path / "e", steps=2)
-    judge = Evaluator.open(pack_evaluator(tmp_path / "e", tmp_path / "packed"))
+    judge = Evaluator.open(packed_evaluator(tmp_path))
     assert movement.step == 1
     assert judge.words.vocabulary == ("sos", "eos", "unk", "a", "walk")
     with pytest.raises(InputError, match="parts of speech"):

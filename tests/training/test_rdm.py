@@ -17,9 +17,10 @@ from moveset.errors import InputError
 from moveset.models.registry import build_model, parse_config
 from moveset.rdm.grid import GridConfig
 from moveset.recipes import paper, small, tiny
-from moveset.training import checkpoint, frozen
+from moveset.training import checkpoint
 from moveset.training.rdm import RDMConfig, RDMTask, feature_weights
 from moveset.training.tasks import TASKS, with_settings
+from moveset.training.trained import load_trained
 from tests.training.hml_folder import write_folder
 from tests.training.recurrent import trained
 
@@ -33,7 +34,7 @@ LITERAL = (
 
 
 def test_every_variant_has_a_recipe_and_a_place_on_the_command_line():
-    assert set(typing.get_args(command.What)) == set(TASKS)
+    assert set(typing.get_args(command.What)) == {*TASKS, "export"}
     assert set(VARIANTS) <= set(TASKS)
     for recipes in (paper, small, tiny):
         assert set(VARIANTS) - {"rdm-student"} <= set(recipes.TRAINING) <= set(TASKS)
@@ -124,9 +125,9 @@ def test_a_few_steps_change_every_network(rdm7):
     assert stored["task"] == "rdm"  # what checkpoints of every variant carry
     assert (stored["config"]["model"]["features"], stored["config"]["model"]["frames"]) == (269, 28)
     assert (stored["config"]["model"]["text_dim"], stored["config"]["flow"]["text_dim"]) == (8, 8)
-    loaded = frozen.load(result.checkpoint, "denoiser_ema").module
+    loaded = load_trained(result.checkpoint, "denoiser_ema").module
     assert all(torch.equal(a, b) for a, b in zip(loaded.parameters(), task.ema.module.parameters(), strict=True))
-    flow = frozen.load(result.checkpoint, "flow_ema", part="coupling_flow").module
+    flow = load_trained(result.checkpoint, "flow_ema", part="coupling_flow").module
     assert all(torch.equal(a, b) for a, b in zip(flow.parameters(), task.flow_ema.module.parameters(), strict=True))
 
 
@@ -139,7 +140,7 @@ def test_every_kind_of_training_learns_and_can_be_loaded(what, folder, rdm7, tmp
     assert all(0 < loss < 100 for loss in losses)
     name = "student" if what == "rdm-student" else "denoiser"
     assert set(task.modules()) == {"student", "discriminator"} if what == "rdm-student" else {"denoiser"}
-    loaded = frozen.load(result.checkpoint, f"{name}_ema")
+    loaded = load_trained(result.checkpoint, f"{name}_ema")
     assert loaded.module.config == task.config.model
     trained_now = task.modules()[name].state_dict()
     assert any(not torch.equal(value, trained_now[key]) for key, value in loaded.module.state_dict().items())
@@ -302,7 +303,7 @@ def test_settings_that_contradict_each_other_are_refused(folder, tmp_path):
 @pytest.mark.parametrize("what", ["rdm-7", "motiondiffuse"])
 def test_kit_folders_train_with_their_own_number_of_features(what, folder, tmp_path):
     data = write_folder(tmp_path / "kit", KIT)
-    settings = ("codec=kit", "cutting.continuations=0", "cutting.aligned=true")
+    settings = ("cutting.aligned=true",)
     task, result = trained(folder, what, tmp_path / "run", *settings, corpus=data, steps=2)
     assert isinstance(task, RDMTask)
     made = task.data.train.batch(4, 0, 0)

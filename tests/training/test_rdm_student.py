@@ -7,9 +7,10 @@ import pytest
 import torch
 
 from moveset.errors import InputError
-from moveset.training import adversarial, bound_segments, frozen, rdm_student
+from moveset.training import adversarial, bound_segments, rdm_student
 from moveset.training.bound_segments import BoundSegments
 from moveset.training.rdm_student import RDMStudentConfig
+from moveset.training.trained import load_trained
 from tests.training.recurrent import tensors, trained
 
 
@@ -218,7 +219,7 @@ def test_places_are_learned_later_by_teacher_and_student(folder, rdm7, tmp_path,
     )
     assert bool(task.student.place.weight.any())
     assert bool(task.student.course.weight.any())
-    config = frozen.load(result.checkpoint, "student_ema").module.config
+    config = load_trained(result.checkpoint, "student_ema").module.config
     assert config.placed
     assert config.coursed
     places, turns = zip(*[(place, turned) for network, place, turned in told if network is task.student], strict=True)

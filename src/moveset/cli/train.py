@@ -8,14 +8,15 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from moveset.training.tasks import Sources, load_recipe, task_maker, with_settings
+from moveset.errors import InputError
+from moveset.training.tasks import Sources, load_exports, load_recipe, task_maker, with_settings
 
 if TYPE_CHECKING:
     from moveset.training.engine import TrainResult
 
 What = Literal[
     "vae", "decoder", "teacher", "lcm", "pcm", "rdm-1", "rdm-4", "rdm-7", "rdm-14", "light-rdm-1", "md-4", "md-7",
-    "motiondiffuse", "dip", "rdm-student", "movement", "evaluator",
+    "motiondiffuse", "dip", "rdm-student", "movement", "evaluator", "length", "export",
 ]  # fmt: skip
 
 
@@ -54,13 +55,14 @@ def train(
             model. lcm, pcm: students with few steps. rdm-N: the recurrent model, of endless streams, with the longest
             clip in N segments; rdm-7 ships. light-rdm-1: rdm-1 with Light-T2M's network. rdm-student: a recurrent model
             with few steps. md-N, motiondiffuse, dip: what it is compared with. movement, evaluator: the judge of them
-            all, in two stages.
+            all, in two stages. length: how long a sentence lasts. export: no training: model folders of all of the
+            recipe's models whose networks are there.
         recipe: small: what ships. paper: the published sizes. tiny: seconds, to try the machinery.
         resume: Continue from the latest checkpoint in the folder, or start if there is none.
-        init: Checkpoint or run folder whose weights to start with; `python -m moveset.training.unpack` makes such
-            folders of a model. May be given several times: what the first lacks, such as a discriminator, comes from
-            the next.
-        folder: Where checkpoints and logs go; by default runs/RECIPE/WHAT.
+        init: Checkpoint or run folder whose weights to start with. May be given several times: what the first lacks,
+            such as a discriminator, comes from the next.
+        folder: Where checkpoints and logs go; by default runs/RECIPE/WHAT. Of export: where model folders go; by
+            default runs/RECIPE/models.
         corpus: What `moveset data build` wrote, or a HumanML3D or KIT-ML folder.
         vae: Checkpoint or run folder of the autoencoder; by default runs/RECIPE/vae.
         teacher: Checkpoint or run folder of the teacher; by default runs/RECIPE/teacher, or runs/RECIPE/rdm-7
@@ -83,6 +85,8 @@ def train(
     from moveset.training.engine import run
 
     runs = Path("runs") / recipe
+    if what == "export":
+        return _export(recipe, runs, corpus, folder or runs / "models")
     folder = folder or runs / what
     given: dict[str, Any] = {
         "steps": steps, "seed": seed, "device": device, "devices": devices, "precision": precision, "threads": threads,
@@ -99,6 +103,24 @@ def train(
     if int(os.environ.get("RANK", "0")) == 0:
         print(_summary(what, result, engine.steps), file=sys.stderr)
     return 130 if result.stopped_by == "SIGINT" else 0
+
+
+def _export(recipe: str, runs: Path, corpus: Path, folder: Path) -> int:
+    """Every model of the recipe whose networks are there; the others are named."""
+    from moveset.data.dataset import open_for_training
+    from moveset.training.export import export
+
+    dataset, made = open_for_training(corpus), 0
+    for model in load_exports(recipe):
+        named = [run for chosen in model.runs.values() for run in ((chosen,) if isinstance(chosen, str) else chosen)]
+        if lacking := [run for run in named if not (runs / run).is_dir()]:
+            print(f"{model.name}: not made, for there is no {runs / lacking[0]}", file=sys.stderr)
+            continue
+        print(export(model, dataset, runs, runs / "cache", folder / model.name))
+        made += 1
+    if not made:
+        raise InputError(f"{runs} has all networks of none of the recipe's models; train them first")
+    return 0
 
 
 def _summary(what: str, result: "TrainResult", steps: int) -> str:

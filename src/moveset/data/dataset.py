@@ -71,12 +71,12 @@ class Dataset(Protocol):
     """Clips 0 … len - 1 with features, sentences and a split.
 
     ``name`` is that of the data, without its place; ``codec`` names the features that networks learn of it unless
-    something else is asked for, ``judged_by`` those that an evaluator reads.
+    something else is asked for, ``published`` those of the papers, which an evaluator reads.
     """
 
     name: str
     codec: str
-    judged_by: str
+    published: str
 
     def __len__(self) -> int:
         """Number of clips, mirror images counted."""
@@ -138,10 +138,19 @@ def open_for_training(path: Path) -> Dataset:
     return found
 
 
+def choose_codec(dataset: Dataset, name: str) -> FeatureCodec:
+    """The codec of that name, where "auto" is the dataset's own and "published" HumanML3D's, or KIT-ML's of its folder.
+
+    Raises:
+        InputError: an unknown name.
+    """
+    return get_codec({"auto": dataset.codec, "published": dataset.published}.get(name, name))
+
+
 class CorpusDataset:
     """A corpus: clip 2i is record i, clip 2i + 1 its mirror image."""
 
-    codec, judged_by = "native", "hml"
+    codec, published = "native", "hml"
 
     def __init__(self, corpus: Corpus, path: Path = Path("corpus")) -> None:
         self.corpus, self._path, self.name = corpus, path, path.name
@@ -221,7 +230,7 @@ class FolderDataset:
 
     def __init__(self, data: HumanML3D) -> None:
         self.data, self.name = data, data.folder.name
-        self.codec = self.judged_by = data.layout.codec
+        self.codec = self.published = data.layout.codec
         splits: tuple[Split, ...] = ("train", "val", "test")
         items = {split: data.items(split) for split in splits}
         self.items = [item for split in splits for item in items[split]]
@@ -293,7 +302,7 @@ def folder_clip(data: HumanML3D, name: str, start: int, stop: int, captions: tup
         if wanted.name != layout.codec:
             raise InputError(
                 f"{data.folder} holds {layout.codec!r} features ({layout.features} a frame), not {wanted.name!r} ones; "
-                f"train with --set codec={layout.codec}, or with the recipe's own choice"
+                f"leave the recipe's own choice, codec=auto"
             )
         return data.features(name)[start:stop]
 

@@ -1,9 +1,8 @@
 """The published sizes and hyper-parameters, as far as the models go: HumanML3D or KIT-ML, sentence-T5 or CLIP, a GPU.
 
-Recurrent models read HumanML3D's features; ``--set codec=kit`` is all that KIT-ML needs besides its folder. Where RDM's
-paper leaves a choice they take the one that holds up: every segment is noised around itself, one application of the
-flow, a segment number that only tells the first from later ones, and any level of the segment before. The printed
-Algorithm 2 of RDM-N is
+All models read HumanML3D's features, or KIT-ML's of its folder. Where RDM's paper leaves a choice they take the one
+that holds up: every segment is noised around itself, one application of the flow, a segment number that only tells the
+first from later ones, and any level of the segment before. The printed Algorithm 2 of RDM-N is
 
     --set grid.anchor=first --set grid.share_noise=true --set grid.condition=previous
     --set depth_cap=N-1 --set model.max_index=N-1 --set flow.max_index=N-1 --set flow.bound=hardtanh
@@ -31,6 +30,8 @@ from moveset.training.dip import DiPConfig
 from moveset.training.distill import DistillationConfig
 from moveset.training.engine import EngineConfig
 from moveset.training.evaluator import EvaluatorTrainingConfig, MovementTrainingConfig
+from moveset.training.export import BaselineExport, ClipExport, EvaluatorExport, Export, StreamExport
+from moveset.training.length import LengthConfig
 from moveset.training.rdm import RDMConfig
 from moveset.training.tasks import Recipe
 from moveset.training.teacher import TeacherConfig
@@ -75,7 +76,7 @@ def train_vae() -> Recipe:
     """MotionLCM-V2's autoencoder: 6000 epochs of about 192 batches of 128."""
     return Recipe(
         task=VAETrainingConfig(
-            model=vae(), codec="hml", loss="published", kl=1e-4, batch=128, lr=2e-4, warmup=1000, ema=0.999
+            model=vae(), codec="published", loss="published", kl=1e-4, batch=128, lr=2e-4, warmup=1000, ema=0.999
         ),
         engine=_engine(1_150_000),
     )
@@ -113,7 +114,7 @@ def train_rdm(segments: int = 7) -> Recipe:
         flow=FlowConfig(features=263, text_dim=512) if recurrent else None,
         grid=GridConfig(frames=frames),
         depth_cap=1,
-        codec="hml",
+        codec="published",
         cutting=CuttingConfig(aligned=True, whole_caption=1.0, continuations=0),
         batch=512,
         optimizer="momo",
@@ -157,13 +158,18 @@ def train_dip() -> Recipe:
     """DiP: 600 thousand batches of 64. Its own text encoder is DistilBERT; here, as elsewhere, CLIP."""
     task = DiPConfig(
         model=DipDecoderConfig(text_dim=512),
-        codec="hml",
+        codec="published",
         cutting=CuttingConfig(whole_caption=1.0, continuations=0),
         constant_lr=True,
         text_encoder=CLIP,
         max_tokens=77,
     )
     return Recipe(task=task, engine=_engine(600_000))
+
+
+def train_length() -> Recipe:
+    """How long a sentence lasts, by sentence-T5."""
+    return Recipe(task=LengthConfig(text_encoder=train_teacher().task.text_encoder), engine=_engine(5_000))
 
 
 TRAINING: dict[str, Callable[[], Recipe]] = {
@@ -178,4 +184,28 @@ TRAINING: dict[str, Callable[[], Recipe]] = {
     "dip": train_dip,
     "movement": movement,
     "evaluator": evaluator,
+    "length": train_length,
 }
+
+EXPORTS: tuple[Export, ...] = (
+    ClipExport(
+        name="motionpcm",
+        runs={
+            "vae": "vae", "teacher": "teacher", "length": "length", "lcm-1": "lcm", "pcm-1": "pcm", "pcm-2": "pcm-2",
+            "pcm-4": "pcm-4",
+        },
+        guidance=dict.fromkeys(("teacher", "lcm-1", "pcm-1", "pcm-2", "pcm-4"), 7.5),
+    ),
+    *(
+        StreamExport(
+            name=f"rdm-{n}", runs={"rdm": f"rdm-{n}"} | ({"md": f"md-{n}"} if n in (4, 7) else {}),
+            sampler_steps=1000, start=n,
+        )
+        for n in (4, 7, 14)
+    ),
+    *(
+        BaselineExport(name=run, runs={"denoiser": run}, steps=1000)
+        for run in ("rdm-1", "light-rdm-1", "motiondiffuse", "dip")
+    ),
+    EvaluatorExport(name="t2m", runs={"evaluator": "evaluator"}),
+)  # fmt: skip

@@ -17,6 +17,8 @@ from moveset.training.dip import DiPConfig
 from moveset.training.distill import DistillationConfig
 from moveset.training.engine import EngineConfig
 from moveset.training.evaluator import EvaluatorTrainingConfig, MovementTrainingConfig
+from moveset.training.export import BaselineExport, ClipExport, EvaluatorExport, Export, StreamExport
+from moveset.training.length import LengthConfig
 from moveset.training.rdm import RDMConfig
 from moveset.training.rdm_student import RDMStudentConfig
 from moveset.training.tasks import Recipe
@@ -168,6 +170,13 @@ def evaluator() -> Recipe:
     return Recipe(task=task, engine=_judge(3000))
 
 
+def length() -> Recipe:
+    """How long a sentence lasts: 0.1 M parameters, a minute."""
+    # Once through all captions, some of them said otherwise: seen more often, lengths are learned of the very words.
+    engine = EngineConfig(steps=800, save_every=400, validate_every=400, precision="32-true", threads=1)
+    return Recipe(task=LengthConfig(disturbance=Disturbance(paraphrased=0.5)), engine=engine)
+
+
 def _judge(steps: int) -> EngineConfig:
     return EngineConfig(steps=steps, save_every=500, validate_every=250, grad_clip=0.5, precision="32-true", threads=1)
 
@@ -214,4 +223,41 @@ TRAINING: dict[str, Callable[[], Recipe]] = {
     "rdm-student": rdm_student,
     "movement": movement,
     "evaluator": evaluator,
+    "length": length,
 }
+
+EXPORTS: tuple[Export, ...] = (
+    ClipExport(
+        name="motionpcm-small",
+        runs={
+            "vae": "vae", "decoder": "decoder", "teacher": "teacher", "length": "length", "lcm-1": "lcm",
+            "pcm-1": "pcm", "pcm-2": "pcm-2", "pcm-4": "pcm-4",
+        },
+        guidance={"teacher": 2.0, "lcm-1": 1.0, "pcm-1": 1.5, "pcm-2": 1.5, "pcm-4": 2.0},
+    ),
+    StreamExport(
+        name="rdm-small",
+        runs={"rdm": "rdm-7", "md": "md-7", "pcm-1": "rdm-student"},
+        guidance={"rdm": 1.0, "md": 1.0, "pcm-1": 1.0},
+        smoothing={"rdm": 0.3, "md": 0.3},
+        network="pcm-1",
+        sampler_steps=10,
+        start=10,
+        lag=10,
+        past_lag=1,
+        travelling=0.25,
+        symmetric=("pcm-1",),
+    ),
+    *(
+        StreamExport(
+            name=f"{run}-small", runs={"rdm": run}, guidance={"rdm": 1.5}, sampler_steps=10, start=10, lag=10
+        )
+        for run in ("rdm-4", "rdm-14")
+    ),
+    *(
+        BaselineExport(name=f"{run}-small", runs={"denoiser": run}, guidance={"denoiser": 1.5}, steps=10)
+        for run in ("rdm-1", "light-rdm-1")
+    ),
+    *(BaselineExport(name=f"{run}-small", runs={"denoiser": run}) for run in ("motiondiffuse", "dip")),
+    EvaluatorExport(name="t2m-small", runs={"evaluator": "evaluator"}),
+)  # fmt: skip

@@ -10,6 +10,7 @@ from moveset.models.dip_decoder import DipDecoderConfig
 from moveset.models.evaluator import EvaluatorConfig, MovementConfig
 from moveset.models.flow import FlowConfig
 from moveset.models.latent_denoiser import LatentDenoiserConfig
+from moveset.models.length import LengthPredictorConfig
 from moveset.models.light_t2m import LightT2MConfig
 from moveset.models.segment_denoiser import SegmentDenoiserConfig
 from moveset.models.segment_transformer import SegmentTransformerConfig
@@ -19,6 +20,8 @@ from moveset.training.dip import DiPConfig
 from moveset.training.distill import DistillationConfig
 from moveset.training.engine import EngineConfig
 from moveset.training.evaluator import EvaluatorTrainingConfig, MovementTrainingConfig
+from moveset.training.export import BaselineExport, ClipExport, EvaluatorExport, Export, StreamExport
+from moveset.training.length import LengthConfig
 from moveset.training.rdm import RDMConfig
 from moveset.training.rdm_student import RDMStudentConfig
 from moveset.training.tasks import Recipe
@@ -127,6 +130,12 @@ def evaluator() -> Recipe:
     return Recipe(task=EvaluatorTrainingConfig(model=model, batch=4), engine=_ENGINE)
 
 
+def length() -> Recipe:
+    """A width of 16."""
+    model = LengthPredictorConfig(width=16)
+    return Recipe(task=LengthConfig(model=model, batch=8, disturbance=_ROUGH), engine=_ENGINE)
+
+
 def _volume(task: RDMConfig) -> Recipe:
     cutting = CuttingConfig(aligned=True, whole_caption=1.0, continuations=0)
     grid = GridConfig(frames=SEGMENT_FRAMES[1])
@@ -150,4 +159,29 @@ TRAINING: dict[str, Callable[[], Recipe]] = {
     "rdm-student": rdm_student,
     "movement": movement,
     "evaluator": evaluator,
+    "length": length,
 }
+
+EXPORTS: tuple[Export, ...] = (
+    ClipExport(
+        name="clips-tiny",
+        runs={
+            "vae": "vae", "decoder": "decoder", "teacher": "teacher", "length": "length", "lcm-1": "lcm",
+            "pcm-1": "pcm",
+        },
+        guidance={"teacher": 2.0, "lcm-1": 2.0, "pcm-1": 2.0},
+    ),
+    StreamExport(
+        name="stream-tiny",
+        runs={"rdm": "rdm-7", "md": "md-7", "pcm-1": "rdm-student"},
+        guidance={"rdm": 1.5, "md": 1.5, "pcm-1": 1.5},
+        network="pcm-1",
+        sampler_steps=4,
+        start=4,
+    ),
+    *(
+        BaselineExport(name=f"{run}-tiny", runs={"denoiser": run}, steps=4)
+        for run in ("rdm-1", "light-rdm-1", "motiondiffuse", "dip")
+    ),
+    EvaluatorExport(name="evaluator-tiny", runs={"evaluator": "evaluator"}),
+)  # fmt: skip

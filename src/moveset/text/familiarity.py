@@ -3,10 +3,8 @@
 Shapes: ``K`` known captions, ``P`` width of a pooled embedding.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
-import torch
 from torch import Tensor
 from torch.nn.functional import normalize
 
@@ -59,44 +57,3 @@ class KnownPrompts:
         if figures and any(map(figures_of, self.sentences)):
             figures = []
         return (*words, *dict.fromkeys(figures))
-
-
-@dataclass(frozen=True)
-class Threshold:
-    """A cosine below which a prompt is called unfamiliar, and how that judges the sentences it was made from.
-
-    Args:
-        cosine: the threshold.
-        false_alarms: share of in-domain sentences below it.
-        missed: share of out-of-domain sentences not below it.
-    """
-
-    cosine: float
-    false_alarms: float
-    missed: float
-
-
-def calibrate(inside: Sequence[float] | Tensor, outside: Sequence[float] | Tensor, *, weight: float = 2.0) -> Threshold:
-    """The threshold with the least ``weight * false_alarms + missed``, midway in its gap.
-
-    Args:
-        inside: best cosines (``KnownPrompts.similarity``) of sentences about what the model knows, without themselves.
-        outside: the same for sentences about things it does not know.
-        weight: how much worse a needless warning is than a missing one.
-
-    Raises:
-        InputError: no sentences on one side.
-
-    >>> calibrate([0.7, 0.9, 0.8], [0.2, 0.5])
-    Threshold(cosine=0.6, false_alarms=0.0, missed=0.0)
-    """
-    low, high = (torch.as_tensor(x, dtype=torch.float64).sort().values for x in (inside, outside))
-    if not len(low) or not len(high):
-        raise InputError("calibration needs sentences on both sides; give some inside and some outside the domain")
-    values = torch.cat((low, high)).unique()
-    edges = torch.cat((values[:1] - 1, values, values[-1:] + 1))
-    cuts = (edges[:-1] + edges[1:]) / 2
-    alarms = torch.searchsorted(low, cuts).double() / len(low)
-    missed = 1 - torch.searchsorted(high, cuts).double() / len(high)
-    best = int((weight * alarms + missed).argmin())
-    return Threshold(round(float(cuts[best]), 6), float(alarms[best]), float(missed[best]))

@@ -39,6 +39,7 @@ class DiPConfig:
 
     Args:
         model: its ``features`` and ``text_dim`` follow from codec and text encoder.
+        codec: its features, a name for ``data.dataset.choose_codec``.
         levels: T, noise levels of the cosine schedule and steps of sampling.
         cutting: which clips are shown and what is said to them; where pieces are cut is not up to it.
         constant_lr: no cosine decay.
@@ -50,7 +51,7 @@ class DiPConfig:
 
     model: DipDecoderConfig = field(default_factory=DipDecoderConfig)
     levels: int = 10
-    codec: str = "native"
+    codec: str = "auto"
     cutting: CuttingConfig = field(default_factory=CuttingConfig)
     batch: int = 64
     lr: float = 1e-4
@@ -176,7 +177,7 @@ class DiPTask(Task):
         self.steps = loop.config.steps
         self.data = PieceData(sources, config, loop)
         sizes = {"features": self.data.codec.dim, "text_dim": self.data.text.widths[0]}
-        self.config = config = replace(config, model=replace(config.model, **sizes))
+        self.config = config = replace(config, codec=self.data.codec.name, model=replace(config.model, **sizes))
         self.schedule = cosine(config.levels)
         self.denoiser = config.model.build().to(loop.device)
         self.ema = Ema(self.denoiser, config.ema)

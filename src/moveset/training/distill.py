@@ -34,13 +34,13 @@ from moveset.pcm.consistency import (
 from moveset.pcm.losses import hinge_generator, pseudo_huber
 from moveset.pcm.sampler import lcm_timesteps, sample_ddim, sample_lcm, sample_phased
 from moveset.text.encoder import TextEmbedding
-from moveset.training import frozen
 from moveset.training.adversarial import discriminator_step
 from moveset.training.ema import Ema
 from moveset.training.engine import Loop, Task
 from moveset.training.optim import cosine_lr
 from moveset.training.tasks import Sources
 from moveset.training.teacher import LatentData
+from moveset.training.trained import load_trained
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -115,7 +115,7 @@ class _DistillationTask(Task):
         require_range("rows that are rehearsed", config.rehearsed, 0, config.batch)
         self.steps = loop.config.steps
         self.data = LatentData(sources, config.text_encoder, config.disturbance, loop)
-        teacher = frozen.load(sources.teacher, "teacher_ema", loop.device)
+        teacher = load_trained(sources.teacher, "teacher_ema", loop.device)
         self.teacher = teacher.module
         self.student = self.teacher.student().requires_grad_(True)
         self.config = _with_model(config, self.student)

@@ -17,7 +17,7 @@ from torch import Tensor, nn
 from torch.nn import functional as fn
 
 from moveset.data.crops import CropSampler
-from moveset.data.dataset import Dataset, open_for_training
+from moveset.data.dataset import Dataset, choose_codec, open_for_training
 from moveset.data.feature_store import Crop, FeatureStore
 from moveset.data.glove_files import read_glove
 from moveset.errors import InputError
@@ -28,11 +28,11 @@ from moveset.text.cache import EmbeddingCache, cache_file
 from moveset.text.encoder import get_text_encoder
 from moveset.text.glove import GloveWords
 from moveset.text.words import as_words
-from moveset.training import frozen
 from moveset.training.ema import Ema, ema_warmup
 from moveset.training.engine import Loop, Task
 from moveset.training.optim import cosine_lr
 from moveset.training.tasks import Sources
+from moveset.training.trained import load_trained
 
 Option = TypeVar("Option")
 
@@ -45,6 +45,7 @@ class MovementTrainingConfig:
         window: frames of a training window.
         small, smooth: weights of the tokens' size and of their change from one to the next.
         feat_bias: how much more root and contacts weigh (T2M: 5 by intention, 25 in its checkpoints).
+        codec: its features, a name for ``data.dataset.choose_codec``.
     """
 
     model: MovementConfig = field(default_factory=MovementConfig)
@@ -55,7 +56,7 @@ class MovementTrainingConfig:
     small: float = 1e-3
     smooth: float = 1e-3
     feat_bias: float = 5.0
-    codec: str = "hml"
+    codec: str = "published"
     kind: str = field(init=False)
 
     def __post_init__(self) -> None:
@@ -99,8 +100,10 @@ class MovementTask(Task):
     name = "movement"
 
     def __init__(self, config: MovementTrainingConfig, sources: Sources, loop: Loop) -> None:
-        self.config, self.steps = config, loop.config.steps
         dataset = open_for_training(sources.corpus)
+        codec = choose_codec(dataset, config.codec)
+        config = replace(config, codec=codec.name, model=replace(config.model, features=codec.dim))
+        self.config, self.steps = config, loop.config.steps
         self.store = _features(dataset, config.codec, sources.cache, loop)
         self.scale = _emphasis(self.store.normalizer, config.codec, config.feat_bias).to(loop.device)
         self.autoencoder = config.model.build().to(loop.device)
@@ -157,8 +160,10 @@ class EvaluatorTask(Task):
     name = "evaluator"
 
     def __init__(self, config: EvaluatorTrainingConfig, sources: Sources, loop: Loop) -> None:
-        movement = frozen.load(sources.teacher, "movement")
-        self.config = config = replace(config, codec=movement.task["codec"], feat_bias=movement.task["feat_bias"])
+        movement = load_trained(sources.teacher, "movement")
+        codec, features = movement.task["codec"], movement.module.config.features
+        model = replace(config.model, features=features)
+        self.config = config = replace(config, codec=codec, feat_bias=movement.task["feat_bias"], model=model)
         self.steps, self.dataset = loop.config.steps, open_for_training(sources.corpus)
         self.store = _features(self.dataset, config.codec, sources.cache, loop)
         self.scale = _emphasis(self.store.normalizer, config.codec, config.feat_bias).to(loop.device)

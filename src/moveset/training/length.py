@@ -1,81 +1,109 @@
-"""Trains the length predictor: a minute on a CPU, so a plain loop without checkpoints."""
+"""Training the length predictor: cross-entropy on classes of lengths (T2M), by the embeddings of sentences."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 from torch.nn.functional import cross_entropy
 
+from moveset.data.dataset import Dataset, open_for_training
+from moveset.data.disturbance import Disturbance, say
+from moveset.data.splits import Split
 from moveset.errors import InputError
-from moveset.models.length import LengthPredictor, LengthPredictorConfig
+from moveset.models.length import LengthPredictorConfig
+from moveset.models.registry import describe
+from moveset.training.engine import Loop, Task
+from moveset.training.optim import cosine_lr
+from moveset.training.reading import open_text
+from moveset.training.tasks import Sources
 
 
-@dataclass(frozen=True)
-class LengthTraining:
-    """A trained predictor and how well it does on pairs that it has not seen.
+@dataclass(frozen=True, kw_only=True)
+class LengthConfig:
+    """What ``LengthTask`` trains and how; the learning rate is a cosine over the run.
 
     Args:
-        model: in evaluation mode.
-        median_error: median of ``|predicted - true|`` over the held-out pairs, frames.
-        constant_error: the same for always answering the training set's median length.
+        model: its ``text_dim`` follows from the text encoder.
+        disturbance: how captions are said otherwise; seen again and again as they are written, lengths are learned of
+            the very words.
     """
 
-    model: LengthPredictor
-    median_error: float
-    constant_error: float
+    model: LengthPredictorConfig = field(default_factory=LengthPredictorConfig)
+    batch: int = 64
+    lr: float = 1e-3
+    warmup: int = 0
+    smoothing: float = 0.05
+    text_encoder: str = "minilm"
+    disturbance: Disturbance = field(default_factory=Disturbance)
+    kind: str = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "kind", describe(self.model)[0])
 
 
-def train_length(
-    pooled_NC: Tensor,
-    frames_N: Tensor,
-    *,
-    held_out: Tensor,
-    config: LengthPredictorConfig | None = None,
-    epochs: int = 40,
-    batch: int = 64,
-    learning_rate: float = 1e-3,
-    seed: int = 0,
-) -> LengthTraining:
-    """Cross-entropy on length classes (T2M), AdamW with a cosine schedule.
-
-    Args:
-        pooled_NC: (N, C) pooled sentence embeddings.
-        frames_N: (N,) lengths of the motions they describe, frames.
-        held_out: (N,) bool, pairs that are only measured. Split by take: captions of one take must stay together.
-        config: sizes; by default those that fit C.
-        epochs: passes over the training pairs.
-        batch: pairs a step.
-        learning_rate: at the start.
-        seed: of the initial weights, the dropout and the order.
+class LengthTask(Task):
+    """A small classifier of pooled sentence embeddings.
 
     Raises:
-        InputError: arrays that do not belong together, or no pair on either side of the split.
+        InputError: no clip whose length its sentences could tell, on either side of the split.
     """
-    held_out = held_out.bool()
-    if pooled_NC.ndim != 2 or not len(pooled_NC) == len(frames_N) == len(held_out):
-        raise InputError(
-            f"embeddings {tuple(pooled_NC.shape)}, lengths {tuple(frames_N.shape)} and marks {tuple(held_out.shape)} "
-            "do not belong together; give (N, C), (N,) and (N,)"
-        )
-    if held_out.all() or not held_out.any():
-        raise InputError(f"{int(held_out.sum())} of {len(held_out)} pairs are held out; keep some on either side")
-    generator = torch.Generator().manual_seed(seed)
-    config = config or LengthPredictorConfig(text_dim=pooled_NC.shape[1])
-    with torch.random.fork_rng(devices=[]):  # initial weights and dropout draw from the global generator
-        torch.manual_seed(seed)
-        model = config.build()
-        x, y = pooled_NC[~held_out].float(), model.classes_of(frames_N[~held_out])
-        optimizer = torch.optim.AdamW(model.parameters(), lr=learning_rate, weight_decay=0.01)
-        schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, epochs * -(-len(x) // batch))
-        for _ in range(epochs):
-            for rows in torch.randperm(len(x), generator=generator).split(batch):
-                loss = cross_entropy(model(x[rows]), y[rows], label_smoothing=0.05)
-                optimizer.zero_grad()
-                loss.backward()
-                optimizer.step()
-                schedule.step()
-    model.eval()
-    true = frames_N[held_out].float()
-    error = (model.predict(pooled_NC[held_out].float()) - true).abs()
-    constant = (frames_N[~held_out].float().median() - true).abs()
-    return LengthTraining(model, float(error.median()), float(constant.median()))
+
+    name = "length"
+
+    def __init__(self, config: LengthConfig, sources: Sources, loop: Loop) -> None:
+        self.steps, self.seed = loop.config.steps, loop.config.seed * 64 + loop.rank
+        dataset = open_for_training(sources.corpus)
+        self.train, self.val = _pairs(dataset, "train"), _pairs(dataset, "val")
+        captions, others = ([text for texts, _ in pairs for text in texts] for pairs in (self.train, self.val))
+        with loop.fabric.rank_zero_first():
+            self.text = open_text(
+                sources.cache, config.text_encoder, sorted({*captions}), sorted({*others}), config.disturbance,
+                loop.device,
+            )  # fmt: skip
+        self.config = config = replace(config, model=replace(config.model, text_dim=self.text.widths[1]))
+        self.length = config.model.build().to(loop.device)
+        self.optimizer = torch.optim.AdamW(self.length.parameters(), config.lr, weight_decay=0.01)
+
+    def modules(self) -> dict[str, nn.Module]:
+        return {"length": self.length}
+
+    def optimizers(self) -> dict[str, torch.optim.Optimizer]:
+        return {"length": self.optimizer}
+
+    def learning_rates(self, step: int) -> dict[str, float]:
+        return {"length": cosine_lr(step, self.config.lr, self.config.warmup, self.steps)}
+
+    def training_step(self, step: int, loop: Loop) -> dict[str, Tensor]:
+        generator = torch.Generator().manual_seed(self.seed * 1_000_003 + step)
+        rows = torch.randint(len(self.train), (self.config.batch,), generator=generator).tolist()
+        pick, other = torch.rand(2, self.config.batch, generator=generator).tolist()
+        captions = [
+            say(self.train[row][0], self.config.disturbance, place, chance)
+            for row, place, chance in zip(rows, pick, other, strict=True)
+        ]
+        self.text.prepare(captions)
+        classes = self.length.classes_of(torch.tensor([self.train[row][1] for row in rows])).to(loop.device)
+        logits = self.length(self.text.pooled_of(captions).float())
+        loss = cross_entropy(logits, classes, label_smoothing=self.config.smoothing)
+        norm = loop.minimise(loss, "length")
+        return {"loss": loss.detach(), "gradient_norm": norm}
+
+    def validate(self, step: int, loop: Loop) -> dict[str, float]:
+        """Median error in frames, over captions as they are written, and that of always saying the same."""
+        pairs = [(text, frames) for texts, frames in self.val for text in texts]
+        made = self.length.predict(self.text.pooled_of([text for text, _ in pairs]).float()).cpu()
+        true = torch.tensor([float(frames) for _, frames in pairs])
+        constant = torch.tensor([float(frames) for _, frames in self.train]).median()
+        return {
+            "median_error": float((made - true).abs().median()),
+            "constant_error": float((constant - true).abs().median()),
+        }
+
+
+def _pairs(dataset: Dataset, split: Split) -> list[tuple[tuple[str, ...], int]]:
+    """Sentences of clips with how many frames these last; those that go on and on say nothing of that."""
+    clips = [dataset.clip(item) for item in dataset.split(split)]
+    found = [(clip.captions, clip.frames) for clip in clips if not clip.looped]
+    if not found:
+        raise InputError(f"{dataset.name} has no {split} clip but looped ones; build it from more takes")
+    return found

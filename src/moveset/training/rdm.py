@@ -54,6 +54,7 @@ class RDMConfig:
             from codec, grid and text encoder.
         flow: None leaves the flow out.
         depth_cap: P, the most applications of the flow; N - 1 is the paper.
+        codec: its features, a name for ``data.dataset.choose_codec``.
         cutting: which segments are shown.
         optimizer: "momo" (the paper) or "adamw".
         constant_lr: no cosine decay.
@@ -92,7 +93,7 @@ class RDMConfig:
     flow: FlowConfig | None = field(default_factory=FlowConfig)
     grid: GridConfig = field(default_factory=GridConfig)
     depth_cap: int = 1
-    codec: str = "native"
+    codec: str = "auto"
     cutting: CuttingConfig = field(default_factory=CuttingConfig)
     batch: int = 64
     optimizer: Optimizer = "adamw"
@@ -335,7 +336,7 @@ def _sized(config: RDMConfig, data: SegmentData) -> RDMConfig:
         elif isinstance(model, SegmentDenoiserConfig):
             model = replace(model, prev="none", max_index=0, boundary=0)
     flow = None if config.flow is None else replace(config.flow, features=features, text_dim=text.widths[1])
-    return replace(config, model=model, flow=flow)
+    return replace(config, codec=data.codec.name, model=model, flow=flow)
 
 
 def _check(config: RDMConfig) -> None:

@@ -28,7 +28,6 @@ from moveset.rdm.grid import GridConfig
 from moveset.rdm.staircase import levels
 from moveset.rdm.transport import Transport
 from moveset.text.encoder import TextEmbedding
-from moveset.training import frozen
 from moveset.training.adversarial import discriminator_step
 from moveset.training.bound_segments import BoundSegments
 from moveset.training.distill import require_judge, require_shares
@@ -41,6 +40,7 @@ from moveset.training.rdm import SCHEDULE, RDMConfig, feature_weights
 from moveset.training.segment_data import SegmentData
 from moveset.training.tasks import Sources
 from moveset.training.telling import stray, told_place, told_turn
+from moveset.training.trained import load_trained
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -126,11 +126,11 @@ class RDMStudentTask(Task):
         if config.noisy_own and not config.own_past:
             raise InputError("noisy_own is of the student's own streams, and there are none; set own_past too")
         self.steps = loop.config.steps
-        teacher = frozen.load(sources.teacher, "denoiser_ema", loop.device)
+        teacher = load_trained(sources.teacher, "denoiser_ema", loop.device)
         self.teacher = teacher.module
         flow = None
         if teacher.task["flow"] is not None:
-            flow = frozen.load(sources.teacher, "flow_ema", loop.device, part="coupling_flow").module
+            flow = load_trained(sources.teacher, "flow_ema", loop.device, part="coupling_flow").module
         self.transport = Transport(flow, teacher.task["depth_cap"])
         for name in ("placed", "coursed"):
             if getattr(config, name) and not getattr(self.teacher.config, name):

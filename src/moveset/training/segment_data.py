@@ -6,7 +6,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from moveset.data.dataset import CorpusDataset, Dataset, open_for_training
+from moveset.data.dataset import CorpusDataset, Dataset, choose_codec, open_for_training
 from moveset.data.disturbance import AS_WRITTEN, Disturbance
 from moveset.data.feature_store import FeatureStore
 from moveset.data.loader import Ahead
@@ -14,7 +14,7 @@ from moveset.data.segments import CuttingConfig, Row, SegmentSet
 from moveset.data.splits import Split
 from moveset.diffusion.coloured import temporal_spectrum
 from moveset.errors import InputError
-from moveset.motion.features import FeatureCodec, get_codec
+from moveset.motion.features import FeatureCodec
 from moveset.text.cache import EmbeddingCache
 from moveset.text.encoder import TextEmbedding
 from moveset.text.live import LiveEmbeddings
@@ -46,7 +46,8 @@ class SegmentData:
             self.text = self._open(sources, config, loop.rank == 0)
 
     def _open(self, sources: Sources, config: Any, progress: bool) -> EmbeddingCache | LiveEmbeddings:
-        dataset, codec = open_for_training(sources.corpus), get_codec(config.codec)
+        dataset = open_for_training(sources.corpus)
+        codec = choose_codec(dataset, config.codec)
         store = FeatureStore.cached(dataset, codec.name, sources.cache, progress)
         self.codec, self.normalizer = codec, store.normalizer
         folder = sources.cache / f"features-{codec.name}"

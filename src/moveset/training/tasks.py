@@ -14,6 +14,7 @@ from moveset.errors import InputError
 
 if TYPE_CHECKING:
     from moveset.training.engine import EngineConfig, Loop, Task
+    from moveset.training.export import Export
 
 # A class is called with (task config, Sources, Loop).
 TASKS = {
@@ -34,6 +35,7 @@ TASKS = {
     "rdm-student": "moveset.training.rdm_student:RDMStudentTask",
     "movement": "moveset.training.evaluator:MovementTask",
     "evaluator": "moveset.training.evaluator:EvaluatorTask",
+    "length": "moveset.training.length:LengthTask",
 }
 RECIPES = ("small", "paper", "tiny")
 
@@ -80,6 +82,12 @@ def load_recipe(name: str, what: str) -> Recipe:
     if what not in training:
         raise InputError(f"the recipe {name!r} has nothing for {what!r}; it has {', '.join(training) or 'nothing'}")
     return training[what]()
+
+
+def load_exports(name: str) -> "tuple[Export, ...]":
+    """The folders that networks of a recipe make, ``moveset.recipes.NAME.EXPORTS``."""
+    exports: tuple[Export, ...] = importlib.import_module(f"moveset.recipes.{name}").EXPORTS
+    return exports
 
 
 def task_maker(what: str, config: Any, sources: Sources) -> "Callable[[Loop], Task]":

@@ -17,12 +17,12 @@ from moveset.models.latent_denoiser import LatentDenoiserConfig
 from moveset.models.registry import describe
 from moveset.models.token_denoiser import TokenDenoiserConfig
 from moveset.text.encoder import TextEmbedding
-from moveset.training import frozen
 from moveset.training.ema import Ema, ema_warmup
 from moveset.training.engine import Loop, Task
 from moveset.training.optim import cosine_lr
 from moveset.training.reading import open_text, read_captions
 from moveset.training.tasks import Sources
+from moveset.training.trained import load_trained
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,7 +50,7 @@ class LatentData:
     def __init__(self, sources: Sources, text_encoder: str, disturbance: Disturbance, loop: Loop) -> None:
         self.disturbance = disturbance
         self.seed, self.device = loop.config.seed * 64 + loop.rank, loop.device
-        self.vae = frozen.load(sources.vae, "vae_ema")
+        self.vae = load_trained(sources.vae, "vae_ema")
         # Whoever comes first makes the caches; the other processes open them.
         with loop.fabric.rank_zero_first():
             self._open(sources, text_encoder, loop.rank == 0)

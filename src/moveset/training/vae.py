@@ -7,20 +7,20 @@ import torch
 from torch import Tensor, nn
 
 from moveset.data.crops import CropSampler
-from moveset.data.dataset import open_for_training
+from moveset.data.dataset import choose_codec, open_for_training
 from moveset.data.feature_store import Crop, FeatureStore
 from moveset.errors import InputError
 from moveset.models.registry import describe
 from moveset.models.timed_vae import TimedVAEConfig
 from moveset.models.token_vae import TokenVAEConfig
-from moveset.motion.features import FeatureCodec, get_codec
+from moveset.motion.features import FeatureCodec
 from moveset.motion.measures import jerk, skating
 from moveset.motion.native import NativeCodec
-from moveset.training import frozen
 from moveset.training.ema import Ema, ema_warmup
 from moveset.training.engine import Loop, Task
 from moveset.training.optim import cosine_lr
 from moveset.training.tasks import Sources
+from moveset.training.trained import load_trained
 from moveset.training.vae_loss import (
     ReconstructionWeights,
     kl_divergence,
@@ -46,7 +46,9 @@ class VAETrainingConfig:
 
     Args:
         balance: contents are drawn by their count to the power of one minus this.
-        loss: what a reconstruction is judged by: after forward kinematics ("native" features only), or as published.
+        loss: what a reconstruction is judged by: after forward kinematics ("kinematic", of native features only), or
+            as published; "auto" is kinematic where it can be.
+        codec: its features, a name for ``data.dataset.choose_codec``; how many there are the model is told.
         latent_noise: ``DecoderTask`` only: the most noise added to a latent, in standard deviations of the latents.
     """
 
@@ -61,8 +63,8 @@ class VAETrainingConfig:
     composed_share: float = 0.3
     balance: float = 0.25
     latent_noise: float = 0.0
-    codec: str = "native"
-    loss: Literal["kinematic", "published"] = "kinematic"
+    codec: str = "auto"
+    loss: Literal["auto", "kinematic", "published"] = "auto"
     kind: str = field(init=False)
 
     def __post_init__(self) -> None:
@@ -79,14 +81,15 @@ class VAETask(Task):
     name = "vae"
 
     def __init__(self, config: VAETrainingConfig, sources: Sources, loop: Loop) -> None:
-        # Not a check of the configuration: settings come one by one, in any order.
-        if config.loss == "kinematic" and config.codec != "native":
-            raise InputError(
-                f"loss=kinematic is for native features, not for {config.codec!r} ones; set loss=published"
-            )
-        self.config, self.steps = config, loop.config.steps
         dataset = open_for_training(sources.corpus)
-        self.codec = get_codec(config.codec)
+        self.codec = codec = choose_codec(dataset, config.codec)
+        native = codec.name == "native"
+        loss = ("kinematic" if native else "published") if config.loss == "auto" else config.loss
+        # Not a check of the configuration: settings come one by one, in any order.
+        if loss == "kinematic" and not native:
+            raise InputError(f"loss=kinematic is for native features, not for {codec.name!r} ones; set loss=published")
+        config = replace(config, codec=codec.name, loss=loss, model=replace(config.model, features=codec.dim))
+        self.config, self.steps = config, loop.config.steps
         # Whoever comes first makes the cache; the other processes open it.
         with loop.fabric.rank_zero_first():
             self.store = FeatureStore.cached(dataset, config.codec, sources.cache, progress=loop.rank == 0)
@@ -159,13 +162,11 @@ class DecoderTask(VAETask):
     name = "decoder"
 
     def __init__(self, config: VAETrainingConfig, sources: Sources, loop: Loop) -> None:
-        trained = frozen.load(sources.vae, "vae_ema", loop.device)
-        if not isinstance(trained.module.config, TimedVAEConfig):
-            raise InputError(
-                f"{trained.path} holds a {trained.kind}; only the decoder of a timed_vae can be trained on"
-            )
-        super().__init__(replace(config, model=trained.module.config, codec=trained.task["codec"]), sources, loop)
-        self.vae.load_state_dict(trained.module.state_dict())
+        found = load_trained(sources.vae, "vae_ema", loop.device)
+        if not isinstance(found.module.config, TimedVAEConfig):
+            raise InputError(f"{found.path} holds a {found.kind}; only the decoder of a timed_vae can be trained on")
+        super().__init__(replace(config, model=found.module.config, codec=found.task["codec"]), sources, loop)
+        self.vae.load_state_dict(found.module.state_dict())
         self.ema = Ema(self.vae, config.ema)
         parts = (self.vae.patch_in, self.vae.length_in, self.vae.encoder, self.vae.merge, self.vae.encoder_mixer)
         for part in (*parts, self.vae.norm_latent, self.vae.to_latent):

@@ -27,7 +27,7 @@ from moveset.training import checkpoint
 
 
 @dataclass(frozen=True, eq=False)
-class Frozen:
+class TrainedNetwork:
     """A network of a checkpoint.
 
     Args:
@@ -35,7 +35,7 @@ class Frozen:
         kind: its name in the registry of models.
         config: the registry's JSON object.
         task: the configuration of its training.
-        digest: sha256 of its weights file; of a mean's, of the digests of all.
+        digest: sha256 of its weights file; of an average, of the digests of all.
         path: the checkpoint it is from.
     """
 
@@ -47,7 +47,7 @@ class Frozen:
     path: Path
 
 
-def load(path: Path, name: str, device: torch.device | str = "cpu", part: str = "") -> Frozen:
+def load_trained(path: Path, name: str, device: torch.device | str = "cpu", part: str = "") -> TrainedNetwork:
     """The network saved as ``NAME.safetensors`` in a run folder's latest checkpoint, or in the checkpoint given.
 
     Args:
@@ -64,15 +64,10 @@ def load(path: Path, name: str, device: torch.device | str = "cpu", part: str = 
     module: nn.Module = build_model(kind, config)
     checkpoint.load_module(module, step, name)
     digest = checkpoint.verify(step)["files"][f"{name}.safetensors"]["sha256"]
-    return Frozen(module.eval().requires_grad_(False).to(device), kind, config, task, digest, step)
+    return TrainedNetwork(module.eval().requires_grad_(False).to(device), kind, config, task, digest, step)
 
 
-def load_all(paths: Path | Sequence[Path], name: str, part: str = "") -> list[Frozen]:
-    """The networks of one or several runs, for ``mean``; as ``load``."""
-    return [load(path, name, part=part) for path in ([paths] if isinstance(paths, Path) else paths)]
-
-
-def mean(name: str, networks: Sequence[Frozen]) -> Frozen:
+def average_weights(name: str, networks: Sequence[TrainedNetwork]) -> TrainedNetwork:
     """The first of these networks with the mean of all their weights, which suits runs that began alike.
 
     Args:
@@ -100,8 +95,3 @@ def mean(name: str, networks: Sequence[Frozen]) -> Frozen:
     first.module.load_state_dict(states[0] | average)
     digests = "".join(network.digest for network in networks)
     return replace(first, digest=hashlib.sha256(digests.encode()).hexdigest())
-
-
-def provenance(networks: Sequence[Frozen]) -> str:
-    """How far the trainings went whose mean a network is, for people to read: "step 400 and step 300"."""
-    return " and ".join(network.path.name.replace("_", " ") for network in networks)

@@ -1,0 +1,312 @@
+"""From trained networks to the folders that users and the evaluation open: weights, statistics, and what is known.
+
+What a folder holds an ``Export`` says, which a recipe names; its networks come from run folders, the rest from a
+dataset. Nothing is trained here.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from moveset.data.dataset import Dataset
+from moveset.data.disturbance import Disturbance, wordings
+from moveset.data.feature_store import FeatureStore
+from moveset.data.glove_files import read_glove
+from moveset.data.latents import LatentSet
+from moveset.data.rewordings import all_words
+from moveset.errors import InputError
+from moveset.evaluation.evaluator import Evaluator, EvaluatorCard
+from moveset.motion.features import get_codec
+from moveset.pipelines.baseline_bundle import DENOISER, IDLE, BaselineConfig, save_baseline
+from moveset.pipelines.bundle import BundleConfig, save_folder
+from moveset.pipelines.stream_bundle import FLOW, StreamConfig, save_stream_bundle
+from moveset.text.encoder import get_text_encoder
+from moveset.text.glove import GloveWords
+from moveset.text.vocabulary import words_of
+from moveset.text.words import TokenWords, Words
+from moveset.training.dip import idle_pose
+from moveset.training.reading import embedded
+from moveset.training.trained import TrainedNetwork, average_weights, load_trained
+
+KNOWN_CAPTIONS = 2000
+_JUDGED = 256  # sentences by which it is found how near known ones a sentence of the data lies
+_UNFAMILIAR = 0.05  # share of them that may be taken for something else
+RDM, MD, DECODER, EVALUATOR = "rdm", "md", "decoder", "evaluator"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Export:
+    """What every folder is made of.
+
+    Args:
+        name: what the model is called.
+        runs: by name of a network, the run that trained it, or several whose average it is to be.
+        guidance: default guidance scales by name of the network.
+        last: take the students' last weights instead of the averaged ones.
+        differences: store students as 8-bit differences from what they were started from.
+    """
+
+    name: str
+    runs: Mapping[str, str | tuple[str, ...]]
+    guidance: Mapping[str, float] = field(default_factory=dict)
+    last: bool = False
+    differences: bool = True
+
+    def __post_init__(self) -> None:
+        if unknown := set(self.guidance) - set(self.runs):
+            raise InputError(f"there is no network {sorted(unknown)[0]!r} to guide; choose {', '.join(self.runs)}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ClipExport(Export):
+    """A text-to-motion model of networks vae, teacher, length and students; of a "decoder" run its VAE is that."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class StreamExport(Export):
+    """A stream's model of "rdm", with its flow, and any of "md", "pcm-1", "pcm-2" and "pcm-4".
+
+    Args:
+        smoothing: of a network's output by its name, instead of that of its training; guidance makes it tremble.
+
+    The others are fields of ``StreamConfig``: what a stream does by default.
+    """
+
+    smoothing: Mapping[str, float] = field(default_factory=dict)
+    network: str = RDM
+    sampler_steps: int = StreamConfig.sampler_steps
+    start: int = StreamConfig.start
+    lag: int = StreamConfig.lag
+    eta: float = StreamConfig.eta
+    past_lag: int | None = StreamConfig.past_lag
+    idle: str = StreamConfig.idle
+    travelling: float = StreamConfig.travelling
+    symmetric: tuple[str, ...] = StreamConfig.symmetric
+
+    def sampling(self) -> dict[str, Any]:
+        """The fields of ``StreamConfig`` among its own."""
+        names = ("network", "sampler_steps", "start", "lag", "eta", "past_lag", "idle", "travelling", "symmetric")
+        return {name: getattr(self, name) for name in names}
+
+
+@dataclass(frozen=True, kw_only=True)
+class BaselineExport(Export):
+    """What recurrent models are compared with: one network, "denoiser", of whole clips or of chunks.
+
+    Args:
+        steps: K of whole clips; chunks take all of their schedule.
+    """
+
+    steps: int = 50
+
+
+@dataclass(frozen=True, kw_only=True)
+class EvaluatorExport(Export):
+    """The network "evaluator", which judges motion."""
+
+
+def export(what: Export, dataset: Dataset, runs: Path, cache: Path, out: Path) -> Path:
+    """Write the folder ``out``.
+
+    Args:
+        what: which networks, and how they are used by default.
+        dataset: that they were trained on.
+        runs: the folder of all run folders.
+        cache: the trainings' folder of features, latents and embedded captions.
+        out: the folder to write; it appears whole or not at all.
+
+    Raises:
+        InputError: no checkpoint where one should be, networks that do not belong together, or a cache of other data.
+        FormatError: something is damaged.
+    """
+    found = {network: _load(what, network, runs) for network in what.runs}
+    if isinstance(what, EvaluatorExport):
+        return _evaluator(what, found[EVALUATOR], out)
+    of = {ClipExport: _clips, StreamExport: _stream, BaselineExport: _baseline}[type(what)]
+    return of(what, dataset, found, runs, cache, out)
+
+
+def _load(what: Export, network: str, runs: Path) -> TrainedNetwork:
+    solver = network.partition("-")[0]
+    weights = {"rdm": "denoiser_ema", "md": "denoiser_ema", "decoder": "vae_ema", "length": "length"}
+    if solver in ("pcm", "lcm"):
+        chosen = "student" if what.last else "student_ema"
+    else:
+        chosen = weights.get(network, f"{network}_ema")
+    found = average_weights(network, [load_trained(runs / run, chosen) for run in _names(what, network)])
+    if solver in ("pcm", "lcm") and network != f"{solver}-{found.task['phases']}":
+        raise InputError(f"{network!r} would be a student of {found.task['phases']} phases; give it its own run folder")
+    return found
+
+
+def _names(what: Export, network: str) -> tuple[str, ...]:
+    chosen = what.runs[network]
+    return (chosen,) if isinstance(chosen, str) else chosen
+
+
+def _common(
+    what: Export, dataset: Dataset, task: Mapping[str, Any], found: Mapping[str, TrainedNetwork], cache: Path
+) -> tuple[dict[str, Any], list[str], Tensor, FeatureStore]:
+    """What every configuration says, the captions that stand for what is known, their embeddings, and the features."""
+    encoder, codec = task["text_encoder"], get_codec(task["codec"])
+    known = known_captions(dataset)
+    pooled = embedded(cache, encoder, known).pooled_of(known)
+    steps = {
+        name: f"{' and '.join(_names(what, name))}, {network.path.name.replace('_', ' ')}"
+        for name, network in found.items()
+    }
+    fields = {
+        "name": what.name,
+        "codec": codec.name,
+        "fps": codec.fps,
+        "text_encoder": encoder,
+        "guidance": dict(what.guidance),
+        "far_prompt": familiarity_limit(dataset, known, pooled, encoder),
+        "provenance": {"data": dataset.describe(), **steps},
+    }
+    return fields, known, pooled, FeatureStore.cached(dataset, codec.name, cache)
+
+
+def _clips(
+    what: Export, dataset: Dataset, found: Mapping[str, TrainedNetwork], runs: Path, cache: Path, out: Path
+) -> Path:
+    vae, teacher = found["vae"], found["teacher"]
+    students = [name for name in found if "-" in name]
+    points = _one_grid(found[name] for name in students)
+    task = {**teacher.task, "codec": vae.task["codec"]}
+    fields, known, pooled, store = _common(what, dataset, task, found, cache)
+    path = cache / f"latents-{vae.digest[:12]}-train.safetensors"
+    latents = LatentSet.of(dataset, "train", store, vae.module, path)
+    modules = {name: network.module for name, network in found.items() if name != DECODER}
+    modules["vae"] = found.get(DECODER, vae).module
+    config = BundleConfig(**fields, latent=(vae.module.config.tokens, vae.module.config.token_dim), points=points)
+    statistics = {**_statistics(store), "latent_mean": latents.center, "latent_std": latents.scale}
+    bases = dict.fromkeys(students, "teacher") if what.differences else None
+    return save_folder(out, config, modules, statistics, known, pooled, bases, trained_words(dataset, teacher.task))
+
+
+def _stream(
+    what: StreamExport, dataset: Dataset, found: Mapping[str, TrainedNetwork], runs: Path, cache: Path, out: Path
+) -> Path:
+    if RDM not in found:
+        raise InputError(f"a stream needs the network {RDM!r}, got {', '.join(found) or 'none'}; name its run")
+    rdm, students = found[RDM], [name for name in found if "-" in name]
+    for name, network in found.items():
+        for size in ("features", "frames", "text_dim"):
+            if (ours := network.config[size]) != rdm.config[size]:
+                theirs = rdm.config[size]
+                raise InputError(f"{name!r} has {ours} {size} and {RDM!r} {theirs}; export networks of one kind")
+    if unknown := set(what.smoothing) - set(found):
+        raise InputError(f"there is no network {sorted(unknown)[0]!r} to smooth; choose {', '.join(found)}")
+    modules = {name: network.module for name, network in found.items()}
+    for name, value in what.smoothing.items():
+        modules[name].config = replace(modules[name].config, smoothing=value)
+    if rdm.task["flow"] is not None:
+        flows = [load_trained(runs / run, "flow_ema", part="coupling_flow") for run in _names(what, RDM)]
+        modules[FLOW] = average_weights(FLOW, flows).module
+    points = _one_grid(found[name] for name in students)
+    fields, known, pooled, store = _common(what, dataset, rdm.task, found, cache)
+    config = StreamConfig(
+        **fields, segment=rdm.task["grid"]["frames"], depth_cap=rdm.task["depth_cap"], points=points, **what.sampling()
+    )
+    bases = dict.fromkeys(students, RDM) if what.differences else None
+    words = trained_words(dataset, rdm.task)
+    return save_stream_bundle(out, config, modules, _statistics(store), known, pooled, bases, words)
+
+
+def _baseline(
+    what: BaselineExport, dataset: Dataset, found: Mapping[str, TrainedNetwork], runs: Path, cache: Path, out: Path
+) -> Path:
+    network = found[DENOISER]
+    task = network.task
+    chunks = "levels" in task
+    if not chunks and (task["flow"] is not None or task["grid"]["condition"] == "clean"):
+        raise InputError(f"{network.path} is a stream's network, given the segment before; export it as a stream's")
+    fields, known, pooled, store = _common(what, dataset, task, found, cache)
+    statistics = _statistics(store)
+    sampling: dict[str, Any] = {"frames": task["model"]["frames"], "sampler_steps": what.steps}
+    if chunks:
+        statistics[IDLE] = idle_pose(dataset, store, get_codec(task["codec"]))
+        every = {"timesteps": task["levels"], "sampler_steps": task["levels"]}
+        sampling |= {"prefix": task["model"]["prefix"], "schedule": "cosine", "eta": 1.0, **every}
+    else:
+        sampling["predict"] = task["predict"]
+    return save_baseline(out, BaselineConfig(**fields, **sampling), network.module, statistics, known, pooled)
+
+
+def _evaluator(what: Export, found: TrainedNetwork, out: Path) -> Path:
+    task, step = found.task, int(found.path.name.removeprefix("step_"))
+    provenance = {"steps": step, "movement": "frozen", "weights_sha256": found.digest}
+    kind, _, table = task["words"].partition(":")
+    words: Words
+    if kind == "glove":
+        words, read = GloveWords(*read_glove(Path(table))), kind
+    else:
+        words, read = TokenWords(get_text_encoder(task["words"]), task["max_words"]), task["words"]
+    fps = get_codec(task["codec"]).fps
+    card = EvaluatorCard(name=what.name, codec=task["codec"], fps=fps, words=read, provenance=provenance)
+    return Evaluator(card, found.module, words).save(out, half=True)
+
+
+def _statistics(store: FeatureStore) -> dict[str, Tensor]:
+    return {"feature_mean": store.normalizer.mean, "feature_std": store.normalizer.std}
+
+
+def _one_grid(students: Any) -> int:
+    """The solver points that all students were distilled on."""
+    grids = {student.task["points"] for student in students} or {BundleConfig.points}
+    if len(grids) > 1:
+        raise InputError(f"the students were distilled on grids of {sorted(grids)} points; export those of one grid")
+    return int(grids.pop())
+
+
+def known_captions(dataset: Dataset) -> list[str]:
+    """Captions that stand for what the training data show, some of every group of clips."""
+    by_group: dict[Any, dict[str, None]] = {}
+    for item in dataset.split("train"):
+        clip = dataset.clip(item)
+        # What shows one thing after another is made of clips that are there, too.
+        if not clip.parts and not clip.looped:
+            by_group.setdefault(clip.group, {}).update(dict.fromkeys(clip.captions))
+    each = max(1, KNOWN_CAPTIONS // len(by_group))
+    chosen: set[str] = set()
+    for captions in list(by_group.values())[:: -(-len(by_group) // KNOWN_CAPTIONS)]:
+        # The first ones are what people type; the rest is sampled evenly.
+        written = list(captions)
+        chosen.update(written[: -(-each // 2)] + written[each // 2 :: max(1, 2 * len(written) // each)])
+    return sorted(chosen)
+
+
+def trained_words(dataset: Dataset, task: Mapping[str, Any]) -> set[str]:
+    """Words of all that a network was told in its training: captions, and their other wordings.
+
+    Args:
+        dataset: of the training.
+        task: its configuration.
+    """
+    captions = {caption for item in dataset.split("train") for caption in dataset.clip(item).captions}
+    disturbance = Disturbance(**task["disturbance"])
+    words = {word for sentence in wordings(sorted(captions), disturbance) for word in words_of(sentence)}
+    return words | all_words() if disturbance.reworded else words
+
+
+def familiarity_limit(dataset: Dataset, known: list[str], pooled_PC: Tensor, text_encoder: str) -> float:
+    """The similarity to the known captions that 95 % of unseen ones, those of the validation split, exceed.
+
+    Where all of them have been seen, ``FolderConfig``'s own.
+    """
+    unseen = {caption for item in dataset.split("val") for caption in dataset.clip(item).captions} - set(known)
+    if not unseen:
+        return BundleConfig.far_prompt
+    chosen = sorted(unseen)[:: -(-len(unseen) // _JUDGED)]
+    found = get_text_encoder(text_encoder).encode(chosen).pooled
+    best = (_unit(found) @ _unit(pooled_PC).T).amax(dim=1)
+    return round(float(best.quantile(_UNFAMILIAR)), 3)
+
+
+def _unit(x_PC: Tensor) -> Tensor:
+    return torch.nn.functional.normalize(x_PC.float(), dim=-1)

@@ -1,0 +1,170 @@
+"""Model folders are the averaged networks of the latest checkpoints, with the statistics and captions of their data."""
+
+from dataclasses import asdict, replace
+
+import pytest
+import torch
+
+from moveset.data.dataset import open_for_training
+from moveset.data.feature_store import FeatureStore
+from moveset.data.synthetic import synthetic_corpus
+from moveset.errors import InputError
+from moveset.models.dip_decoder import DipDecoderConfig
+from moveset.models.flow import FlowConfig
+from moveset.models.segment_transformer import SegmentTransformerConfig
+from moveset.pipelines.baseline_bundle import IDLE, BaselineBundle
+from moveset.pipelines.stored_weights import restored
+from moveset.pipelines.stream_bundle import StreamBundle
+from moveset.rdm.grid import GridConfig
+from moveset.text.vocabulary import words_of
+from moveset.training import checkpoint
+from moveset.training.dip import DiPConfig
+from moveset.training.export import BaselineExport, StreamExport, export
+from moveset.training.rdm import RDMConfig
+from moveset.training.rdm_student import RDMStudentConfig
+
+FRAMES = 8
+MODEL = SegmentTransformerConfig(frames=FRAMES, width=32, heads=2, hidden=32, blocks=1)
+FLOW = FlowConfig(blocks=2, hidden=8, text_context=4, index_context=4)
+TASK = RDMConfig(codec="native", model=MODEL, flow=FLOW, grid=GridConfig(frames=FRAMES), depth_cap=2)
+DIP = DiPConfig(codec="native", model=DipDecoderConfig(prefix=4, frames=8, width=32, layers=1, heads=2))
+
+
+def write_run(runs, name, task, **modules):
+    """A run folder with checkpoints of steps 3 and 7; the later one holds the modules as they are."""
+    for step, offset in ((3, 1.0), (7, 0.0)):
+        tensors = {k: {key: value + offset for key, value in m.state_dict().items()} for k, m in modules.items()}
+        checkpoint.write(runs / name, step, tensors, {"config": {"config": asdict(task)}})
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("data")
+    return open_for_training(synthetic_corpus(folder / "corpus.safetensors", clips=12, seed=0))
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory):
+    """Run folders as the training leaves them, of networks that were hardly trained."""
+    runs = tmp_path_factory.mktemp("runs")
+    with torch.random.fork_rng(devices=[]), torch.no_grad():
+        torch.manual_seed(0)
+        rdm, md, flow = MODEL.build(), MODEL.build(), FLOW.build()
+        rdm.spectrum.copy_(torch.rand(FRAMES, 269) + 0.01)
+        write_run(runs, "rdm-7", TASK, denoiser=MODEL.build(), denoiser_ema=rdm, flow=FLOW.build(), flow_ema=flow)
+        alone = replace(TASK, flow=None, grid=GridConfig(frames=FRAMES, condition="clean"))
+        write_run(runs, "md-7", alone, denoiser_ema=md)
+        write_run(runs, "other", TASK, denoiser_ema=MODEL.build(), flow_ema=FLOW.build())
+        shuffled, narrow = replace(FLOW, seed=FLOW.seed + 1), replace(MODEL, hidden=16)
+        write_run(runs, "shuffled", replace(TASK, flow=shuffled), denoiser_ema=rdm, flow_ema=shuffled.build())
+        write_run(runs, "narrow", replace(TASK, model=narrow), denoiser_ema=narrow.build(), flow_ema=flow)
+        write_run(runs, "rdm-1", replace(TASK, flow=None), denoiser_ema=rdm)
+        write_run(runs, "dip", DIP, denoiser_ema=DIP.model.build())
+        for phases, points in ((1, 20), (2, 20), (4, 10)):
+            student = rdm.student()
+            for weight in student.parameters():
+                weight += 1e-3 * torch.randn_like(weight)
+            learned = RDMStudentConfig(phases=phases, points=points, model=student.config)
+            write_run(runs, f"rdm-pcm-{phases}", learned, student=rdm.student(), student_ema=student)
+    return runs
+
+
+def stored(runs, run, name):
+    return checkpoint.read_tensors(runs / run / "step_7", name)
+
+
+def stream(dataset, runs, out, networks, **more):
+    what = StreamExport(name="tried", runs=networks, **more)
+    return StreamBundle(export(what, dataset, runs, runs / "cache", out))
+
+
+def test_a_stream_holds_averaged_networks_and_what_it_does_by_default(dataset, runs, tmp_path):
+    networks = {"rdm": "rdm-7", "md": "md-7", "pcm-1": "rdm-pcm-1", "pcm-2": "rdm-pcm-2"}
+    sampling = {"network": "pcm-2", "sampler_steps": 12, "start": 5, "lag": 2, "past_lag": 1, "eta": 0.5}
+    scales = {"rdm": 1.5, "md": 1.5, "pcm-1": 2.5, "pcm-2": 1.5}
+    given = {**sampling, "idle": "stand", "travelling": 0.5, "guidance": scales, "smoothing": {"pcm-1": 0.6}}
+    bundle = stream(dataset, runs, tmp_path / "made", networks, **given)
+    config = bundle.config
+    assert all(getattr(config, name) == value for name, value in given.items() if name != "smoothing")
+    assert (config.name, config.segment, config.depth_cap, config.points) == ("tried", FRAMES, 2, 20)
+    assert (config.codec, config.fps, config.denoisers) == ("native", 20.0, ("rdm", "md", "pcm-1", "pcm-2"))
+    assert config.models["pcm-1"].config["smoothing"] == 0.6 != config.models["rdm"].config["smoothing"]
+    assert config.provenance["pcm-2"] == "rdm-pcm-2, step 7"
+    assert 0.0 < config.far_prompt < 1.0
+    whole = {"rdm": ("rdm-7", "denoiser_ema"), "md": ("md-7", "denoiser_ema"), "flow": ("rdm-7", "flow_ema")}
+    for name, where in whole.items():
+        for key, value in stored(runs, *where).items():
+            assert torch.equal(bundle.tensors(f"{name}.safetensors")[key], value.half())
+    for name in ("pcm-1", "pcm-2"):
+        assert config.models[name].base == "rdm"
+        made = restored(bundle.tensors(f"{name}.safetensors"), bundle.tensors("rdm.safetensors"))
+        for key, value in stored(runs, f"rdm-{name}", "student_ema").items():
+            assert (made[key] - value).norm() <= 5e-3 * value.norm(), key
+    store = FeatureStore(runs / "cache" / "features-native")
+    assert torch.equal(bundle.normalizer["feature_mean"], store.normalizer.mean)
+    assert torch.equal(bundle.normalizer["feature_std"], store.normalizer.std)
+    known = bundle.captions
+    assert len(known.sentences) == len(known.pooled) > 10
+    assert known.words >= {word for sentence in known.sentences for word in words_of(sentence)}
+    assert known.unread("a person saunters and walks") == ("saunters",)
+    bundle.verify()
+
+
+def test_students_can_be_whole_and_their_last_weights(dataset, runs, tmp_path):
+    networks, scales = {"rdm": "rdm-7", "pcm-1": "rdm-pcm-1"}, {"pcm-1": 1.0}
+    bundle = stream(dataset, runs, tmp_path / "made", networks, guidance=scales, last=True, differences=False)
+    held = bundle.tensors("pcm-1.safetensors")
+    assert all(torch.equal(held[key], value.half()) for key, value in stored(runs, "rdm-pcm-1", "student").items())
+
+
+def test_of_several_runs_the_average_is_exported(dataset, runs, tmp_path):
+    """Of the flow, too: it is part of a run of "rdm"."""
+    bundle = stream(dataset, runs, tmp_path / "made", {"rdm": ("rdm-7", "other")})
+    for network, name in (("rdm", "denoiser_ema"), ("flow", "flow_ema")):
+        parts = [stored(runs, run, name) for run in ("rdm-7", "other")]
+        for key, value in bundle.module(network).state_dict().items():
+            mean = ((parts[0][key] + parts[1][key]) / 2).to(value.dtype)
+            torch.testing.assert_close(value, mean, rtol=1e-3, atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("networks", "more", "message"),
+    [
+        ({"md": "md-7"}, {}, "needs the network 'rdm'"),
+        ({"rdm": "nowhere"}, {}, "no usable checkpoint"),
+        ({"rdm": ("rdm-7", "shuffled")}, {}, r"'flow' is to be the mean of networks of other .*order"),
+        ({"rdm": ("rdm-7", "narrow")}, {}, "'rdm' is to be the mean of networks of different sizes"),
+        ({"rdm": "rdm-7", "pcm-1": "rdm-pcm-2"}, {}, "'pcm-1' would be a student of 2 phases"),
+        ({"rdm": "rdm-7", "pcm-2": "rdm-pcm-2", "pcm-4": "rdm-pcm-4"}, {}, r"grids of \[10, 20\] points"),
+        ({"rdm": "rdm-7"}, {"smoothing": {"md": 0.4}}, "no network 'md' to smooth"),
+        ({"rdm": "rdm-7"}, {"guidance": {"md": 0.4}}, "no network 'md' to guide"),
+    ],
+)
+def test_what_does_not_belong_together_is_refused(dataset, runs, tmp_path, networks, more, message):
+    with pytest.raises(InputError, match=message):
+        stream(dataset, runs, tmp_path / "no", networks, **more)
+    assert not (tmp_path / "no").exists()
+
+
+def test_a_cache_of_other_data_is_refused(dataset, runs, tmp_path):
+    """Its statistics would be exported, and every motion would be off without an error."""
+    FeatureStore.cached(dataset, "native", runs / "cache")
+    other = open_for_training(synthetic_corpus(tmp_path / "corpus.safetensors", clips=12, seed=1))
+    with pytest.raises(InputError, match="made from other clips"):
+        stream(other, runs, tmp_path / "no", {"rdm": "rdm-7"})
+    assert not (tmp_path / "no").exists()
+
+
+def test_baselines_are_of_whole_clips_or_of_chunks(dataset, runs, tmp_path):
+    def made(run, **more):
+        what = BaselineExport(name=run, runs={"denoiser": run}, **more)
+        return BaselineBundle(export(what, dataset, runs, runs / "cache", tmp_path / run))
+
+    whole, chunks = made("rdm-1", steps=7, guidance={"denoiser": 1.5}), made("dip")
+    assert (whole.config.frames, whole.config.prefix, whole.config.sampler_steps) == (FRAMES, 0, 7)
+    assert (whole.config.predict, whole.config.schedule, whole.config.guidance) == ("x0", "linear", {"denoiser": 1.5})
+    assert (chunks.config.frames, chunks.config.prefix, chunks.config.sampler_steps) == (8, 4, DIP.levels)
+    assert (chunks.config.schedule, chunks.config.eta, chunks.config.timesteps) == ("cosine", 1.0, DIP.levels)
+    assert chunks.normalizer[IDLE].shape == (269,)
+    with pytest.raises(InputError, match="is a stream's network"):
+        made("rdm-7")
