@@ -9,12 +9,13 @@ import torch
 
 from moveset.errors import FormatError, InputError
 from moveset.evaluation.folder import folder_motions
-from moveset.evaluation.generators import Clips, Given, Reconstruction, Wanted, check_made, resampled
+from moveset.evaluation.generators import Generated, Given, Reconstruction, Wanted, check_made, resampled
 from moveset.evaluation.items import open_items
 from moveset.evaluation.job import Job, clip_method, open_generator
 from moveset.evaluation.streams import Streams, timeline
 from moveset.motion.features import get_codec
 from moveset.pipelines.bundle import Bundle
+from moveset.pipelines.generator import ClipGenerator
 from moveset.pipelines.motion_stream import MotionStream
 from moveset.pipelines.request import check_method, check_request
 from moveset.pipelines.stream_bundle import StreamBundle
@@ -43,7 +44,7 @@ def items(tmp_path_factory):
 
 
 def clips(bundle, solver="pcm", steps=None, **options):
-    return Clips(bundle, check_method(bundle.config, solver, steps), device="cpu", **options)
+    return Generated(ClipGenerator(bundle, check_method(bundle.config, solver, steps), device="cpu", **options))
 
 
 # ------------------------------------------------------------------------------------------------------------ clips
@@ -95,7 +96,7 @@ def test_a_timeline_is_one_motion(bundle):
 def test_lcm_takes_more_steps_with_fresh_noise(bundle):
     method = clip_method(bundle, "lcm-1", 4, None)
     assert (method.network, method.steps) == ("lcm-1", 4)
-    four = Clips(bundle, method, device="cpu", batch=2)
+    four = Generated(ClipGenerator(bundle, method, device="cpu", batch=2))
     asked = [Wanted(((WALK, 40),), seed) for seed in (1, 2, 1)]
     a, b, again = four.generate(asked, 20.0)
     assert torch.allclose(a, again, atol=1e-5)

@@ -1,15 +1,14 @@
-"""What is judged, whatever made it: clips of a model folder, its autoencoder's reconstructions, real or given motion.
+"""What is judged, whatever made it: motions of a model, an autoencoder's reconstructions, real or given motion.
 
-All give joint positions in metres at the evaluator's frame rate; ``streams`` has the recurrent models.
+All give joint positions in metres at the evaluator's frame rate.
 
 Shapes: F frames, J joints, D features, B clips.
 """
 
-import hashlib
-import json
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
+from itertools import accumulate, pairwise
 from typing import Any, Protocol
 
 import torch
@@ -21,13 +20,8 @@ from moveset.motion.clip import Motion
 from moveset.motion.features import get_codec
 from moveset.pipelines.bundle import Bundle
 from moveset.pipelines.device import pick_device
-from moveset.pipelines.model_folder import ModelFolder
-from moveset.pipelines.request import Method, Request
-from moveset.pipelines.text_to_motion import TextToMotion
-from moveset.text.cache import CachedEncoder
-
-CHUNK = 512  # motions made before progress is told
-REMEMBERED = 8192  # sentences
+from moveset.pipelines.generator import Generator
+from moveset.pipelines.request import Request
 
 Tick = Callable[[int], None]
 
@@ -51,9 +45,15 @@ class Wanted:
         """Frames in all."""
         return sum(frames for _, frames in self.parts)
 
+    def request(self, fps: float, rate: float) -> Request:
+        """The same asked of a model that makes ``rate`` frames a second."""
+        ends = [frames_at(end, fps, rate) for end in accumulate(frames for _, frames in self.parts)]
+        frames = tuple(end - begin for begin, end in pairwise([0, *ends]))
+        return Request(tuple(prompt for prompt, _ in self.parts), frames, self.seed)
 
-class Generator(Protocol):
-    """Makes motions.
+
+class Source(Protocol):
+    """Where judged motion comes from.
 
     ``slug`` names it in files, ``model``, ``network`` and ``steps`` in tables (None where there is no such thing);
     ``random`` says whether another seed gives another motion; ``segment`` is the seconds between seams of a stream,
@@ -111,59 +111,26 @@ class Given:
         return made
 
 
-class Clips:
-    """A text-to-motion model folder by one of its networks.
+class Generated:
+    """Motions of a model, as joints at the evaluator's frame rate."""
 
-    Args:
-        bundle: the folder.
-        method: network, steps and guidance.
-        device: where to compute.
-        batch: clips evaluated at once.
-        foot_lock: judge motion as users get it, with planted feet held; off: as the decoder gives it.
-    """
+    random = True
 
-    random, segment = True, 0.0
-
-    def __init__(
-        self, bundle: Bundle, method: Method, *, device: str = "auto", batch: int = 64, foot_lock: bool = True
-    ) -> None:
-        self._t2m = TextToMotion(bundle, device)
-        self._t2m.encoder = CachedEncoder(self._t2m.encoder, REMEMBERED)
-        self._method, self._batch, self._foot_lock = method, batch, foot_lock
-        self.model, self.network, self.steps = bundle.config.name, method.network, method.steps
-        own = bundle.config.guidance[method.network]
-        extras = [f"{method.steps}-steps"] if method.network != f"{method.solver}-{method.steps}" else []
-        extras += [f"w{method.guidance:g}"] if method.guidance != own else []
-        self.slug = "-".join([self.model, method.network, *extras, *(() if foot_lock else ("raw",))])
+    def __init__(self, generator: Generator) -> None:
+        self._generator = generator
+        self.slug, self.model = generator.slug, generator.model
+        self.network, self.steps = generator.network, generator.steps
+        self.segment = generator.segment / generator.fps
 
     def describe(self) -> dict[str, Any]:
-        method = self._method
-        return {
-            "solver": method.solver, "guidance": method.guidance, "foot_lock": self._foot_lock, "batch": self._batch,
-            "device": self._t2m.device.type,
-        }  # fmt: skip
+        return self._generator.describe()
 
     def weights(self) -> dict[str, str]:
-        return weights_of(self._t2m.bundle, ("vae", self._method.network))
+        return self._generator.weights()
 
     def generate(self, wanted: Sequence[Wanted], fps: float, tick: Tick = lambda count: None) -> list[Tensor]:
-        made: list[Tensor] = [torch.empty(0)] * len(wanted)
-        # Clips of like length together: a batch is padded to its longest.
-        order = sorted(range(len(wanted)), key=lambda k: wanted[k].frames)
-        for start in range(0, len(order), CHUNK):
-            rows = order[start : start + CHUNK]
-            requests = [self._request(wanted[k], fps) for k in rows]
-            done = self._t2m.generate(requests, self._method, foot_lock=self._foot_lock, batch=self._batch)
-            for k, generation in zip(rows, done, strict=True):
-                made[k] = joints_at(generation.motion, fps, wanted[k].frames)
-            tick(len(rows))
-        return made
-
-    def _request(self, wanted: Wanted, fps: float) -> Request:
-        config = self._t2m.bundle.config
-        frames = [frames_at(count, fps, config.fps) for _, count in wanted.parts]
-        frames = [min(max(count, config.min_frames), config.max_frames) for count in frames]
-        return Request(tuple(prompt for prompt, _ in wanted.parts), tuple(frames), wanted.seed)
+        made = self._generator.generate([one.request(fps, self._generator.fps) for one in wanted], tick)
+        return [joints_at(motion, fps, one.frames) for motion, one in zip(made, wanted, strict=True)]
 
 
 class Reconstruction:
@@ -184,7 +151,7 @@ class Reconstruction:
         return {"batch": self._batch, "device": self._device.type}
 
     def weights(self) -> dict[str, str]:
-        return weights_of(self._bundle, ("vae",))
+        return self._bundle.sha256("vae")
 
     @torch.inference_mode()
     def generate(self, wanted: Sequence[Wanted], fps: float, tick: Tick = lambda count: None) -> list[Tensor]:
@@ -245,19 +212,6 @@ def resampled(joints: Tensor, fps: float, rate: float) -> Tensor:
     where = torch.arange(count, dtype=torch.float64) / rate * fps
     low = where.floor().clamp(max=len(joints) - 2).long()
     return torch.lerp(joints[low], joints[low + 1], (where - low).clamp(0.0, 1.0).to(joints)[:, None, None])
-
-
-def weights_of(folder: ModelFolder[Any], names: Sequence[str]) -> dict[str, str]:
-    """sha256 of the files of these networks, of those they are stored as differences from, and of the statistics.
-
-    And of what config.json says of each network, smoothing among it.
-    """
-    specs = {name: folder.config.models[name] for name in names if name in folder.config.models}
-    said = {name: json.dumps(asdict(spec), sort_keys=True).encode() for name, spec in specs.items()}
-    bases = [spec.base for spec in specs.values()]
-    files = [f"{name}.safetensors" for name in dict.fromkeys([*names, *filter(None, bases), "normalizer"])]
-    found = {file: folder.files[file][0] for file in files if file in folder.files}
-    return found | {f"{name} in config.json": hashlib.sha256(text).hexdigest() for name, text in said.items()}
 
 
 def check_made(made: Sequence[Tensor], asked: Sequence[Draw], who: str, shape: tuple[int, int]) -> None:

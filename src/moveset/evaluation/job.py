@@ -15,7 +15,7 @@ import torch
 from moveset.data.splits import Split
 from moveset.errors import InputError, MovesetError
 from moveset.evaluation.evaluator import DEFAULT_EVALUATOR, Evaluator
-from moveset.evaluation.generators import Clips, Generator, Given, Reconstruction, settings_slug
+from moveset.evaluation.generators import Generated, Given, Reconstruction, Source, settings_slug
 from moveset.evaluation.items import ItemSet, open_items
 from moveset.evaluation.protocol import Protocol, Session, run_repeat
 from moveset.evaluation.results import Results
@@ -23,6 +23,7 @@ from moveset.evaluation.rollout import run_rollout
 from moveset.io.process import end_with_parent
 from moveset.pipelines.bundle import DEFAULT_MODEL, SOLVERS, Bundle
 from moveset.pipelines.device import pick_device
+from moveset.pipelines.generator import ClipGenerator
 from moveset.pipelines.model_folder import BASELINE, STREAM, find_folder, task_of
 from moveset.pipelines.request import Method, check_method
 from moveset.pipelines.stream_bundle import DEFAULT_STREAM, StreamBundle
@@ -119,7 +120,7 @@ def _as_read(given: ItemSet, most: int) -> ItemSet:
     return replace(given, dropped={**given.dropped, **note})
 
 
-def _check_fit(job: Job, generator: Generator, judged: ItemSet, items: ItemSet) -> None:
+def _check_fit(job: Job, generator: Source, judged: ItemSet, items: ItemSet) -> None:
     """What no repeat could judge is refused before anything is made or written.
 
     Raises:
@@ -155,7 +156,7 @@ def open_set(job: Job) -> ItemSet:
     return items if job.items is None else items.limited(job.items)
 
 
-def open_generator(job: Job) -> Generator:
+def open_generator(job: Job) -> Source:
     """What a job judges.
 
     Raises:
@@ -184,7 +185,7 @@ def open_generator(job: Job) -> Generator:
     if network == "vae":
         return Reconstruction(bundle, device=job.device, batch=job.batch)
     method = clip_method(bundle, network, job.steps, cast(float | None, settings.get("guidance")))
-    return Clips(bundle, method, device=job.device, batch=job.batch, foot_lock=job.foot_lock)
+    return Generated(ClipGenerator(bundle, method, device=job.device, batch=job.batch, foot_lock=job.foot_lock))
 
 
 def clip_method(bundle: Bundle, network: str | None, steps: int | None, guidance: float | None) -> Method:
@@ -212,7 +213,7 @@ def clip_method(bundle: Bundle, network: str | None, steps: int | None, guidance
     return check_method(bundle.config, solver, int(count) if count else steps, guidance)
 
 
-def _stream(job: Job, folder: Path, network: str | None, settings: dict[str, Any]) -> Generator:
+def _stream(job: Job, folder: Path, network: str | None, settings: dict[str, Any]) -> Source:
     from moveset.evaluation.streams import Streams
     from moveset.pipelines.stream_settings import check_stream
 
@@ -234,8 +235,8 @@ def _stream(job: Job, folder: Path, network: str | None, settings: dict[str, Any
     return Streams(bundle, request.settings, shape=shape, extras=extras, device=job.device, batch=max(job.batch, 1))
 
 
-def _baseline(job: Job, folder: Path, network: str | None, settings: dict[str, Any]) -> Generator:
-    from moveset.evaluation.baselines import Baseline
+def _baseline(job: Job, folder: Path, network: str | None, settings: dict[str, Any]) -> Source:
+    from moveset.pipelines.baseline import Baseline
     from moveset.pipelines.baseline_bundle import DENOISER, BaselineBundle
 
     bundle = BaselineBundle(folder)
@@ -244,9 +245,10 @@ def _baseline(job: Job, folder: Path, network: str | None, settings: dict[str, A
     if unknown := set(settings) - {"guidance"}:
         raise InputError(f"--{sorted(unknown)[0]} is a setting of streams, and {bundle.config.name!r} is none")
     w = cast(float | None, settings.get("guidance"))
-    return Baseline(
+    made = Baseline(
         bundle, steps=job.steps, guidance=w, foot_lock=job.foot_lock, device=job.device, batch=max(job.batch, 1)
     )
+    return Generated(made)
 
 
 def run(

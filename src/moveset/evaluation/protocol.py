@@ -20,7 +20,7 @@ from torch import Tensor
 from moveset.data.humanml3d import Caption
 from moveset.errors import InputError
 from moveset.evaluation import metrics
-from moveset.evaluation.generators import Generator, Given, Reconstruction, Wanted, check_made
+from moveset.evaluation.generators import Given, Reconstruction, Source, Wanted, check_made
 from moveset.evaluation.items import Draw, ItemSet
 from moveset.motion.hml import HmlCodec
 from moveset.motion.measures import boundary_jerk, measure
@@ -116,7 +116,7 @@ class Session:
 
     protocol: Protocol
     items: ItemSet
-    generator: Generator
+    generator: Source
     evaluator: Judge
 
     def __post_init__(self) -> None:
@@ -200,7 +200,7 @@ def random_of(protocol: Protocol, number: int, *key: str | int) -> torch.Generat
     return torch.Generator().manual_seed(seed_of(protocol, number, *key))
 
 
-def features_of(generator: Generator, asked: Sequence[Draw], made: Sequence[Tensor], codec: HmlCodec) -> list[Tensor]:
+def features_of(generator: Source, asked: Sequence[Draw], made: Sequence[Tensor], codec: HmlCodec) -> list[Tensor]:
     """(F - 1, D) features of joints; real motion has its own already."""
     if isinstance(generator, Given):
         return real_features(asked, codec)

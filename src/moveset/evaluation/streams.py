@@ -16,13 +16,14 @@ from torch import Tensor, nn
 
 from moveset.data.captions import mirror_text
 from moveset.diffusion.guidance import cfg
-from moveset.evaluation.generators import REMEMBERED, Tick, Wanted, frames_at, joints_at, weights_of
+from moveset.evaluation.generators import Tick, Wanted, frames_at, joints_at
 from moveset.models.flow import CouplingFlow
 from moveset.models.segment_transformer import told_of
 from moveset.models.symmetric import Symmetric
 from moveset.motion.clip import Motion
 from moveset.pipelines.course import Course
 from moveset.pipelines.device import pick_device
+from moveset.pipelines.generator import REMEMBERED
 from moveset.pipelines.stream_bundle import FLOW, StreamBundle
 from moveset.pipelines.stream_settings import StreamSettings, share_evenly
 from moveset.rdm.sampler import Settings, Stream
@@ -76,7 +77,7 @@ class Streams:
         return {**settings, "shape": self._shape, "batch": self._batch, "device": self._device.type}
 
     def weights(self) -> dict[str, str]:
-        return weights_of(self._bundle, (self._settings.network, *([FLOW] if self._uses_flow else [])))
+        return self._bundle.sha256(self._settings.network, *([FLOW] if self._uses_flow else []))
 
     def generate(self, wanted: Sequence[Wanted], fps: float, tick: Tick = lambda count: None) -> list[Tensor]:
         made: list[Tensor] = [torch.empty(0)] * len(wanted)

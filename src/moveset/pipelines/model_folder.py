@@ -12,6 +12,7 @@ Only what is asked for is read, and what is read is verified. The kinds are ``bu
 """
 
 import hashlib
+import json
 import math
 import re
 from collections.abc import Collection, Mapping, Sequence
@@ -220,6 +221,18 @@ class ModelFolder(VerifiedFolder, Generic[Config]):
             ValueError: differences that do not fit what they were taken from.
         """
         return restored(self.tensors(f"{name}.safetensors"), self._base(name, self.spec(name)))
+
+    def sha256(self, *names: str) -> dict[str, str]:
+        """sha256 of the files of these networks, of those they are stored as differences from, and of the statistics.
+
+        And of what config.json says of each network, smoothing among it.
+        """
+        specs = {name: self.config.models[name] for name in names if name in self.config.models}
+        said = {name: json.dumps(asdict(spec), sort_keys=True).encode() for name, spec in specs.items()}
+        bases = [spec.base for spec in specs.values()]
+        files = [f"{name}.safetensors" for name in dict.fromkeys([*names, *filter(None, bases), "normalizer"])]
+        found = {file: self.files[file][0] for file in files if file in self.files}
+        return found | {f"{name} in config.json": hashlib.sha256(text).hexdigest() for name, text in said.items()}
 
     def _base(self, name: str, spec: ModelSpec) -> dict[str, Tensor] | None:
         """The tensors of the network that this one is stored as differences from."""

@@ -27,6 +27,11 @@ class Request:
     frames: tuple[int | None, ...]
     seed: int
 
+    @property
+    def total(self) -> int:
+        """Frames of all of them, those that the text decides left out."""
+        return sum(count or 0 for count in self.frames)
+
 
 @dataclass(frozen=True)
 class Method:

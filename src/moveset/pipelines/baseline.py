@@ -4,6 +4,7 @@ B clips, n frames of a clip or chunk, P frames of a prefix, D features, L text t
 """
 
 from collections.abc import Callable, Sequence
+from itertools import accumulate
 from typing import Any
 
 import torch
@@ -11,21 +12,13 @@ from torch import Tensor
 
 from moveset.diffusion.guidance import cfg
 from moveset.errors import InputError
-from moveset.evaluation.generators import (
-    REMEMBERED,
-    Tick,
-    Wanted,
-    frames_at,
-    joints_at,
-    settings_slug,
-    weights_of,
-)
 from moveset.motion.clip import Motion
 from moveset.motion.contacts import PLANTED
 from moveset.motion.foot_lock import FootLock
 from moveset.motion.hold_root import hold_root
 from moveset.pipelines.baseline_bundle import DENOISER, IDLE, BaselineBundle
 from moveset.pipelines.device import pick_device
+from moveset.pipelines.request import Request
 from moveset.rdm.prediction import clean_from_noise
 from moveset.rdm.sequential import Solver, idle_prefix, rollout_chunks, sample_segment
 from moveset.rdm.staircase import levels
@@ -51,7 +44,7 @@ class Baseline:
         FormatError: a folder of another codec.
     """
 
-    random, segment = True, 0.0
+    segment = 0
 
     def __init__(
         self,
@@ -74,11 +67,11 @@ class Baseline:
             raise InputError(f"guidance {self._w:g} is not in 0 to 100; {config.name!r} has {chosen:g}")
         self._bundle, self._batch, self._foot_lock = bundle, batch, foot_lock
         self._device, self._codec = pick_device(device), config.native_codec()
-        self._text = CachedEncoder(get_text_encoder(config.text_encoder, device=self._device), REMEMBERED)
+        self._text = CachedEncoder(get_text_encoder(config.text_encoder, device=self._device), limit=8192)
         self._schedule = config.noise_schedule()
-        self.model, self.network = config.name, DENOISER
+        self.model, self.network, self.fps = config.name, DENOISER, config.fps
         extras = [] if self.steps == own else [f"{self.steps}-steps"]
-        extras += [] if self._w == chosen else settings_slug({"guidance": self._w})
+        extras += [] if self._w == chosen else [f"guidance{self._w:g}"]
         self.slug = "-".join([self.model, *extras, *(() if foot_lock else ("raw",))])
 
     def describe(self) -> dict[str, Any]:
@@ -88,31 +81,34 @@ class Baseline:
         }  # fmt: skip
 
     def weights(self) -> dict[str, str]:
-        return weights_of(self._bundle, (DENOISER,))
+        return self._bundle.sha256(DENOISER)
 
     @torch.inference_mode()
-    def generate(self, wanted: Sequence[Wanted], fps: float, tick: Tick = lambda count: None) -> list[Tensor]:
-        config, statistics = self._bundle.config, self._bundle.normalizer
-        made: list[Tensor] = [torch.empty(0)] * len(wanted)
-        order = sorted(range(len(wanted)), key=lambda k: wanted[k].frames)
+    def generate(
+        self, requests: Sequence[Request], progress: Callable[[int], object] = lambda count: None
+    ) -> list[Motion]:
+        """A motion for each request, cut where it is longer than the network knows."""
+        statistics, made = self._bundle.normalizer, dict[int, Motion]()
+        sample = self._chunks if self._bundle.config.prefix else self._volumes
+        order = sorted(range(len(requests)), key=lambda k: requests[k].total)
         for start in range(0, len(order), self._batch):
             rows = order[start : start + self._batch]
-            clips = [wanted[k] for k in rows]
-            counts = [frames_at(clip.frames, fps, config.fps) for clip in clips]
-            sample = self._chunks if config.prefix else self._volumes
-            features = sample(clips, counts).cpu() * statistics["feature_std"] + statistics["feature_mean"]
-            for k, one, count in zip(rows, features, counts, strict=True):
-                made[k] = joints_at(self._motion(one[:count]), fps, wanted[k].frames)
-            tick(len(rows))
-        return made
+            features = (
+                sample([requests[k] for k in rows]).cpu() * statistics["feature_std"] + statistics["feature_mean"]
+            )
+            made |= {k: self._motion(one[: requests[k].total]) for k, one in zip(rows, features, strict=True)}
+            progress(len(rows))
+        return [made[k] for k in range(len(requests))]
 
-    def _volumes(self, clips: Sequence[Wanted], counts: Sequence[int]) -> Tensor:
+    def _volumes(self, clips: Sequence[Request]) -> Tensor:
         """(B, n, D) of whole clips; the network sees how long each is, up to its longest."""
         config, network = self._bundle.config, self._bundle.module(DENOISER, self._device)
-        said = [" then ".join(prompt for prompt, _ in clip.parts) for clip in clips]
+        said = [" then ".join(clip.prompts) for clip in clips]
         text = self._read(said)
         size = (len(text.tokens), config.frames, self._codec.dim)
-        valid_Bn = torch.arange(config.frames) < torch.tensor(counts).clamp(max=config.frames)[:, None]
+        valid_Bn = (
+            torch.arange(config.frames) < torch.tensor([clip.total for clip in clips]).clamp(max=config.frames)[:, None]
+        )
         valid_Bn = valid_Bn.to(self._device).repeat(size[0] // len(clips), 1)
         nothing, zero = torch.zeros(size, device=self._device), torch.zeros(size[:1], dtype=torch.long)
         zero = zero.to(self._device)
@@ -126,15 +122,14 @@ class Baseline:
         guided, seeds = self._guided(clean), [clip.seed for clip in clips]
         return sample_segment(lambda x, t, *_: guided(x, t), solver, seeds, [0] * len(seeds), nothing[: len(seeds)])
 
-    def _chunks(self, clips: Sequence[Wanted], counts: Sequence[int]) -> Tensor:
+    def _chunks(self, clips: Sequence[Request]) -> Tensor:
         """(B, n, D) chunk by chunk, from a person who stands."""
         config, network = self._bundle.config, self._bundle.module(DENOISER, self._device)
         pose_D = self._bundle.normalizer[IDLE].to(self._device)
         prefix = idle_prefix(pose_D, len(clips), config.prefix)
-        rate = max(counts) / max(clip.frames for clip in clips)
 
         def denoise(x_BnD: Tensor, t_B: Tensor, prefix_BPD: Tensor, number: int) -> Tensor:
-            text = self._read([_prompt_at(clip, number * config.frames / rate) for clip in clips])
+            text = self._read([_prompt_at(clip, number * config.frames) for clip in clips])
 
             def clean(x: Tensor, t: Tensor) -> Tensor:
                 before = prefix_BPD.repeat(len(x) // len(prefix_BPD), 1, 1)
@@ -144,7 +139,9 @@ class Baseline:
             return self._guided(clean)(x_BnD, t_B)
 
         seeds = [clip.seed for clip in clips]
-        return rollout_chunks(denoise, self._schedule, prefix, max(counts), seeds, chunk=config.frames)
+        return rollout_chunks(
+            denoise, self._schedule, prefix, max(clip.total for clip in clips), seeds, chunk=config.frames
+        )
 
     def _guided(self, clean: Callable[[Tensor, Tensor], Tensor]) -> Callable[[Tensor, Tensor], Tensor]:
         """The same under classifier-free guidance, by one batch of both."""
@@ -166,10 +163,7 @@ class Baseline:
         return FootLock(self._codec.skeleton, self._codec.fps)(motion, planted[: len(motion)])
 
 
-def _prompt_at(clip: Wanted, frame: float) -> str:
-    """The prompt of the part that this frame, at the evaluator's rate, belongs to; the last one beyond the end."""
-    for prompt, count in clip.parts:
-        if frame < count:
-            return prompt
-        frame -= count
-    return clip.parts[-1][0]
+def _prompt_at(clip: Request, frame: int) -> str:
+    """The prompt of the part that this frame belongs to; the last one beyond the end."""
+    ends = accumulate(count or 0 for count in clip.frames)
+    return next((prompt for prompt, end in zip(clip.prompts, ends, strict=True) if frame < end), clip.prompts[-1])

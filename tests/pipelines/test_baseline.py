@@ -5,13 +5,13 @@ import torch
 from torch import nn
 
 from moveset.errors import FormatError, InputError
-from moveset.evaluation.baselines import Baseline
-from moveset.evaluation.generators import Wanted
 from moveset.evaluation.job import Job, open_generator
 from moveset.models.light_t2m import LightT2MConfig
 from moveset.motion.features import get_codec
+from moveset.pipelines.baseline import Baseline
 from moveset.pipelines.baseline_bundle import BaselineBundle, BaselineConfig, save_baseline
 from moveset.pipelines.bundle import Bundle
+from moveset.pipelines.request import Request
 from tests.baselines import SETTINGS, tiny_baseline
 from tests.bundles import CAPTIONS, standing_features, tiny_bundle
 
@@ -48,27 +48,27 @@ def instead(model, answer):
 
 @pytest.mark.parametrize("kind", SETTINGS)
 def test_clips_are_as_long_as_asked_for_and_each_from_its_own_seed(folders, kind):
-    asked = [Wanted(((WALK, frames),), seed) for seed, frames in enumerate((50, 24, 37, 50))]
+    asked = [Request((WALK,), (frames,), seed) for seed, frames in enumerate((50, 24, 37, 50))]
     ticks = []
-    made = baseline(folders[kind]).generate(asked, 20.0, ticks.append)
-    assert [tuple(joints.shape) for joints in made] == [(n, 22, 3) for n in (50, 24, 37, 50)]
+    made = baseline(folders[kind]).generate(asked, ticks.append)
+    assert [tuple(motion.joints.shape) for motion in made] == [(n, 22, 3) for n in (50, 24, 37, 50)]
     assert sum(ticks) == 4
-    assert not torch.allclose(made[0], made[3], atol=1e-4)
-    assert all(joints.isfinite().all() for joints in made)
+    assert not torch.allclose(made[0].joints, made[3].joints, atol=1e-4)
+    assert all(motion.joints.isfinite().all() for motion in made)
 
 
 @pytest.mark.parametrize("kind", SETTINGS)
 def test_the_batch_does_not_matter(folders, kind):
-    asked = [Wanted(((prompt, n),), seed) for seed, (prompt, n) in enumerate([(WALK, 50), (BOW, 30), (WALK, 44)])]
-    together = baseline(folders[kind]).generate(asked, 20.0)
-    alone = baseline(folders[kind], batch=1).generate(asked[::-1], 20.0)[::-1]
+    asked = [Request((prompt,), (n,), seed) for seed, (prompt, n) in enumerate([(WALK, 50), (BOW, 30), (WALK, 44)])]
+    together = baseline(folders[kind]).generate(asked)
+    alone = baseline(folders[kind], batch=1).generate(asked[::-1])[::-1]
     for a, b in zip(together, alone, strict=True):
-        assert torch.allclose(a, b, atol=1e-4)
+        assert torch.allclose(a.joints, b.joints, atol=1e-4)
 
 
 def test_a_longer_clip_than_the_network_knows_is_cut(folders):
-    assert len(baseline(folders["light"]).generate([Wanted(((WALK, 75),), 0)], 20.0)[0]) == 60
-    assert len(baseline(folders["chunks"]).generate([Wanted(((WALK, 75),), 0)], 20.0)[0]) == 75
+    assert len(baseline(folders["light"]).generate([Request((WALK,), (75,), 0)])[0]) == 60
+    assert len(baseline(folders["chunks"]).generate([Request((WALK,), (75,), 0)])[0]) == 75
 
 
 @pytest.mark.parametrize("kind", ["light", "noise"])
@@ -77,10 +77,10 @@ def test_what_the_network_says_is_what_comes_out(folders, kind):
     model = baseline(folders[kind], foot_lock=False)
     sigma = model._schedule.sigma
     network = instead(model, lambda x, t, *_: 0 * x if kind == "light" else x / sigma(t)[:, None, None])
-    made = model.generate([Wanted(((WALK, 30),), 0), Wanted(((BOW, 20),), 1)], 20.0)
+    made = model.generate([Request((WALK,), (30,), 0), Request((BOW,), (20,), 1)])
     standing = get_codec("native").decode(standing_features().repeat(30, 1)).joints
     # At the noisiest of the thousand levels alpha is 0.006, and rounding is divided by it.
-    assert torch.allclose(made[0], standing, atol=1e-3)
+    assert torch.allclose(made[0].joints, standing, atol=1e-3)
     assert len(network.told) == 3
     valid = network.told[0][-1]
     assert valid.sum(dim=1).tolist() == [20, 30, 20, 30]  # told and untold, the shorter clip first
@@ -97,14 +97,14 @@ def test_guidance_goes_beyond_what_the_text_adds(folders):
         model = baseline(folders["light"], guidance=w, foot_lock=False)
         said["empty"] = model._text.encode([""]).tokens.abs().sum()
         instead(model, answer)
-        features = model._volumes([Wanted(((WALK, 20),), 0)], [20])
+        features = model._volumes([Request((WALK,), (20,), 0)])
         assert torch.allclose(features[0, :20], torch.full((20, 269), expected), atol=1e-4)
 
 
 def test_chunks_go_on_from_the_frames_before(folders):
     model = baseline(folders["chunks"], guidance=0.0, foot_lock=False)
     network = instead(model, lambda x, t, prefix, *_: prefix[:, -1:] + torch.arange(1, 13)[:, None] + 0 * x)
-    features = model._chunks([Wanted(((WALK, 30),), 0)], [30])
+    features = model._chunks([Request((WALK,), (30,), 0)])
     # The last step of a DDPM sampler adds no noise, so frames count on from zero, the pose of the start.
     assert torch.allclose(features[0, :, 0], torch.arange(1.0, 31.0), atol=1e-4)
     assert len(network.told) == 3 * 4
@@ -114,7 +114,7 @@ def test_a_chunk_is_told_the_part_that_it_begins_in(folders):
     model = baseline(folders["chunks"], guidance=0.0)
     heard = []
     model._read, read = lambda said: heard.append(tuple(said)) or read(said), model._read
-    model.generate([Wanted(((WALK, 13), (BOW, 12)), 0)], 20.0)
+    model.generate([Request((WALK, BOW), (13, 12), 0)])
     assert heard == [(WALK,)] * 8 + [(BOW,)] * 4
 
 
@@ -122,7 +122,7 @@ def test_a_clip_of_two_parts_is_told_both(folders):
     model = baseline(folders["light"], guidance=0.0)
     heard = []
     model._read, read = lambda said: heard.append(tuple(said)) or read(said), model._read
-    model.generate([Wanted(((WALK, 13), (BOW, 12)), 0)], 20.0)
+    model.generate([Request((WALK, BOW), (13, 12), 0)])
     assert heard == [(f"{WALK} then {BOW}",)]
 
 
