@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-PACKAGES = ("gltf-validator", "three")
+PACKAGES = ("gltf-validator", "three", "@pixiv/three-vrm-animation")
 
 
 @pytest.fixture(scope="session")

@@ -1,15 +1,17 @@
-// Prints world positions of joints as three.js plays a .glb or .bvh: FILE UNIT FPS FRAMES NAME...
+// Prints world positions of joints as three.js plays a .glb, .gltf or .bvh: FILE UNIT FPS FRAMES NAME...
 import fs from 'fs';
 import * as THREE from 'three';
 import { GLTFLoader } from 'three/examples/jsm/loaders/GLTFLoader.js';
 import { BVHLoader } from 'three/examples/jsm/loaders/BVHLoader.js';
 
 globalThis.self = globalThis;
+globalThis.ProgressEvent ??= class {};
 const [path, unit, fps, frames, ...names] = process.argv.slice(2);
 const data = fs.readFileSync(path);
 let root, clip, extras;
-if (path.endsWith('.glb')) {
-  const bytes = data.buffer.slice(data.byteOffset, data.byteOffset + data.length);
+if (!path.endsWith('.bvh')) {
+  const text = path.endsWith('.gltf');
+  const bytes = text ? data.toString('utf8') : data.buffer.slice(data.byteOffset, data.byteOffset + data.length);
   const gltf = await new Promise((resolve, reject) => new GLTFLoader().parse(bytes, '', resolve, reject));
   [root, clip, extras] = [gltf.scene, gltf.animations[0], gltf.asset.extras];
 } else {

@@ -189,7 +189,6 @@ def last_sampler(tree):
 
 
 WRONG = {
-    "no skin": (drop("skins"), "no skin"),
     "no animation": (drop("animations"), "no animation"),
     "no channels": (put(("animations", 0, "channels"), []), "turns no joint"),
     "outside file": (put(("buffers", 0, "uri"), "http://example.org/secret.bin"), "outside the file"),

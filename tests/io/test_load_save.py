@@ -27,7 +27,7 @@ def motion():
     return wander(12, seed=3, turn=1.0)
 
 
-@pytest.mark.parametrize("name", ["a.bvh", "a.glb", "a.npz", "a.amass.npz", "a.npy", "A.GLB"])
+@pytest.mark.parametrize("name", ["a.bvh", "a.glb", "a.gltf", "a.npz", "a.amass.npz", "a.npy", "A.GLB"])
 def test_what_is_written_is_read_back(motion, name, tmp_path):
     assert save(motion, tmp_path / name) == tmp_path / name
     found = load(tmp_path / name)
@@ -61,7 +61,9 @@ def test_every_format_is_written_whole_and_twice_alike(motion, suffix, tmp_path)
     assert sorted(p.name for p in (tmp_path / "one").iterdir()) == [f"a{suffix}", *beside]
 
 
-@pytest.mark.parametrize("name", ["a.bvh", "a.glb", "a.npz", "a.amass.npz", "a.npy", "a.html", "a.png"])
+@pytest.mark.parametrize(
+    "name", ["a.bvh", "a.glb", "a.gltf", "a.vrma", "a.npz", "a.amass.npz", "a.npy", "a.html", "a.png"]
+)
 def test_metadata_is_kept_with_the_file_or_beside_it(motion, name, tmp_path):
     save(motion, tmp_path / name, metadata=NOTES)
     assert read_metadata(tmp_path / name).items() >= NOTES.items()
@@ -80,11 +82,19 @@ def test_a_file_beside_that_is_damaged_is_refused(motion, tmp_path):
 
 @pytest.mark.parametrize("name", ["a.fbx", "a", "a.bvh.txt", ".bvh", "npz"])
 def test_unknown_extensions_are_said_with_the_known_ones(motion, name, tmp_path):
-    with pytest.raises(InputError, match=r"\.bvh \.glb \.npz \.npy \.html \.mp4 \.gif \.png"):
+    with pytest.raises(InputError, match=r"\.bvh \.glb \.npz \.npy \.html \.mp4 \.gif \.png; use one"):
         save(motion, tmp_path / name)
     with pytest.raises(InputError, match=r"\.bvh \.glb \.npz \.npy \.html;"):
         load(tmp_path / name)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_formats_of_other_programs_are_reached_through_blender(motion, tmp_path):
+    for suffix in (".fbx", ".usda", ".dae"):
+        with pytest.raises(InputError, match=r"open it in Blender and export"):
+            load(tmp_path / f"a{suffix}")
+        with pytest.raises(InputError, match=r"import that into Blender"):
+            save(motion, tmp_path / f"a{suffix}")
 
 
 def test_pictures_cannot_be_loaded(motion, tmp_path):
@@ -132,7 +142,9 @@ def test_unwritable_places_are_said(motion, suffix, tmp_path):
     assert not (tmp_path / "missing").exists()
 
 
-@pytest.mark.parametrize("name", ["a.bvh", "a.glb", "a.npz", "a.amass.npz", "a.npy", "a.html", "a.png"])
+@pytest.mark.parametrize(
+    "name", ["a.bvh", "a.glb", "a.gltf", "a.vrma", "a.npz", "a.amass.npz", "a.npy", "a.html", "a.png"]
+)
 def test_a_motion_that_is_being_optimised_is_written_as_it_stands(name, tmp_path):
     motion = gait(5)
     save(motion, tmp_path / name)
@@ -145,6 +157,7 @@ def test_a_picture_is_drawn_at_the_slowest_rate(tmp_path):
     assert save(Motion(gait(3).rotations, torch.zeros(3, 3), 0.01), tmp_path / "a.png").stat().st_size > 1000
 
 
+@pytest.mark.filterwarnings("ignore:.*frames a second are unusual")
 @pytest.mark.parametrize("fps", [0.01, 29.97, 1000.0])
 @pytest.mark.parametrize("name", ["a.bvh", "a.glb", "a.npz", "a.amass.npz", "a.html"])
 def test_rates_are_read_back(name, fps, tmp_path):

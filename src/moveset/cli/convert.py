@@ -22,8 +22,9 @@ def convert(
     """Convert a motion file, or rescue a take whose process was killed: `moveset convert walk.bvh.part rescued.glb`.
 
     Args:
-        source: A motion file: .bvh .glb .npz .npy or .html; or the .part of a take, which is finished beside it first.
-        target: File to write: .bvh .glb .npz .amass.npz .npy .html .mp4 .gif or .png.
+        source: A motion file: .bvh .glb .gltf .vrma .npz .npy or .html; or the .part of a take, which is finished
+            beside it first.
+        target: File to write: .bvh .glb .gltf .vrma .npz .amass.npz .npy .html .mp4 .gif or .png.
         skeleton: Retarget to smpl, mixamo, vrm, ue5, hml22 or kit21.
         fps: Frame rate of the new file.
         source_fps: Frame rate of the source, whatever it says of itself.

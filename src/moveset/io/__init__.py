@@ -3,15 +3,16 @@
 | extension | written | read |
 |---|---|---|
 | .bvh | rotations, centimetres | any BVH; its unit of length is guessed from the body's size |
-| .glb | skinned body with animation | skinned animations |
+| .glb .gltf | skinned body with animation | animations of skins or nodes |
+| .vrma | VRM animation | both |
 | .npz | rotations and skeleton; ``.amass.npz``: AMASS poses | both |
-| .npy | joint positions (F, J, 3) | HumanML3D joints (F, 22, 3) at 20 fps |
+| .npy | joint positions (F, J, 3) | positions, and features of HumanML3D and KIT-ML |
 | .html | a page that plays it, offline and by itself | its first motion |
 | .mp4 .gif .png | video, animation, filmstrip | no |
 
-Metadata is kept inside .glb (``asset.extras.moveset``), .npz and .html (``metadata``), .png (text chunk "moveset"),
-.gif and .mp4 (comment). BVH, AMASS npz and npy have no place for it: there it goes into a file beside,
-``walk.bvh.json``.
+Metadata is kept inside .glb, .gltf and .vrma (``asset.extras.moveset``), .npz and .html (``metadata``), .png (text
+chunk "moveset"), .gif and .mp4 (comment). BVH, AMASS npz and npy have no place for it: there it goes into a file
+beside, ``walk.bvh.json``.
 """
 
 import json
@@ -26,7 +27,8 @@ from moveset.errors import FormatError, InputError
 if TYPE_CHECKING:
     from moveset.motion.clip import Motion
 
-READABLE = (".bvh", ".glb", ".npz", ".npy", ".html")
+_GLTF = (".gltf", ".vrma", ".glb")
+READABLE = (".gltf", ".vrma", ".bvh", ".glb", ".npz", ".npy", ".html")
 WRITABLE = (*READABLE, ".mp4", ".gif", ".png")
 _OF_BLENDER = (".fbx", ".dae", ".usd", ".usda", ".usdc", ".usdz", ".blend", ".abc")
 _THROUGH_BLENDER = (
@@ -57,16 +59,16 @@ def load(
     from dataclasses import replace
 
     suffix = _suffix(path, READABLE, "read")
-    if animation is not None and suffix not in (".glb", ".npy"):
+    if animation is not None and suffix not in (*_GLTF, ".npy"):
         raise InputError(f"{path}: {suffix} files hold one motion; leave --animation out")
     if source_fps is not None and not 0.01 <= source_fps <= 1000:
         raise InputError(f"a source of {source_fps:g} frames a second is not in 0.01 to 1000; give one such as 30")
     if suffix == ".bvh":
         motion = _load_bvh(path, source_fps)
-    elif suffix == ".glb":
+    elif suffix in _GLTF:
         from moveset.io.gltf_reader import read_glb
 
-        motion = read_glb(path, fps=fps)
+        motion = read_glb(path, fps=fps, animation=animation)
     elif suffix == ".html":
         from moveset.io.html import read_html
 
@@ -107,10 +109,11 @@ def save(motion: "Motion", path: str | Path, *, metadata: Mapping[str, str | int
         from moveset.io.bvh import write_bvh
 
         write_bvh(motion, path)
-    elif suffix == ".glb":
-        from moveset.io.gltf import write_glb
+    elif suffix in _GLTF:
+        from moveset.io import gltf
 
-        write_glb(motion, path, metadata=notes)
+        write = {".glb": gltf.write_glb, ".gltf": gltf.write_gltf, ".vrma": gltf.write_vrma}[suffix]
+        write(motion, path, metadata=notes)
     elif suffix == ".html":
         from moveset.io.html import save_html
 
@@ -159,7 +162,7 @@ def save_beside(metadata: Mapping[str, str | int | float | None], path: Path) ->
 
 
 def read_metadata(path: str | Path) -> dict[str, Any]:
-    """What ``save`` was told to remember in a .glb, .npz, .html or .png, or beside a .bvh, .npy or AMASS npz.
+    """What ``save`` was told to remember in glTF, .npz, .html or .png, or beside a .bvh, .npy or AMASS npz.
 
     {} if nothing.
 
@@ -168,7 +171,7 @@ def read_metadata(path: str | Path) -> dict[str, Any]:
         FormatError: a damaged file.
     """
     suffix = _suffix(path, (*READABLE, ".png"), "read metadata of")
-    if suffix == ".glb":
+    if suffix in _GLTF:
         from moveset.io.gltf_reader import glb_metadata
 
         return glb_metadata(path)

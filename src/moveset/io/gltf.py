@@ -1,13 +1,14 @@
-"""GLB (glTF 2.0): writing a skinned body with its animation; ``gltf_reader`` reads. F frames, J joints.
+"""glTF 2.0: writing a skinned body with its animation, or a VRM animation; ``gltf_reader`` reads. F frames, J joints.
 
 The tracks of the animation end the file, so that they can be streamed: F times, F rotations of every joint in turn,
 F root positions, all float32. Everything before them follows from the skeleton and F alone: ``glb_head``.
 """
 
+import base64
 import struct
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -15,7 +16,14 @@ from moveset.io.body_mesh import Mesh, body_meshes
 from moveset.io.limits import atomic_write
 from moveset.motion import rotations
 from moveset.motion.clip import Motion
+from moveset.motion.retarget import retarget
+from moveset.motion.rigs import RIGS
 from moveset.motion.skeleton import Skeleton
+
+if TYPE_CHECKING:
+    import pygltflib
+
+_VRMA = "VRMC_vrm_animation"
 
 # glTF colours are linear: about the tones of the pictures.
 _COLOURS = {
@@ -87,13 +95,44 @@ def write_glb(motion: Motion, path: str | Path, *, metadata: Mapping[str, object
     Raises:
         InputError: the path cannot be written to.
     """
-    # Neighbouring keys in one hemisphere: not every player takes the short way by itself.
-    turns = rotations.unroll(motion.rotations).numpy().astype(np.float32)
     with atomic_write(path) as file:
         file.write(glb_head(motion.skeleton, motion.fps, len(motion), metadata or {}))
-        file.write(key_times(0, len(motion), motion.fps).tobytes())
-        file.write(np.ascontiguousarray(turns.transpose(1, 0, 2)).tobytes())
-        file.write(motion.root.numpy().astype(np.float32).tobytes())
+        file.write(_tracks(motion))
+
+
+def write_gltf(motion: Motion, path: str | Path, *, metadata: Mapping[str, object] | None = None) -> None:
+    """Write a motion as ``write_glb`` does, but as JSON with the binary data in it, in base64.
+
+    Raises:
+        InputError: the path cannot be written to.
+    """
+    document, given = _document(motion.skeleton, motion.fps, len(motion), metadata or {})
+    data = base64.b64encode(given + _tracks(motion)).decode()
+    document.buffers[0].uri = f"data:application/octet-stream;base64,{data}"
+    with atomic_write(path) as file:
+        file.write(document.gltf_to_json(separators=(",", ":"), indent=None).encode())
+
+
+def write_vrma(motion: Motion, path: str | Path, *, metadata: Mapping[str, object] | None = None) -> None:
+    """Write a motion as a VRM animation (VRMC_vrm_animation 1.0): the bones of a VRM humanoid, without a body.
+
+    Raises:
+        InputError: the path cannot be written to, or the skeleton cannot be retargeted to VRM's bones.
+    """
+    vrm = RIGS["vrm"]
+    motion = motion if set(motion.skeleton.joints) == set(vrm.joints) else retarget(motion, vrm)
+    head = glb_head(motion.skeleton, motion.fps, len(motion), metadata or {}, body=False)
+    with atomic_write(path) as file:
+        file.write(head)
+        file.write(_tracks(motion))
+
+
+def _tracks(motion: Motion) -> bytes:
+    """Times, rotations joint by joint, root positions."""
+    # Neighbouring keys in one hemisphere: not every player takes the short way by itself.
+    turns = rotations.unroll(motion.rotations).numpy().astype(np.float32)
+    root = motion.root.numpy().astype(np.float32)
+    return key_times(0, len(motion), motion.fps).tobytes() + turns.transpose(1, 0, 2).tobytes() + root.tobytes()
 
 
 def key_times(first: int, count: int, fps: float) -> np.ndarray:
@@ -101,19 +140,68 @@ def key_times(first: int, count: int, fps: float) -> np.ndarray:
     return (np.arange(first, first + count) / fps).astype(np.float32)
 
 
-def glb_head(skeleton: Skeleton, fps: float, frames: int, metadata: Mapping[str, object]) -> bytes:
-    """The bytes of a GLB file up to its tracks, of which ``frames * (16 + 16 J)`` bytes must follow."""
+def glb_head(
+    skeleton: Skeleton, fps: float, frames: int, metadata: Mapping[str, object], *, body: bool = True
+) -> bytes:
+    """The bytes of a GLB file up to its tracks, of which ``frames * (16 + 16 J)`` bytes must follow.
+
+    Without a body it is a VRM animation.
+    """
+    document, given = _document(skeleton, fps, frames, metadata, body=body)
+    tree = document.gltf_to_json(separators=(",", ":"), indent=None).encode()
+    tree += b" " * (-len(tree) % 4)
+    size = document.buffers[0].byteLength
+    return b"".join(
+        (
+            struct.pack("<4sII", b"glTF", 2, 12 + 8 + len(tree) + 8 + size),
+            struct.pack("<I4s", len(tree), b"JSON") + tree,
+            struct.pack("<I4s", size, b"BIN\0") + given,
+        )
+    )
+
+
+def _document(
+    skeleton: Skeleton, fps: float, frames: int, metadata: Mapping[str, object], *, body: bool = True
+) -> tuple["pygltflib.GLTF2", bytes]:
+    """The JSON tree, and the bytes of the buffer up to the tracks."""
     import pygltflib
 
     out = _Builder()
     rest = skeleton.rest_positions.numpy()
     stand = np.array((0.0, -float(rest[:, 1].min()), 0.0), dtype=np.float32)
-    nodes = [
+    nodes: list[dict[str, Any]] = [
         {"name": name, "translation": (skeleton.offsets[j].tolist() if j else stand.tolist())}
         | ({"children": list(skeleton.children[j])} if skeleton.children[j] else {})
         for j, name in enumerate(skeleton.joints)
     ]
-    nodes.append({"name": "Body", "mesh": 0, "skin": 0})
+    more: dict[str, Any] = {}
+    if body:
+        nodes.append({"name": "Body", "mesh": 0, "skin": 0})
+        more = _skinned(out, skeleton, rest, stand)
+    else:
+        bones = {name: {"node": j} for j, name in enumerate(skeleton.joints)}
+        more["extensions"] = {_VRMA: {"specVersion": "1.0", "humanoid": {"humanBones": bones}}}
+        more["extensionsUsed"] = [_VRMA]
+    animation = _animation(out, len(skeleton), frames, fps, str(metadata.get("prompt", "motion"))[:60])
+    extras = {**metadata, "fps": fps, "skeleton": skeleton.name}
+    document = pygltflib.GLTF2.from_dict(
+        {
+            "asset": {"version": "2.0", "generator": "moveset", "extras": {"moveset": extras}},
+            "scene": 0,
+            "scenes": [{"name": "Scene", "nodes": [0, len(skeleton)] if body else [0]}],
+            "nodes": nodes,
+            **more,
+            "animations": [animation],
+            "accessors": out.accessors,
+            "bufferViews": out.views,
+            "buffers": [{"byteLength": out.size}],
+        }
+    )
+    return document, bytes(out.data) + b"\0" * (-len(out.data) % 4)
+
+
+def _skinned(out: _Builder, skeleton: Skeleton, rest: np.ndarray, stand: np.ndarray) -> dict[str, Any]:
+    """Mesh, skin and materials of the body."""
     bind = np.tile(np.eye(4, dtype=np.float32), (len(skeleton), 1, 1))
     bind[:, 3, :3] = -(rest + stand)  # column-major, so the translation is the last row here
     skin = {
@@ -135,33 +223,7 @@ def glb_head(skeleton: Skeleton, fps: float, frames: int, metadata: Mapping[str,
             }
         )
         primitives.append(_primitive(out, mesh, stand) | {"material": len(materials) - 1})
-    animation = _animation(out, len(skeleton), frames, fps, str(metadata.get("prompt", "motion"))[:60])
-    extras = {**metadata, "fps": fps, "skeleton": skeleton.name}
-    document = pygltflib.GLTF2.from_dict(
-        {
-            "asset": {"version": "2.0", "generator": "moveset", "extras": {"moveset": extras}},
-            "scene": 0,
-            "scenes": [{"name": "Scene", "nodes": [0, len(skeleton)]}],
-            "nodes": nodes,
-            "meshes": [{"name": "Body", "primitives": primitives}],
-            "skins": [skin],
-            "materials": materials,
-            "animations": [animation],
-            "accessors": out.accessors,
-            "bufferViews": out.views,
-            "buffers": [{"byteLength": out.size}],
-        }
-    )
-    tree = document.gltf_to_json(separators=(",", ":"), indent=None).encode()
-    tree += b" " * (-len(tree) % 4)
-    given = bytes(out.data) + b"\0" * (-len(out.data) % 4)
-    return b"".join(
-        (
-            struct.pack("<4sII", b"glTF", 2, 12 + 8 + len(tree) + 8 + out.size),
-            struct.pack("<I4s", len(tree), b"JSON") + tree,
-            struct.pack("<I4s", out.size, b"BIN\0") + given,
-        )
-    )
+    return {"meshes": [{"name": "Body", "primitives": primitives}], "skins": [skin], "materials": materials}
 
 
 def _primitive(out: _Builder, mesh: Mesh, stand: np.ndarray) -> dict[str, Any]:

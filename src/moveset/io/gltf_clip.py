@@ -1,5 +1,6 @@
 """The channels of a glTF animation and their values at any time. F frames."""
 
+import warnings
 from dataclasses import dataclass
 
 import torch
@@ -9,15 +10,26 @@ from moveset.io.glb import Glb
 from moveset.io.limits import MAX_FRAMES
 from moveset.motion import rotations
 
+_STILL = 1.0 - 1e-5  # cosine of half an angle of half a degree
 _Keys = tuple[Tensor, Tensor, str]
 
 
 @dataclass(frozen=True, eq=False)
 class Clip:
-    """Channels by node: key times, values, interpolation."""
+    """Channels by node: key times, values, interpolation; and whether there are channels of morph targets."""
 
     turns: dict[int, _Keys]
     shifts: dict[int, _Keys]
+    morphs: bool = False
+
+    @property
+    def lively(self) -> bool:
+        """Whether a joint turns visibly: T-poses, which often come first in files, hold still."""
+        for keys, values, interpolation in self.turns.values():
+            at = values[1::3] if interpolation == "CUBICSPLINE" else values
+            if len(keys) > 1 and float((at * at[:1]).sum(dim=-1).abs().min()) < _STILL:
+                return True
+        return False
 
     def rotation(self, glb: Glb, node: int, times: Tensor, default: Tensor) -> Tensor:
         """(F, 4)"""
@@ -61,19 +73,65 @@ class Clip:
         return float((values.amax(dim=0) - values.amin(dim=0)).max())
 
 
-def read_clip(glb: Glb) -> Clip:
-    if not glb.items(glb.tree, "animations"):
+def animation_names(glb: Glb) -> list[str]:
+    """Names of a file's animations; those without one are called by their number, from 1."""
+    count = len(glb.items(glb.tree, "animations"))
+    return [str(glb.entry("animations", k).get("name") or k + 1)[:64] for k in range(count)]
+
+
+def read_clip(glb: Glb, animation: str | None = None) -> Clip:
+    """An animation by name or number, or the first one that moves.
+
+    Raises:
+        FormatError: there is none such, it turns nothing, or it is damaged.
+    """
+    names = animation_names(glb)
+    if not names:
         glb.fail("it has no animation; export the character with one")
-    animation = glb.entry("animations", 0)
+    if animation is not None:
+        return _turning(glb, _clip(glb, _chosen(glb, names, animation)))
+    clips = (_clip(glb, k) for k in range(len(names)))
+    chosen, clip = next(((k, clip) for k, clip in enumerate(clips) if clip.lively), (0, None))
+    if len(names) > 1:
+        said = f"of its {len(names)} animations ({_listed(names)}) {names[chosen]!r} is read"
+        warnings.warn(f"{glb.path}: {said}; --animation NAME reads another", stacklevel=2)
+    return _turning(glb, clip or _clip(glb, 0))
+
+
+def _chosen(glb: Glb, names: list[str], wanted: str) -> int:
+    alike = [k for k, name in enumerate(names) if name.lower() == wanted.lower()]
+    if alike:
+        return names.index(wanted) if wanted in names else alike[0]
+    if wanted.isdecimal() and len(wanted) < 9 and 1 <= int(wanted) <= len(names):
+        return int(wanted) - 1
+    glb.fail(f"it has no animation {wanted[:64]!r}; choose one of {_listed(names)}")
+
+
+def _listed(names: list[str]) -> str:
+    return ", ".join(names[:12]) + ", …" * (len(names) > 12)
+
+
+def _turning(glb: Glb, clip: Clip) -> Clip:
+    if not clip.turns and clip.morphs:
+        glb.fail("its animation changes shapes alone (morph targets, of a face perhaps); export one that turns joints")
+    if not clip.turns:
+        glb.fail("its animation turns no joint; export the character with its motion")
+    return clip
+
+
+def _clip(glb: Glb, index: int) -> Clip:
+    animation = glb.entry("animations", index)
     samplers = glb.items(animation, "samplers")
     turns: dict[int, _Keys] = {}
     shifts: dict[int, _Keys] = {}
     clocks: dict[int, Tensor] = {}
+    morphs = False
     for channel in glb.items(animation, "channels"):
         target = channel.get("target") if isinstance(channel, dict) else None
         if not isinstance(target, dict):
             glb.fail("an animation channel has no target; it is damaged")
         kind = target.get("path")
+        morphs = morphs or kind == "weights"
         if kind not in ("rotation", "translation") or "node" not in target:
             continue
         sampler = samplers[glb.index(channel.get("sampler"), len(samplers), "samplers")]
@@ -90,9 +148,7 @@ def read_clip(glb: Glb) -> Clip:
             glb.fail("an animation has other numbers of times and values; it is damaged")
         node = glb.index(target["node"], len(glb.items(glb.tree, "nodes")), "nodes")
         (turns if kind == "rotation" else shifts)[node] = clocks[clock], values, interpolation
-    if not turns:
-        glb.fail("its animation turns no joint; export the character with its motion")
-    return Clip(turns, shifts)
+    return Clip(turns, shifts, morphs)
 
 
 def _clock(glb: Glb, index: int) -> Tensor:

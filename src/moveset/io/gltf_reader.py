@@ -1,5 +1,6 @@
-"""Reading a skinned animation from GLB: ours exactly, others' sampled at a frame rate. F frames, J joints, N nodes."""
+"""Reading animations from glTF: ours exactly, others' sampled at a frame rate. F frames, J joints."""
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -8,32 +9,44 @@ import torch
 from torch import Tensor
 
 from moveset.errors import InputError
-from moveset.io.bvh import ROUNDING, STRETCH, bone_reach
-from moveset.io.glb import MAX_NODES, Glb
-from moveset.io.gltf_clip import Clip, read_clip, unit_quaternions
+from moveset.io.bvh import ROUNDING, STRETCH, bone_reach, warn_of_stretch
+from moveset.io.glb import Glb
+from moveset.io.gltf_clip import Clip, read_clip
+from moveset.io.gltf_nodes import Nodes, read_nodes, turn_and_size
 from moveset.io.limits import MAX_FRAMES, MAX_JOINTS, MAX_POSES
 from moveset.motion import rotations
 from moveset.motion.clip import Motion
 from moveset.motion.rigs import as_skeleton, name_after, roles
 from moveset.motion.skeleton import Skeleton
 
+_FRAMES = 11.5  # keys a second on a grid: as many, or more, are frames, of 12 a second in drawn films
+_SPARSE = 30.0  # frames a second where keys are no frames
+_DENSE = 250.0
 
-def read_glb(path: str | Path, *, fps: float | None = None) -> Motion:
-    """The first animation of a GLB file, on its largest skin.
+
+def read_glb(path: str | Path, *, fps: float | None = None, animation: str | None = None) -> Motion:
+    """An animation of a glTF file (.glb, .gltf, .vrma), on the skin that it moves most joints of.
 
     Files of ``write_glb`` come back exactly (up to the sign of quaternions). Others are sampled at ``fps``, by default
-    the rate of their keys. Their joints' axes are turned to be the world's in the bind pose; a still chain of joints
-    above the one that moves ("Armature", "root") is folded into it, never further down than to the pelvis where names
-    tell which joint that is (``rigs.roles``); bones keep one length, scale channels are ignored.
+    the rate of their keys, or 30 and more where these are sparse, from the first key to the last. Their joints' axes
+    are turned to be the world's in the bind pose; a still chain of joints above the one that moves ("Armature",
+    "root") is folded into it, never further down than to the pelvis where names tell which joint that is
+    (``rigs.roles``); bones keep one length, scale channels are ignored. Without a skin the nodes that are animated are
+    the joints; in VRM animations those that are named as bones, by these names.
+
+    Args:
+        path: the file.
+        fps: frames per second at which curves are sampled.
+        animation: its name, or number from 1; without it the first that moves.
 
     Raises:
         InputError: the file cannot be read.
-        FormatError: damaged, external data, no skin or animation, or over the limits of ``io.limits``.
+        FormatError: damaged, data elsewhere, no such animation, or over the limits of ``io.limits``.
     """
     glb = Glb(path)
-    nodes = _read_nodes(glb)
-    clip = read_clip(glb)
-    joints, bind = _read_skin(glb, nodes)
+    nodes = read_nodes(glb)
+    clip = read_clip(glb, animation)
+    joints, bind = _read_joints(glb, nodes, clip)
     rig = _rig(glb, nodes, clip, joints)
     times, rate = _instants(glb, clip, fps)
     if len(times) * sum(map(len, rig.chains)) > MAX_POSES:
@@ -56,82 +69,32 @@ def read_glb(path: str | Path, *, fps: float | None = None) -> Motion:
         shift = clip.translation(node, times, nodes.translation[node])
         root = shift + rotations.rotate(turned[node], nodes.scale[node] * root)
     offsets = _offsets(nodes, clip, rig, axes)
+    # As far as they slide along one axis; the root's own path is no sliding.
+    slides = [
+        float(nodes.scale[nodes.path(chain[0])].prod()) * max(map(clip.moves, chain)) / 2 for chain in rig.chains[1:]
+    ]
+    warn_of_stretch(
+        [nodes.names[n] for n in rig.joints], torch.tensor([0.0, *slides]), bone_reach(rig.parents, offsets)
+    )
     skeleton = as_skeleton(_name(glb, path), tuple(nodes.names[n] for n in rig.joints), rig.parents, offsets.float())
     return Motion(torch.stack(local, dim=1).float(), root.float(), rate, skeleton)
 
 
-@dataclass(frozen=True, eq=False)
-class _Nodes:
-    """The node tree: parents (-1 at the top), rest transforms (N, …) float64 with one scale a node."""
-
-    names: list[str]
-    parents: list[int]
-    depth: list[int]
-    translation: Tensor
-    rotation: Tensor
-    scale: Tensor
-
-    def path(self, node: int, stop: int = -1) -> list[int]:
-        """Nodes from just below ``stop`` (or the top) down to ``node``."""
-        out = []
-        while node not in (stop, -1):
-            out.append(node)
-            node = self.parents[node]
-        return out[::-1]
-
-
-def _read_nodes(glb: Glb) -> _Nodes:
-    entries = [glb.entry("nodes", k) for k in range(len(glb.items(glb.tree, "nodes", MAX_NODES)))]
-    count = len(entries)
-    parents, depth = [-1] * count, [-1] * count
-    children = []
-    for k, entry in enumerate(entries):
-        children.append([glb.index(c, count, "nodes") for c in glb.items(entry, "children")])
-        for child in children[-1]:
-            if parents[child] != -1:
-                glb.fail(f"node {child} has two parents; it is damaged")
-            parents[child] = k
-    queue = [k for k in range(count) if parents[k] == -1]
-    for k in queue:
-        depth[k] = 0
-    for k in queue:
-        for child in children[k]:
-            depth[child] = depth[k] + 1
-            queue.append(child)
-    if len(queue) < count:
-        glb.fail("its nodes form a cycle; it is damaged")
-    names = [str(entry.get("name", ""))[:256] or f"node_{k}" for k, entry in enumerate(entries)]
-    translation, rotation, scale = torch.zeros(count, 3), rotations.identity(count), torch.ones(count)
-    translation, rotation, scale = translation.double(), rotation.double(), scale.double()
-    for k, entry in enumerate(entries):
-        if "matrix" in entry:
-            matrix = torch.from_numpy(glb.vector(entry, "matrix", (0.0,) * 16)).reshape(4, 4).T
-            rotation[k], scale[k] = _turn_and_size(glb, matrix[:3, :3])
-            translation[k] = matrix[:3, 3]
-        else:
-            translation[k] = torch.from_numpy(glb.vector(entry, "translation", (0.0, 0.0, 0.0)))
-            rotation[k] = unit_quaternions(glb, torch.from_numpy(glb.vector(entry, "rotation", (0.0, 0.0, 0.0, 1.0))))
-            scale[k] = float(glb.vector(entry, "scale", (1.0, 1.0, 1.0)).mean())
-    return _Nodes(names, parents, depth, translation, rotation, scale)
-
-
-def _turn_and_size(glb: Glb, matrix: Tensor) -> tuple[Tensor, Tensor]:
-    """Rotation (4,) and scale () of a (3, 3) matrix."""
-    size = matrix.norm(dim=0).mean()
-    turn = matrix / size.clamp_min(1e-12)
-    if size < 1e-9 or (turn.T @ turn - torch.eye(3).double()).abs().max() > 0.02 or torch.linalg.det(turn) < 0:
-        glb.fail("a matrix mirrors, shears or stretches unevenly; apply all transforms and export again")
-    return rotations.from_matrix(turn), size
-
-
-def _read_skin(glb: Glb, nodes: _Nodes) -> tuple[list[int], dict[int, Tensor]]:
-    """Joint nodes of the largest skin and, where it has bind matrices, the world rotation of each when bound."""
-    count = len(nodes.parents)
+def _read_joints(glb: Glb, nodes: Nodes, clip: Clip) -> tuple[list[int], dict[int, Tensor]]:
+    """Joint nodes and, where a skin has bind matrices, the world rotation of each when bound."""
+    if bones := vrm_bones(glb):
+        for bone, node in bones.items():
+            nodes.names[node] = bone
+        return list(bones.values()), {}
     skins = [glb.entry("skins", k) for k in range(len(glb.items(glb.tree, "skins")))]
-    if not skins:
-        glb.fail("it has no skin, so no joints; export the character with its armature")
-    skin = max(skins, key=lambda s: len(glb.items(s, "joints")))
-    joints = [glb.index(j, count, "nodes") for j in glb.items(skin, "joints", MAX_JOINTS)]
+
+    def joints_of(skin: dict[str, Any]) -> list[int]:
+        return [glb.index(j, len(nodes.parents), "nodes") for j in glb.items(skin, "joints", MAX_JOINTS)]
+
+    skin = max(skins, key=lambda s: (len(clip.turns.keys() & {*joints_of(s)}), len(joints_of(s))), default=None)
+    if skin is None or not {*nodes.under(clip.turns)} & {*joints_of(skin)}:
+        return _animated_tree(glb, nodes, clip), {}
+    joints = joints_of(skin)
     if not joints or len(set(joints)) != len(joints):
         glb.fail("its skin lists no joints or one twice; it is damaged")
     if "inverseBindMatrices" not in skin:
@@ -140,7 +103,58 @@ def _read_skin(glb: Glb, nodes: _Nodes) -> tuple[list[int], dict[int, Tensor]]:
     if len(matrices) < len(joints):
         glb.fail("it has fewer bind matrices than joints; it is damaged")
     # Stored by columns: the transpose of what is read by rows, and the inverse of a rotation is its transpose.
-    return joints, {j: _turn_and_size(glb, m[:3, :3])[0] for j, m in zip(joints, matrices, strict=False)}
+    return joints, {j: turn_and_size(glb, m[:3, :3])[0] for j, m in zip(joints, matrices, strict=False)}
+
+
+def vrm_bones(glb: Glb) -> dict[str, int]:
+    """Node of each bone of a VRM animation, by VRM's names; empty in other files."""
+    found: Any = glb.tree
+    for key in ("extensions", "VRMC_vrm_animation", "humanoid", "humanBones"):
+        found = found.get(key) if isinstance(found, dict) else None
+    if not isinstance(found, dict) or len(found) > MAX_JOINTS:
+        return {}
+    count = len(glb.items(glb.tree, "nodes"))
+    nodes = [glb.index(bone.get("node") if isinstance(bone, dict) else None, count, "nodes") for bone in found.values()]
+    if len(set(nodes)) < len(nodes):
+        glb.fail("two of its bones are one node; it is damaged")
+    return dict(zip((str(name)[:64] for name in found), nodes, strict=True))
+
+
+def _animated_tree(glb: Glb, nodes: Nodes, clip: Clip) -> list[int]:
+    """The lowest node that has all below it that turns, and the pelvis, and what is below; meshes and cameras are not.
+
+    Of several trees the one with most that turns.
+    """
+    weights = nodes.sums(clip.turns)
+    top = max((k for k, above in enumerate(nodes.parents) if above == -1), key=weights.__getitem__)
+    tree = [n for n in nodes.under([top]) if n in clip.turns or not _hangs(glb, n)]
+    place, marked = {node: k for k, node in enumerate(tree)}, {*clip.turns}
+    if len(tree) <= 4 * MAX_JOINTS:
+        pelvis = _pelvis(nodes, tree, (-1, *(place[nodes.parents[node]] for node in tree[1:])))
+        marked |= {pelvis} if pelvis is not None else set()
+    weights, root = nodes.sums(marked), top
+    while root not in marked and (heavy := [c for c in nodes.children[root] if weights[c] == weights[top]]):
+        root = heavy[0]
+    below = {*nodes.under([root])}
+    joints = sorted(n for n in tree if n in below)
+    if len(joints) > MAX_JOINTS:
+        glb.fail(f"{len(joints)} animated nodes exceed the limit of {MAX_JOINTS}; simplify the skeleton")
+    return joints
+
+
+def _pelvis(nodes: Nodes, joints: list[int], parents: tuple[int, ...]) -> int | None:
+    """The node that plays the pelvis, where names tell."""
+    names = tuple(nodes.names[joint] for joint in joints)
+    try:
+        return joints[roles(Skeleton("glTF", names, parents, torch.zeros(len(joints), 3)))["pelvis"]]
+    except InputError:
+        return None
+
+
+def _hangs(glb: Glb, node: int) -> bool:
+    """Whether a node is no joint but a mesh, camera or light at the end of the tree."""
+    entry = glb.entry("nodes", node)
+    return bool({"mesh", "camera", "extensions"} & entry.keys()) and not entry.get("children")
 
 
 @dataclass(frozen=True)
@@ -152,7 +166,7 @@ class _Rig:
     chains: list[list[int]]
 
 
-def _rig(glb: Glb, nodes: _Nodes, clip: Clip, joints: list[int]) -> _Rig:
+def _rig(glb: Glb, nodes: Nodes, clip: Clip, joints: list[int]) -> _Rig:
     inside = set(joints)
     parent = {}
     for joint in joints:
@@ -190,13 +204,10 @@ def _rig(glb: Glb, nodes: _Nodes, clip: Clip, joints: list[int]) -> _Rig:
     return _tree(glb, nodes, joints, parent, root)
 
 
-def _way_to_pelvis(nodes: _Nodes, whole: _Rig, parent: dict[int, int]) -> list[int] | None:
+def _way_to_pelvis(nodes: Nodes, whole: _Rig, parent: dict[int, int]) -> list[int] | None:
     """Joints from the one that plays the pelvis up to just below the root; None where none is known to play it."""
-    count = len(whole.joints)
-    names = tuple(nodes.names[joint] for joint in whole.joints)
-    try:
-        joint = whole.joints[roles(Skeleton("glTF", names, whole.parents, torch.zeros(count, 3)))["pelvis"]]
-    except InputError:
+    joint = _pelvis(nodes, whole.joints, whole.parents)
+    if joint is None:
         return None
     way = []
     while joint != whole.joints[0]:
@@ -205,7 +216,7 @@ def _way_to_pelvis(nodes: _Nodes, whole: _Rig, parent: dict[int, int]) -> list[i
     return way
 
 
-def _tree(glb: Glb, nodes: _Nodes, joints: list[int], parent: dict[int, int], root: int) -> _Rig:
+def _tree(glb: Glb, nodes: Nodes, joints: list[int], parent: dict[int, int], root: int) -> _Rig:
     """The joints below a root."""
     chosen = {root}
     for joint in sorted(joints, key=lambda j: nodes.depth[j]):
@@ -222,7 +233,7 @@ def _tree(glb: Glb, nodes: _Nodes, joints: list[int], parent: dict[int, int], ro
     return _Rig(order, (-1, *(place[parent[j]] for j in order[1:])), chains)
 
 
-def _default_axes(nodes: _Nodes, rig: _Rig) -> Tensor:
+def _default_axes(nodes: Nodes, rig: _Rig) -> Tensor:
     """World rotations (J, 4) of the joints as the nodes stand, for skins without bind matrices."""
     axes: list[Tensor] = []
     for j, chain in enumerate(rig.chains):
@@ -233,7 +244,7 @@ def _default_axes(nodes: _Nodes, rig: _Rig) -> Tensor:
     return torch.stack(axes)
 
 
-def _offsets(nodes: _Nodes, clip: Clip, rig: _Rig, axes: Tensor) -> Tensor:
+def _offsets(nodes: Nodes, clip: Clip, rig: _Rig, axes: Tensor) -> Tensor:
     """(J, 3) rest offsets in world axes, metres."""
     offsets = torch.zeros(len(rig.joints), 3, dtype=torch.float64)
     size: list[Tensor] = []
@@ -249,24 +260,38 @@ def _offsets(nodes: _Nodes, clip: Clip, rig: _Rig, axes: Tensor) -> Tensor:
 
 
 def _instants(glb: Glb, clip: Clip, fps: float | None) -> tuple[Tensor, float]:
-    """Times (F,) at which to sample, seconds, and their rate."""
-    clocks = [keys for keys, _, _ in (*clip.turns.values(), *clip.shifts.values())]
-    start, end = min(float(k[0]) for k in clocks), max(float(k[-1]) for k in clocks)
-    rate = fps or _rate(glb, clocks)
-    if (end - start) * rate >= MAX_FRAMES:
-        glb.fail(f"{(end - start) * rate:.0f} frames exceed the limit of {MAX_FRAMES}; split the file")
-    count = round((end - start) * rate) + 1
-    return (start + torch.arange(count, dtype=torch.float64) / rate).clamp(max=end), rate
+    """Times (F,) at which to sample, seconds, and their rate: the first key's to the last one's."""
+    clocks = {id(keys): keys for keys, _, _ in (*clip.turns.values(), *clip.shifts.values())}
+    start = min(float(keys[0]) for keys in clocks.values())
+    length = max(float(keys[-1]) for keys in clocks.values()) - start
+    rate = fps or _rate(glb, [keys - start for keys in clocks.values()])
+    if length * rate >= MAX_FRAMES:
+        glb.fail(f"{length * rate:.0f} frames exceed the limit of {MAX_FRAMES}; split the file")
+    # Times are float32, so a last key at a frame's own time may lie behind it by a little.
+    count = math.ceil(length * rate - 0.02) + 1
+    return (start + torch.arange(count, dtype=torch.float64) / rate).clamp(max=start + length), rate
 
 
 def _rate(glb: Glb, clocks: list[Tensor]) -> float:
-    """The rate that the file states if it is ours, else that of the densest keys."""
+    """The rate that the file states if it is ours, else that of the grid that its keys lie on, or a multiple of it.
+
+    Editors and optimisers leave out keys where little happens: what happens between two of them is then only in the
+    curve, so keys that are sparse are not taken for frames.
+    """
     stated = _own(glb).get("fps")
     if isinstance(stated, int | float) and 0.01 <= stated <= 1000:
         return float(stated)
-    longest = max(clocks, key=len)
-    rate = min(max(1.0 / float(longest.diff().median()), 1.0), 240.0) if len(longest) > 1 else 30.0
-    return float(round(rate)) if abs(rate - round(rate)) < 0.01 * rate else rate
+    keys = torch.cat(clocks).unique()
+    if len(keys) < 2:
+        return _SPARSE
+    for gap in (float(keys.diff().median()), float(keys.diff().min())):
+        # Over the whole length the rounding of float32 does not matter.
+        rate = max(round(float(keys[-1] / max(gap, 1e-4))), 1) / float(keys[-1])
+        beside = (keys * rate - (keys * rate).round()).abs()
+        if bool((beside < 0.02 + 1e-6 * keys * rate).all()) and rate < _DENSE:
+            rate = rate if rate > _FRAMES else rate * math.ceil(_SPARSE / rate - 1e-3)
+            return float(round(rate)) if abs(rate - round(rate)) < 0.01 * rate else rate
+    return float(min(max(_SPARSE, round(1.0 / float(keys.diff().median()))), 120))
 
 
 def _own(glb: Glb) -> dict[str, Any]:

@@ -25,6 +25,8 @@ PICTURES = ("mp4", "gif", "png")
 _TYPES = {
     "bvh": "text/plain; charset=utf-8",
     "glb": "model/gltf-binary",
+    "gltf": "model/gltf+json",
+    "vrma": "model/gltf-binary",
     "npz": "application/octet-stream",
     "amass.npz": "application/octet-stream",
     "html": "text/html; charset=utf-8",

@@ -1,0 +1,96 @@
+"""The tree of a glTF file's nodes and how they stand. N nodes."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from moveset.io.glb import MAX_NODES, Glb
+from moveset.io.gltf_clip import unit_quaternions
+from moveset.motion import rotations
+
+
+@dataclass(frozen=True, eq=False)
+class Nodes:
+    """The node tree: parents (-1 at the top), rest transforms (N, …) float64 with one scale a node."""
+
+    names: list[str]
+    parents: list[int]
+    children: list[list[int]]
+    depth: list[int]
+    translation: Tensor
+    rotation: Tensor
+    scale: Tensor
+
+    def under(self, some: Iterable[int]) -> list[int]:
+        """Some nodes and all below them, each once; of one tree parents before children."""
+        out = dict.fromkeys(some)
+        queue = [*out]
+        for node in queue:
+            fresh = [child for child in self.children[node] if child not in out]
+            out |= dict.fromkeys(fresh)
+            queue += fresh
+        return [*out]
+
+    def sums(self, some: Iterable[int]) -> list[int]:
+        """How many of some nodes each node has at and below itself."""
+        out = [0] * len(self.parents)
+        for node in some:
+            out[node] += 1
+        for node in sorted(range(len(out)), key=self.depth.__getitem__, reverse=True):
+            if self.parents[node] != -1:
+                out[self.parents[node]] += out[node]
+        return out
+
+    def path(self, node: int, stop: int = -1) -> list[int]:
+        """Nodes from just below ``stop`` (or the top) down to ``node``."""
+        out = []
+        while node not in (stop, -1):
+            out.append(node)
+            node = self.parents[node]
+        return out[::-1]
+
+
+def read_nodes(glb: Glb) -> Nodes:
+    entries = [glb.entry("nodes", k) for k in range(len(glb.items(glb.tree, "nodes", MAX_NODES)))]
+    count = len(entries)
+    parents, depth = [-1] * count, [-1] * count
+    children = []
+    for k, entry in enumerate(entries):
+        children.append([glb.index(c, count, "nodes") for c in glb.items(entry, "children")])
+        for child in children[-1]:
+            if parents[child] != -1:
+                glb.fail(f"node {child} has two parents; it is damaged")
+            parents[child] = k
+    queue = [k for k in range(count) if parents[k] == -1]
+    for k in queue:
+        depth[k] = 0
+    for k in queue:
+        for child in children[k]:
+            depth[child] = depth[k] + 1
+            queue.append(child)
+    if len(queue) < count:
+        glb.fail("its nodes form a cycle; it is damaged")
+    names = [str(entry.get("name", ""))[:256] or f"node_{k}" for k, entry in enumerate(entries)]
+    translation, rotation, scale = torch.zeros(count, 3), rotations.identity(count), torch.ones(count)
+    translation, rotation, scale = translation.double(), rotation.double(), scale.double()
+    for k, entry in enumerate(entries):
+        if "matrix" in entry:
+            matrix = torch.from_numpy(glb.vector(entry, "matrix", (0.0,) * 16)).reshape(4, 4).T
+            rotation[k], scale[k] = turn_and_size(glb, matrix[:3, :3])
+            translation[k] = matrix[:3, 3]
+        else:
+            translation[k] = torch.from_numpy(glb.vector(entry, "translation", (0.0, 0.0, 0.0)))
+            rotation[k] = unit_quaternions(glb, torch.from_numpy(glb.vector(entry, "rotation", (0.0, 0.0, 0.0, 1.0))))
+            scale[k] = float(glb.vector(entry, "scale", (1.0, 1.0, 1.0)).mean())
+    return Nodes(names, parents, children, depth, translation, rotation, scale)
+
+
+def turn_and_size(glb: Glb, matrix: Tensor) -> tuple[Tensor, Tensor]:
+    """Rotation (4,) and scale () of a (3, 3) matrix."""
+    size = matrix.norm(dim=0).mean()
+    turn = matrix / size.clamp_min(1e-12)
+    if size < 1e-9 or (turn.T @ turn - torch.eye(3).double()).abs().max() > 0.02 or torch.linalg.det(turn) < 0:
+        glb.fail("a matrix mirrors, shears or stretches unevenly; apply all transforms and export again")
+    return rotations.from_matrix(turn), size
