@@ -42,7 +42,7 @@ viewer:
 
 # Hours: repeats of this commit that are there already are kept, so it can be stopped and called again.
 tables: .venv/.dev
-	rm -f docs/results/*/rows.json
+	rm -f docs/results/*/*.json
 	$(BIN)/moveset evaluate $(MODELS) --suite motionpcm --out docs/results > /dev/null
 	$(BIN)/moveset evaluate $(MODELS) --suite rdm --out docs/results > /dev/null
 	$(BIN)/python -m moveset.evaluation.report docs/results/motionpcm docs/results/rdm --page docs/results.md

@@ -9,7 +9,7 @@ import pytest
 @pytest.mark.parametrize(
     ("program", "arguments", "message"),
     [
-        ("evaluation.report", ["nowhere"], "nowhere has no rows.json"),
+        ("evaluation.report", ["rdm"], "there is no folder rdm"),
     ],
 )
 def test_a_program_says_in_one_line_what_is_wrong(program, arguments, message, tmp_path, monkeypatch, capsys):

@@ -4,9 +4,6 @@ import json
 from collections.abc import Mapping
 from pathlib import Path
 
-from moveset.evaluation.suites import Row, get_suite
-from moveset.evaluation.table import save_rows
-
 Numbers = Mapping[str, tuple[float, float | None]]
 
 
@@ -26,14 +23,10 @@ def result_json(numbers: Numbers, *, repeats: int = 20, seconds: float = 0.02, *
     }  # fmt: skip
 
 
-def suite_folder(path: Path, suite: str, results: Mapping[str, dict], rows: tuple[Row, ...] | None = None) -> Path:
-    """A suite's results folder: the given rows' results; of every other row it says "not trained"."""
-    entries = []
-    for row in rows or get_suite(suite).rows:
-        name = f"{row.key}.json" if row.key in results else ""
-        if name:
-            path.mkdir(parents=True, exist_ok=True)
-            (path / name).write_text(json.dumps(results[row.key]))
-        entries.append((row, name, "" if name else "not trained"))
-    save_rows(suite, entries, path)
-    return path
+def suite_folder(path: Path, suite: str, results: Mapping[str, dict]) -> Path:
+    """A suite's results folder with these results, below ``path``."""
+    folder = path / suite
+    folder.mkdir(parents=True, exist_ok=True)
+    for key, result in results.items():
+        (folder / f"{key}.json").write_text(json.dumps(result))
+    return folder

@@ -64,7 +64,7 @@ def test_only_what_both_have_is_compared():
 
 def test_a_report_says_what_differs(tmp_path: Path):
     results = {"lcm-1": row(SHARED), "pcm-1": row([v - 0.01 for v in SHARED]), "pcm-4": row([v + 0.02 for v in SHARED])}
-    text = markdown(load_table(suite_folder(tmp_path / "t", "motionpcm", results)))
+    text = markdown(load_table(suite_folder(tmp_path, "motionpcm", results)))
     part = text.split("What differs")[1].split("## ")[0]
     assert "| PCM, 1 step − LCM, 1 step | 6 | **−0.010 ± 0.000** |" in part
     assert "| PCM, 4 steps − LCM, 1 step | 6 | <u>+0.020 ± 0.000</u> |" in part

@@ -2,9 +2,6 @@
 
 import json
 import re
-import time
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -14,10 +11,8 @@ from moveset.evaluation.columns import ALL, Column, places
 from moveset.evaluation.intervals import Interval
 from moveset.evaluation.latex import latex
 from moveset.evaluation.markdown import markdown
-from moveset.evaluation.plots import _wide, front
 from moveset.evaluation.report import page, to_json, write_report
-from moveset.evaluation.suites import get_suite
-from moveset.evaluation.table import Table, in_turn, load_table, save_rows
+from moveset.evaluation.table import State, Table, load_table
 from tests.evaluation.results import result_json, suite_folder
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
@@ -38,7 +33,7 @@ RESULTS = {
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    return suite_folder(tmp_path / "motionpcm", "motionpcm", RESULTS)
+    return suite_folder(tmp_path, "motionpcm", RESULTS)
 
 
 @pytest.fixture
@@ -59,9 +54,9 @@ def ours(text: str) -> str:
 
 def test_the_best_is_bold_and_the_second_underlined_among_generated_motion_only(table: Table):
     text = ours(markdown(table)).split("## Physical")[0]
-    assert line(text, "PCM, 4 steps") == "| PCM, 4 steps | 20 | <u>0.495 ± 0.010</u> | **0.200 ± 0.020** | – | 40.0 |"
+    assert line(text, "PCM, 4 steps") == "| PCM, 4 steps | 20 | <u>0.495 ± 0.010</u> | **0.200 ± 0.020** | – |"
     assert line(text, "Teacher, 50 guided steps") == (
-        "| Teacher, 50 guided steps | 5 | **0.500 ± 0.010** | <u>0.300 ± 0.020</u> | – | 500 |"
+        "| Teacher, 50 guided steps | 5 | **0.500 ± 0.010** | <u>0.300 ± 0.020</u> | – |"
     )
     assert "**" not in line(text, "Real")
     assert "**" not in line(text, "VAE, reconstruction")
@@ -77,10 +72,12 @@ def test_equal_printed_numbers_share_a_place():
     assert places(Column("x", "X", "real"), rows, None) == dict.fromkeys(rows, "")
 
 
-def test_what_has_not_been_trained_is_said_in_its_place(table: Table):
+def test_what_has_not_been_evaluated_is_said_in_its_place(table: Table):
     text = ours(markdown(table))
     order = [row.split("|")[1].strip() for row in text.splitlines() if row.startswith("| ")]
-    assert "not trained" in text.split("## Physical")[0].split("PCM, 1 step, without discriminator")[1].splitlines()[0]
+    assert (
+        "not evaluated" in text.split("## Physical")[0].split("PCM, 1 step, without discriminator")[1].splitlines()[0]
+    )
     assert (
         order.index("Real")
         < order.index("VAE, reconstruction")
@@ -135,8 +132,7 @@ def test_latex_compiles_by_the_look_of_it(table: Table):
         assert text.count(opened) == text.count(closed)
     assert text.count("$") % 2 == 0
     assert r"PCM, 4 steps & $\underline{0.495}^{\pm .010}$ & $\mathbf{0.200}^{\pm .020}$ & -- \\" in text
-    assert r"\multicolumn{3}{c}{not trained}" in text
-    rows = [row for row in text.splitlines() if row.endswith(r"\\") and "multicolumn" not in row]
+    rows = [row for row in text.splitlines() if row.endswith(r"\\")]
     quality = text.split(r"\end{table*}")[0].splitlines()
     assert {row.count("&") for row in rows if row in quality} == {3}
     assert not re.search(r"(?<!\\)%(?! needs)", text)
@@ -146,7 +142,7 @@ def test_the_json_says_the_same(table: Table):
     found = json.loads(json.dumps(to_json(table)))
     rows = {row["key"]: row for row in found["rows"]}
     assert rows["pcm-4"]["metrics"]["fid"] == {"mean": 0.2, "interval": 0.02}
-    assert rows["k20"]["missing"] == "not trained"
+    assert (rows["k20"]["repeats"], rows["k20"]["metrics"]) == (0, {})
     assert found["places"]["fid"]["pcm-4"] == "best"
     assert "real" not in found["places"]["fid"]
     assert found["state"]["commit"] == "c0ffee"
@@ -154,17 +150,17 @@ def test_the_json_says_the_same(table: Table):
 
 def test_a_report_is_files_and_plots_and_can_be_written_again(folder: Path):
     write_report(folder)
-    first = {path.name: path.read_bytes() for path in folder.iterdir()}
-    assert {"table.md", "table.tex", "table.json", "motionpcm-time.png", "motionpcm-bars.png"} <= set(first)
-    assert "![motionpcm-time](motionpcm-time.png)" in (folder / "table.md").read_text()
+    first = {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}
+    assert {"table.md", "table.tex", "table.json", "motionpcm-bars.png"} <= set(first)
+    assert "![motionpcm-bars](motionpcm-bars.png)" in (folder / "table.md").read_text()
     assert all(0 < len(data) < 60_000 for name, data in first.items() if name.endswith(".png"))
     write_report(folder)
-    assert {path.name: path.read_bytes() for path in folder.iterdir()} == first
+    assert {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()} == first
 
 
 def test_what_cannot_stand_in_one_table_leaves_the_older_report(folder: Path):
     write_report(folder)
-    names = ("table.md", "table.tex", "table.json", "motionpcm-bars.png", "motionpcm-time.png")
+    names = ("table.md", "table.tex", "table.json", "motionpcm-bars.png")
     before = {name: (folder / name).read_bytes() for name in names}
     (folder / "pcm-4.json").write_text(json.dumps(RESULTS["pcm-4"] | {"items": 7}))
     for write in (write_report, lambda path: page([path], path.parent / "page.md")):
@@ -176,7 +172,7 @@ def test_what_cannot_stand_in_one_table_leaves_the_older_report(folder: Path):
 
 def test_a_disk_that_fills_up_leaves_the_older_report(folder: Path, monkeypatch):
     write_report(folder)
-    before = {path.name: path.read_bytes() for path in folder.iterdir()}
+    before = {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}
 
     def full(handle: int) -> None:
         raise OSError(28, "No space left on device")
@@ -184,63 +180,11 @@ def test_a_disk_that_fills_up_leaves_the_older_report(folder: Path, monkeypatch)
     monkeypatch.setattr("os.fsync", full)
     with pytest.raises(MovesetError, match="No space left on device; free some space"):
         write_report(folder)
-    assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
-
-
-def test_rows_may_be_added_one_by_one_and_stay_in_order(folder: Path):
-    rows = {row.key: row for row in get_suite("motionpcm").rows}
-    before = [entry.row.key for entry in load_table(folder).rows]
-    (folder / "k20.json").write_text(json.dumps(RESULTS["pcm-1"]))
-    given = replace(rows["pcm-1"], key="mine", label="Mine", model="my-model")
-    gone = replace(rows["pcm-1"], key="pcm-3", label="PCM, 3 steps")
-    save_rows("motionpcm", [(gone, "pcm-1.json", "")], folder)  # by an older version, whose suite had it
-    save_rows("motionpcm", [(given, "pcm-1.json", ""), (rows["k20"], "k20.json", "")], folder)
-    table = load_table(folder)
-    assert [entry.row.key for entry in table.rows] == [*before, "mine"]
-    assert table.metrics["k20"] == table.metrics["mine"] == table.metrics["pcm-1"]
-    with pytest.raises(FormatError, match="is of the suite 'motionpcm'"):
-        save_rows("rdm", [], folder)
-
-
-def test_processes_that_add_rows_at_once_lose_none(folder: Path):
-    rows = {row.key: row for row in get_suite("motionpcm").rows}
-    keys = ("k20", "no-ema", "no-discriminator", "reference", "mld", "lcm-2", "lcm-4", "pcm-2")
-
-    def add(key: str) -> None:
-        with in_turn(folder):
-            save_rows("motionpcm", [(rows[key], "pcm-1.json", "")], folder)
-
-    with ThreadPoolExecutor(len(keys)) as pool:
-        list(pool.map(add, keys))
-    assert set(keys) <= set(load_table(folder).measured)
-
-
-def test_whoever_adds_rows_waits_for_the_other(tmp_path: Path):
-    order = []
-
-    def second() -> None:
-        with in_turn(tmp_path):
-            order.append("second")
-
-    with ThreadPoolExecutor(1) as pool:
-        with in_turn(tmp_path):
-            waiting = pool.submit(second)
-            time.sleep(0.1)
-            order.append("first")
-        waiting.result()
-    assert order == ["first", "second"]
-
-
-def test_a_row_whose_weights_are_not_at_hand_keeps_its_result(folder: Path):
-    rows = {row.key: row for row in get_suite("motionpcm").rows}
-    save_rows("motionpcm", [(rows["pcm-1"], "", "no weights given"), (rows["k20"], "", "no weights given")], folder)
-    entries = {entry.row.key: entry for entry in load_table(folder).rows}
-    assert entries["pcm-1"].result is not None
-    assert (entries["k20"].result, entries["k20"].missing) == (None, "no weights given")
+    assert {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()} == before
 
 
 def test_a_page_of_both_suites(folder: Path, tmp_path: Path):
-    other = suite_folder(tmp_path / "rdm", "rdm", {"real": RESULTS["real"]})
+    other = suite_folder(tmp_path, "rdm", {"real": RESULTS["real"]})
     page([folder, other], tmp_path / "results.md")
     text = (tmp_path / "results.md").read_text()
     assert text.startswith("# Results\n\n**Commit c0ffee; measured 2026-01-02.**\n")
@@ -258,20 +202,7 @@ def test_a_suite_without_results_still_has_a_table(tmp_path: Path):
     path = write_report(suite_folder(tmp_path, "rdm", {}))
     text = path.read_text()
     assert "No row has been evaluated yet." in text
-    assert "| RDM-7 | not trained |" in text
-
-
-def test_the_front_is_what_nothing_beats_in_both():
-    points = {"slow and good": (9.0, 1.0), "fast and bad": (1.0, 9.0), "beaten": (9.0, 9.0), "between": (5.0, 5.0)}
-    assert front(points) == ["fast and bad", "between", "slow and good"]
-
-
-@pytest.mark.parametrize(
-    ("metric", "values", "wide"),
-    [("fid", [0.3, 42.0], True), ("fid", [0.3, 5.0], False), ("r1", [0.01, 0.9], False), ("fid", [], False)],
-)
-def test_only_distances_that_lie_far_apart_are_logarithmic(metric, values, wide):
-    assert _wide(ALL[metric], values) is wide
+    assert "| RDM-7 | not evaluated |" in text
 
 
 @pytest.mark.parametrize(
@@ -279,24 +210,35 @@ def test_only_distances_that_lie_far_apart_are_logarithmic(metric, values, wide)
     [
         ("pcm-4.json", "{", "pcm-4.json is not JSON: .*; evaluate that row again"),
         ("pcm-4.json", "{}", "is no result of an evaluation"),
-        ("pcm-4.json", None, "names pcm-4.json, which is not there"),
-        ("rows.json", '{"suite": "motionpcm", "rows": [{"key": "x"}]}', "is no list of rows"),
-        ("rows.json", '{"suite": "mdm", "rows": []}', "is no list of rows"),
+        ("pcm-4.json", '{"metrics": {}, "repeats": []}', "is no result of an evaluation"),
+        ("mine.json", "[]", "mine.json"),
     ],
 )
-def test_damaged_files_are_named(folder: Path, name: str, text: str | None, message: str):
-    (folder / name).unlink() if text is None else (folder / name).write_text(text)
+def test_damaged_files_are_named(folder: Path, name: str, text: str, message: str):
+    (folder / name).write_text(text)
     with pytest.raises(FormatError, match=message):
         load_table(folder)
 
 
-@pytest.mark.parametrize("rows", ["", ', "rows": 1', ', "rows": [1]', ', "rows": [{"key": "pcm-1"}]'])
-def test_rows_are_not_added_to_what_is_no_list_of_rows(folder: Path, rows: str):
-    (folder / "rows.json").write_text(f'{{"suite": "motionpcm"{rows}}}')
-    with pytest.raises(FormatError, match="is no list of rows"):
-        save_rows("motionpcm", [], folder)
-
-
 def test_a_folder_that_is_none_is_refused(tmp_path: Path):
-    with pytest.raises(InputError, match=r"has no rows\.json"):
-        write_report(tmp_path)
+    with pytest.raises(InputError, match=r"there is no folder .*motionpcm"):
+        write_report(tmp_path / "motionpcm")
+    with pytest.raises(InputError, match="'elsewhere' is no suite"):
+        write_report(tmp_path / "elsewhere")
+
+
+def test_models_that_the_suite_does_not_know_are_rows_too(tmp_path: Path):
+    mine = {**RESULTS["pcm-1"], "model": "mine", "network": "pcm-4"}
+    table = load_table(suite_folder(tmp_path, "motionpcm", {**RESULTS, "mine-pcm-4": mine}))
+    row = table.rows[-1]
+    assert (row.key, row.label, row.group, row.steps) == ("mine-pcm-4", "mine, pcm-4", "Others given", 4)
+    assert ("mine-pcm-4", "teacher") in {(found.row, found.reference) for found in table.comparisons()}
+
+
+def test_rows_that_no_table_could_hold_are_refused_before_they_are_made(table: Table):
+    rows, now = {row.key: row for row in table.rows}, table.state()
+    table.check_alike([rows["k20"]], now, True)
+    other = State(**{**vars(now), "commit": "d0d0"})
+    with pytest.raises(InputError, match="such as Real, have commit c0ffee instead of d0d0"):
+        table.check_alike([rows["k20"]], other, True)
+    table.check_alike([rows[key] for key in RESULTS], other, True)

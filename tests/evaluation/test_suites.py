@@ -1,4 +1,4 @@
-"""Suites know their rows, find weights by name, say what is not there, and run the rest once, in order."""
+"""Suites know their rows, find weights by name, and say what is not there."""
 
 import json
 from itertools import pairwise
@@ -8,7 +8,7 @@ import pytest
 
 from moveset.errors import FormatError, InputError
 from moveset.evaluation.published import tables
-from moveset.evaluation.suites import CLIPS, REAL, STREAMS, Row, SuiteSettings, get_suite, run_suite
+from moveset.evaluation.suites import CLIPS, REAL, STREAMS, chosen_rows, get_suite
 from moveset.pipelines.model_folder import shipped
 from moveset.rdm.staircase import Staircase
 
@@ -20,17 +20,6 @@ def folder(path: Path, name: str, networks: tuple[str, ...]) -> Path:
     path.mkdir()
     (path / "config.json").write_text(json.dumps({"name": name, "models": dict.fromkeys(networks)}))
     return path
-
-
-class Recorder:
-    """Stands for the evaluation: returns what it was given."""
-
-    def __init__(self) -> None:
-        self.calls: list[tuple[str, Path | None, int]] = []
-
-    def __call__(self, row: Row, path: Path | None, repeats: int) -> str:
-        self.calls.append((row.key, path, repeats))
-        return row.key
 
 
 @pytest.mark.parametrize("name", SUITES)
@@ -84,71 +73,61 @@ def test_staircases_are_those_that_the_sampler_knows():
     }  # fmt: skip
 
 
-def test_shipped_rows_are_evaluated_with_their_folders_and_the_others_are_not_trained():
-    found, seen = Recorder(), []
-    results = run_suite("motionpcm", SuiteSettings(repeats=7), found, seen.append)
-    assert [entry.row for entry in results] == list(get_suite("motionpcm").rows)
-    missing = {entry.row.key for entry in results if entry.missing}
-    assert missing == {"mld", "reference", "k20", "no-ema", "no-discriminator"}
-    assert all((entry.result is None) == (entry.row.key in missing) for entry in results)
-    calls = {key: (path, repeats) for key, path, repeats in found.calls}
-    assert calls["real"] == (None, 7)
-    assert calls["pcm-1"] == (shipped()[CLIPS], 7)
-    assert calls["teacher"] == (shipped()[CLIPS], 5)
-    assert "PCM, 1 step, k = 20: no weights given" in seen
-    assert "Teacher, 50 guided steps: 5 repeats" in seen
+def test_rows_have_their_shipped_folders_or_no_weights():
+    chosen = {row.key: (folder, missing) for row, folder, missing in chosen_rows("motionpcm")}
+    assert list(chosen) == [row.key for row in get_suite("motionpcm").rows]
+    assert {key for key, (_, missing) in chosen.items() if missing} == {
+        "mld", "reference", "k20", "no-ema", "no-discriminator"
+    }  # fmt: skip
+    assert chosen["real"] == (None, "")
+    assert chosen["pcm-1"] == (shipped()[CLIPS], "")
+    assert chosen["k20"] == (None, "no weights given")
 
 
-def test_fewer_repeats_than_a_row_would_have_at_most_are_kept():
-    found = Recorder()
-    run_suite("motionpcm", SuiteSettings(repeats=1, only=("teacher", "real")), found)
-    assert [(key, repeats) for key, _, repeats in found.calls] == [("real", 1), ("teacher", 1)]
+def test_rows_that_cost_much_have_fewer_repeats():
+    rows = {row.key: row for row in get_suite("motionpcm").rows}
+    assert [(rows[key].times(20), rows[key].times(1)) for key in ("real", "teacher")] == [(20, 1), (5, 1)]
 
 
 def test_given_folders_fill_rows_by_their_name(tmp_path: Path):
-    found = Recorder()
     trained = folder(tmp_path / "a", f"{CLIPS}-k20", ("vae", "pcm-1"))
-    results = run_suite("motionpcm", SuiteSettings((trained,), only=("k20", "no-ema")), found)
-    assert [(entry.row.key, entry.missing) for entry in results] == [("k20", ""), ("no-ema", "no weights given")]
-    assert found.calls == [("k20", trained, 20)]
+    found = chosen_rows("motionpcm", (trained,), ("k20", "no-ema"))
+    assert [(row.key, path, missing) for row, path, missing in found] == [
+        ("k20", trained, ""), ("no-ema", None, "no weights given")
+    ]  # fmt: skip
 
 
 def test_a_given_folder_takes_the_place_of_a_shipped_one_of_its_name(tmp_path: Path):
-    found = Recorder()
     mine = folder(tmp_path / "a", STREAMS, ("rdm", "md"))
-    results = run_suite("rdm", SuiteSettings((mine,), only=("rdm-7", "rdm-pcm-1")), found)
-    assert [(entry.row.key, entry.missing) for entry in results] == [("rdm-7", ""), ("rdm-pcm-1", f"not in {STREAMS}")]
-    assert found.calls == [("rdm-7", mine, 10)]
+    found = chosen_rows("rdm", (mine,), ("rdm-7", "rdm-pcm-1"))
+    assert [(row.key, path, missing) for row, path, missing in found] == [
+        ("rdm-7", mine, ""), ("rdm-pcm-1", None, f"not in {STREAMS}")
+    ]  # fmt: skip
 
 
 def test_folders_that_no_row_asks_for_become_rows(tmp_path: Path):
-    found = Recorder()
     mine = folder(tmp_path / "a", "mine", ("vae", "length", "teacher", "pcm-2"))
-    results = run_suite("motionpcm", SuiteSettings((mine,)), found)
-    assert [entry.row.key for entry in results][-2:] == ["mine-teacher", "mine-pcm-2"]
-    assert [(entry.row.steps, entry.row.group) for entry in results[-2:]] == [(50, "Others given"), (2, "Others given")]
-    assert found.calls[-2:] == [("mine-teacher", mine, 5), ("mine-pcm-2", mine, 20)]
+    found = chosen_rows("motionpcm", (mine,))[-2:]
+    assert [(row.key, path) for row, path, _ in found] == [("mine-teacher", mine), ("mine-pcm-2", mine)]
+    assert [(row.steps, row.group, row.times(20)) for row, _, _ in found] == [
+        (50, "Others given", 5), (2, "Others given", 20)
+    ]  # fmt: skip
 
 
-def test_what_cannot_be_is_refused_before_anything_runs(tmp_path: Path):
-    found = Recorder()
+def test_what_cannot_be_is_refused(tmp_path: Path):
     a, b = (folder(tmp_path / name, "same", ("pcm-1",)) for name in ("a", "b"))
+    files = {"broken": "{", "step_3": '{"recipe": "tiny"}'}
+    for name, text in files.items():
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "config.json").write_text(text)
     (tmp_path / "c").mkdir()
-    broken = tmp_path / "d"
-    broken.mkdir()
-    (broken / "config.json").write_text("{")
-    checkpoint = tmp_path / "step_3"
-    checkpoint.mkdir()
-    (checkpoint / "config.json").write_text('{"recipe": "tiny"}')
-    for settings, error, message in (
-        (SuiteSettings((a, b)), InputError, "both called 'same'"),
-        (SuiteSettings((tmp_path / "c",)), InputError, "has no config.json"),
-        (SuiteSettings((broken,)), FormatError, "is not JSON"),
-        (SuiteSettings((checkpoint,)), FormatError, r"step_3/config\.json names no models"),
-        (SuiteSettings(only=("pcm-8",)), InputError, "has no row 'pcm-8'"),
+    for suite, given, only, error, message in (
+        ("motionpcm", (a, b), (), InputError, "both called 'same'"),
+        ("motionpcm", (tmp_path / "c",), (), InputError, "has no config.json"),
+        ("motionpcm", (tmp_path / "broken",), (), FormatError, "is not JSON"),
+        ("motionpcm", (tmp_path / "step_3",), (), FormatError, r"step_3/config\.json names no models"),
+        ("motionpcm", (), ("pcm-8",), InputError, "has no row 'pcm-8'"),
+        ("mdm", (), (), InputError, "'mdm' is no suite"),
     ):
         with pytest.raises(error, match=message):
-            run_suite("motionpcm", settings, found)
-    with pytest.raises(InputError, match="'mdm' is no suite"):
-        run_suite("mdm", SuiteSettings(), found)
-    assert not found.calls
+            chosen_rows(suite, given, only)

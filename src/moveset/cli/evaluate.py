@@ -1,33 +1,19 @@
 """``moveset evaluate``: how good is a model? The measures of the papers, with intervals."""
 
-import importlib.util
 import json as jsonlib
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from moveset.cli.bulk import share
 from moveset.cli.output import check_folder
+from moveset.cli.tables import How, print_results, run_job, run_suite
 from moveset.errors import InputError
 
 if TYPE_CHECKING:
     from moveset.evaluation.job import Job
-    from moveset.evaluation.suites import SuiteSettings
-
-_DASH = "–"
-
-
-@dataclass(frozen=True)
-class How:
-    """Where results go, whether repeats that are there are kept, and among how many processes they are shared."""
-
-    out: Path
-    resume: bool
-    processes: int | None
 
 
 def evaluate(
@@ -126,16 +112,16 @@ def evaluate(
     if sanity:
         return _sanity(models, common, out, json)
     if suite is not None:
-        return _suite(suite, models, common, row, how, json)
+        return run_suite(suite, models, common, row, how, json)
     jobs = _jobs(models, common)
     done = []
     for job in jobs:
-        result, path = _evaluate(job, how)
+        result, path = run_job(job, how)
         if result is None:
             print(f"moveset: other processes are still at work; the last one writes {path}", file=sys.stderr)
         else:
             done.append((result, path))
-    tell(done, json)
+    print_results(done, json)
     return 0
 
 
@@ -190,162 +176,3 @@ def _jobs(models: Sequence[str], common: "Job") -> "list[Job]":
     if common.network and all(generator.network is None for generator in opened):
         raise InputError(f"real motion has no network {common.network!r}; add a model, or leave --network out")
     return jobs
-
-
-def _evaluate(job: "Job", how: How) -> tuple[dict[str, Any] | None, Path]:
-    """One model, behind a progress bar where stderr is a terminal."""
-    from tqdm import tqdm
-
-    from moveset.evaluation.job import run
-
-    name = job.model if job.motions is None else job.motions.resolve().name
-    with tqdm(desc=name, unit="repeat", disable=not sys.stderr.isatty(), leave=False) as bar:
-
-        def watch(done: int, count: int, stage: str) -> None:
-            bar.total, bar.n = count, done
-            bar.set_postfix_str(stage)
-
-        return run(job, how.out, share=share(), processes=how.processes, again=not how.resume, watch=watch)
-
-
-def _suite(
-    name: str,
-    folders: Sequence[str],
-    common: "Job",
-    rows: Sequence[str],
-    how: How,
-    json: bool,
-) -> int:
-    """All rows of a paper's tables, one after the other, and the tables."""
-    from dataclasses import replace
-
-    from moveset.evaluation.report import write_report
-    from moveset.evaluation.suites import REAL, Row, SuiteSettings, get_suite, run_suite
-    from moveset.evaluation.table import in_turn, save_rows
-
-    if common.motions is not None or common.network or common.steps is not None or common.settings:
-        raise InputError("a suite says itself what is evaluated; leave --motions, --network, --steps and settings out")
-    if importlib.util.find_spec("matplotlib") is None:
-        raise InputError("the tables of a suite have pictures, which need matplotlib; `pip install 'moveset[train]'`")
-
-    def evaluate_row(row: Row, folder: Path | None, repeats: int) -> str:
-        protocol = replace(common.protocol, repeats=repeats)
-        if row.model == REAL:
-            # As far apart as the seams of the suite's streams, to compare them with.
-            protocol = replace(protocol, seams=protocol.seams or get_suite(name).seams)
-        job = replace(
-            common, model=REAL if folder is None else str(folder), network=row.network, steps=row.steps,
-            settings=tuple(row.settings.items()), protocol=protocol,
-        )  # fmt: skip
-        result, path = _evaluate(job, replace(how, out=how.out / name))
-        return path.name if result is not None else ""
-
-    settings = SuiteSettings(tuple(map(Path, folders)), common.protocol.repeats, tuple(rows))
-    _check_alike(name, settings, common, how.out / name)
-    made = run_suite(name, settings, evaluate_row, lambda line: print(f"moveset: {line}", file=sys.stderr))
-    entries = [(one.row, one.result or "", one.missing or unfinished(one.result)) for one in made]
-    with in_turn(how.out / name):
-        save_rows(name, entries, how.out / name)
-        path = write_report(how.out / name)
-    print(jsonlib.dumps({"suite": name, "table": str(path)}) if json else path.read_text())
-    return 0
-
-
-def _check_alike(name: str, settings: "SuiteSettings", common: "Job", out: Path) -> None:
-    """Rows that could not stand beside those that are there are refused before any is evaluated."""
-    from moveset.evaluation.evaluator import Evaluator
-    from moveset.evaluation.job import open_set
-    from moveset.evaluation.results import commit
-    from moveset.evaluation.suites import chosen_rows
-    from moveset.evaluation.table import ROWS, State, check_alike
-    from moveset.pipelines.device import pick_device
-
-    rows = [row for row, _, missing in chosen_rows(name, settings) if not missing]
-    if not rows or not (out / ROWS).is_file():
-        return
-    items, protocol = open_set(common), common.protocol
-    judge = Evaluator.open(common.evaluator, pick_device(common.device))
-    now = State(
-        commit=commit(), evaluator=(judge.card.name, str(judge.sha256)), data=(items.name, items.sha256),
-        items=len(items), texts=items.texts, labels=None if items.labels is None else len(set(items.labels)),
-        split=protocol.split, group=protocol.group, seed=protocol.seed,
-    )  # fmt: skip
-    check_alike(out, name, rows, now, common.foot_lock)
-
-
-def unfinished(result: str | None) -> str:
-    """What a row says whose repeats other processes are still making."""
-    return "not finished" if result == "" else ""
-
-
-def tell(done: Sequence[tuple[dict[str, Any], Path]], json: bool) -> None:
-    """Print results as one JSON object, or as a table that can be pasted into a paper, with its size below it."""
-    if not done:
-        return
-    if json:
-        print(jsonlib.dumps({"results": [{**result, "file": str(path)} for result, path in done]}))
-        return
-    from moveset.evaluation.columns import ALL, Column
-    from moveset.evaluation.intervals import Interval
-
-    extra = (
-        Column("mpjpe", "MPJPE", "down", 2, "mm", 1000.0),
-        Column("mpjpe_aligned", "MPJPE, root aligned", "down", 2, "mm", 1000.0),
-        Column("drift_height", "Height a minute", "real", 1, "mm", 1000.0),
-        Column("drift_speed", "Speed a minute", "real", 2, "m/s"),
-        Column("spread_change", "Spread at the end", "real", 2),
-    )
-    known = {**ALL, **{column.name: column for column in extra}}
-    columns = [column for name, column in known.items() if any(name in result["metrics"] for result, _ in done)]
-    print("| model | " + " | ".join(column.head for column in columns) + " |")
-    print("|---" * (len(columns) + 1) + "|")
-    for result, _ in done:
-        cells = []
-        for column in columns:
-            value = result["metrics"].get(column.name)
-            mean, half = column.format(Interval.from_json(value)) if value else (_DASH, "")
-            cells.append(f"{mean} ± {half}" if half else mean)
-        print(f"| {title(result)} | " + " | ".join(cells) + " |")
-    print()
-    for line in dict.fromkeys(line for result, _ in done for line in notes(result)):
-        print(line)
-    for _, path in done:
-        print(path)
-
-
-def title(result: dict[str, Any]) -> str:
-    """A result's row."""
-    from moveset.evaluation.suites import plural
-
-    steps = "" if result["steps"] is None else f", {plural(result['steps'], 'step')}"
-    return " ".join(filter(None, (result["model"], result["network"]))) + steps
-
-
-def notes(result: dict[str, Any]) -> list[str]:
-    """How much there was to judge, and what the protocol could not do as asked for."""
-    from moveset.evaluation.suites import plural
-
-    protocol, count, data = result["protocol"], len(result["repeats"]), result["data"]
-    labels = f" of {result['labels']} kinds" if result["labels"] else ""
-    texts = f"{result['items']} items{labels} with {result['distinct_texts']} distinct texts of"
-    how = f"{data['name']}, {protocol['split']}"
-    # Motions with prompts of their own: FID is larger the fewer real ones it is to, so it must be said how many.
-    given = result.get("settings", {}).get("motions")
-    how = f"{given}; FID to {data['items']} items of {how}" if given else how
-    said = [
-        f"{texts} {how}; {plural(result['groups'], 'group')} of {protocol['group']}; mean ± 95 % interval of "
-        f"{plural(count, 'repeat')}; judged by {result['evaluator']['name']}."
-    ]
-    if "rollouts" in result:
-        said.append(f"{result['rollouts']} rollouts of the items one after the other, {result['windows']} windows.")
-    said += [f"Left out: {number} ({reason})." for reason, number in result["dropped"].items()]
-    if result["shortened"]:
-        said.append(
-            f"{title(result)}: {result['shortened']} motions are shorter than asked for; the model has a limit."
-        )
-    if "multimodality" in result["metrics"]:
-        texts = result.get("texts", protocol["multimodality"])
-        said.append(f"Multimodality over {texts} texts with {protocol['samples']} motions each.")
-    if protocol["diversity"] < 300:
-        said.append(f"Diversity over {protocol['diversity']} pairs, for want of items.")
-    return said

@@ -70,6 +70,7 @@ class Job:
         foot_lock: judge motion with planted feet held, as users get it.
         batch: what a network evaluates at once.
         device: where to compute.
+        name: of the result; None for that of model, network, settings and split.
     """
 
     model: str = REAL
@@ -88,6 +89,7 @@ class Job:
     foot_lock: bool = True
     batch: int = 64
     device: str = "auto"
+    name: str | None = None
 
 
 def open_session(job: Job) -> Session:
@@ -281,7 +283,7 @@ def run(
         # Whoever is first done would take what another has still to delete for new.
         raise InputError("several processes cannot make everything anew together; give a fresh --out instead")
     session, on_cpu = open_session(job), pick_device(job.device).type == "cpu"
-    results, (rank, world) = Results(session, out), share
+    results, (rank, world) = Results(session, out, job.name), share
     if again:
         results.forget()
     # Small networks gain little by more threads, and so sums come out the same however the work is shared.
@@ -368,7 +370,7 @@ def _help(job: Job, out: Path, rank: int, world: int) -> None:
     torch.set_num_threads(1)
     try:
         session = open_session(job)
-        work(session, Results(session, out), rank, world, lambda done, count, stage: None)
+        work(session, Results(session, out, job.name), rank, world, lambda done, count, stage: None)
     except MovesetError as error:
         if os.environ.get("MOVESET_DEBUG"):
             traceback.print_exc()

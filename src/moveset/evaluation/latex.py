@@ -37,19 +37,12 @@ def tabular(table: Table, columns: Sequence[Column], caption: str, ranked: bool)
     ranks = {column.name: table.places(column) if ranked else {} for column in columns}
     heads = [f"{escape(c.label)}{', ' + escape(c.unit) if c.unit else ''} {ARROWS[c.better]}" for c in columns]
     lines, group = [], None
-    for entry in table.rows:
-        if group not in (None, entry.row.group):
+    for row in (row for row in table.rows if row.key in table.measured):
+        if group not in (None, row.group):
             lines.append(r"\midrule")
-        group = entry.row.group
-        if entry.result is None:
-            said = rf"\multicolumn{{{len(columns)}}}{{c}}{{{escape(entry.missing)}}}"
-            lines.append(rf"{escape(entry.row.label)} & {said} \\")
-            continue
-        cells = [
-            _cell(column, entry.result.metrics.get(column.name), ranks[column.name].get(entry.row.key, ""))
-            for column in columns
-        ]
-        lines.append(rf"{escape(entry.row.label)} & {' & '.join(cells)} \\")
+        group = row.group
+        cells = [_cell(c, table.value(row.key, c.name), ranks[c.name].get(row.key, "")) for c in columns]
+        lines.append(rf"{escape(row.label)} & {' & '.join(cells)} \\")
     return "\n".join(
         [
             r"\begin{table*}", r"\centering", rf"\caption{{{caption}}}", rf"\begin{{tabular}}{{l{'c' * len(columns)}}}",

@@ -13,6 +13,8 @@ from moveset.evaluation.published import PublishedTable, tables
 from moveset.evaluation.suites import REAL
 from moveset.evaluation.table import Table, days
 
+MISSING = "not evaluated"
+
 
 def markdown(table: Table, pictures: Sequence[str] = (), level: int = 1) -> str:
     """The whole report of a suite.
@@ -54,8 +56,7 @@ def about(table: Table) -> str:
         f"R@k: how often the own sentence's motion is among the k nearest of {state.group}. "
         "Mean ± 95 % interval over repeats (Student's t), in which captions, lengths, noise and groups were drawn "
         "again; it does not say what other test items would give. ↑ more is better, ↓ less is better, → nearer to real "
-        "motion is better. **Best** and <u>second best</u> of the rows that generate. Milliseconds an item are those "
-        "of the quickest repeat: in batches, on whatever the machine was doing besides.",
+        "motion is better. **Best** and <u>second best</u> of the rows that generate.",
     ]
     return "\n\n".join(lines)
 
@@ -63,44 +64,31 @@ def about(table: Table) -> str:
 def grid(table: Table) -> str:
     """The table of quality."""
     columns = table.columns(QUALITY)
-    if not columns:
-        return lined(["", ""], [[entry.row.label, entry.missing or "–"] for entry in table.rows])
     ranks = {column.name: table.places(column) for column in columns}
-    timed = any(found.seconds is not None for found in table.measured.values())
-    head = ["", "repeats", *(column.head for column in columns), *(["ms an item"] if timed else [])]
+    head = ["", "repeats", *(column.head for column in columns)]
     body, group = [], None
-    for entry in table.rows:
-        if entry.row.group != group:
-            group = entry.row.group
+    for row in table.rows:
+        if row.group != group:
+            group = row.group
             body.append([f"*{group}*", *[""] * (len(head) - 1)])
-        if entry.result is None:
-            body.append([entry.row.label, entry.missing, *["–"] * (len(head) - 2)])
-            continue
-        key, metrics = entry.row.key, entry.result.metrics
-        cells = [_cell(column, metrics.get(column.name), ranks[column.name].get(key, "")) for column in columns]
-        body.append(
-            [entry.row.label, str(entry.result.repeats), *cells, *([_ms(entry.result.seconds)] if timed else [])]
-        )
+        repeats = str(table.measured[row.key].repeats) if row.key in table.measured else MISSING
+        cells = [_cell(c, table.value(row.key, c.name), ranks[c.name].get(row.key, "")) for c in columns]
+        body.append([row.label, repeats, *cells])
     return lined(head, body)
 
 
 def physical_grid(table: Table) -> str:
     """Physical metrics, each with its ratio to real motion; "" if none was measured."""
-    columns = table.columns(PHYSICAL)
-    real = table.metrics.get(REAL, {})
+    if not (columns := table.columns(PHYSICAL)):
+        return ""
     body = []
-    for entry in table.rows:
-        if entry.result is None or not columns:
-            continue
+    for row in (row for row in table.rows if row.key in table.measured):
         cells = []
         for column in columns:
-            value = entry.result.metrics.get(column.name)
-            reference = real.get(column.name)
-            ratio = f" ({value.mean / reference.mean:.2f} ×)" if value and reference and reference.mean > 0 else ""
-            cells.append(_cell(column, value, "") + (ratio if entry.row.key != REAL else ""))
-        body.append([entry.row.label, *cells])
-    if not body:
-        return ""
+            value, real = table.value(row.key, column.name), table.value(REAL, column.name)
+            ratio = f" ({value.mean / real.mean:.2f} ×)" if value and real and real.mean > 0 else ""
+            cells.append(_cell(column, value, "") + (ratio if row.key != REAL else ""))
+        body.append([row.label, *cells])
     return "In parentheses: times the value of real motion.\n\n" + lined(["", *(c.head for c in columns)], body)
 
 
@@ -124,14 +112,10 @@ def comparisons(table: Table) -> str:
 def settings(table: Table) -> str:
     """Which weights and which sampler made a row."""
     body = []
-    for entry in table.rows:
-        row, words = entry.row, [f"{key} = {value}" for key, value in entry.row.settings.items()]
-        body.append(
-            [
-                row.label, row.model, row.network or "–", str(row.steps or "–"), ", ".join(words) or "–",
-                _short(entry.result.weights) if entry.result else entry.missing,
-            ]
-        )  # fmt: skip
+    for row in table.rows:
+        weights = _short(table.measured[row.key].weights) if row.key in table.measured else MISSING
+        words = ", ".join(f"{key} = {value}" for key, value in row.settings.items())
+        body.append([row.label, row.model, row.network or "–", str(row.steps or "–"), words or "–", weights])
     return lined(["", "model", "network", "steps", "other settings than the folder's", "weights"], body)
 
 
@@ -175,12 +159,6 @@ def _difference(column: Column, value: Interval | None) -> str:
     mean, half = column.format(value)
     text = f"{'−' if value.mean < 0 else '+'}{mean.lstrip('-')} ± {half}"
     return {"better": f"**{text}**", "worse": f"<u>{text}</u>", "": text}[verdict(column, value)]
-
-
-def _ms(seconds: float | None) -> str:
-    if seconds is None:
-        return "–"
-    return f"{1e3 * seconds:.1f}" if seconds < 0.1 else f"{1e3 * seconds:.0f}"
 
 
 def _short(sha256: str) -> str:

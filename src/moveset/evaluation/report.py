@@ -16,8 +16,9 @@ from moveset.evaluation.columns import QUALITY
 from moveset.evaluation.latex import latex
 from moveset.evaluation.markdown import markdown
 from moveset.evaluation.plots import draw
-from moveset.evaluation.table import Table, days, load_table
+from moveset.evaluation.table import REPORT, Table, days, load_table
 from moveset.io.limits import atomic_write
+from moveset.io.process import locked
 
 PAGE = """# Results
 
@@ -29,17 +30,21 @@ within a table and with nothing else. What the papers print stands below each ta
 
 
 def write_report(folder: Path) -> Path:
-    """Writes ``table.md``, ``table.tex``, ``table.json`` and the plots into a suite's folder; the Markdown's path.
+    """Writes ``table.md``, ``table.tex``, ``table.json`` and the bars into a suite's folder; the Markdown's path.
+
+    All processes of torchrun do so, for none of them knows whether it will be the last: one after the other.
 
     Raises:
         InputError: no such folder, or rows that were measured in different ways.
         FormatError: something in it cannot be read.
     """
-    table = _whole(folder)
-    pictures = draw(table, folder)
-    _write(folder / "table.md", markdown(table, pictures))
-    _write(folder / "table.tex", latex(table))
-    _write(folder / "table.json", json.dumps(to_json(table), indent=1, ensure_ascii=False) + "\n")
+    _whole(folder)  # what cannot be is said before anything is made
+    with locked(folder / "repeats"):
+        table = _whole(folder)
+        pictures = draw(table, folder)
+        _write(folder / "table.md", markdown(table, pictures))
+        _write(folder / "table.tex", latex(table))
+        _write(folder / REPORT, json.dumps(to_json(table), indent=1, ensure_ascii=False) + "\n")
     return folder / "table.md"
 
 
@@ -50,15 +55,13 @@ def to_json(table: Table) -> dict[str, Any]:
         "state": asdict(table.state()) if table.measured else None,
         "rows": [
             {
-                **{name: getattr(entry.row, name) for name in ("key", "label", "group", "model", "network", "steps")},
-                "settings": dict(entry.row.settings),
-                "missing": entry.missing,
-                "repeats": entry.result.repeats if entry.result else 0,
-                "weights_sha256": entry.result.weights if entry.result else None,
-                "seconds_per_item": entry.result.seconds if entry.result else None,
-                "metrics": {k: v.to_json() for k, v in entry.result.metrics.items()} if entry.result else {},
+                **asdict(row),
+                "repeats": found.repeats if found else 0,
+                "weights_sha256": found.weights if found else None,
+                "metrics": {k: v.to_json() for k, v in found.metrics.items()} if found else {},
             }
-            for entry in table.rows
+            for row in table.rows
+            for found in [table.measured.get(row.key)]
         ],
         "places": {column.name: table.places(column) for column in table.columns(QUALITY)},
         "comparisons": [

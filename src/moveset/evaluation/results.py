@@ -36,15 +36,16 @@ class Results:
     Args:
         session: what is judged, on what, by whom.
         out: the folder.
+        name: of the result; None for the generator's and the split.
 
     Raises:
         InputError: a folder that cannot be written to, or another evaluation's result in this one's place.
         FormatError: something else in its place.
     """
 
-    def __init__(self, session: Session, out: Path) -> None:
+    def __init__(self, session: Session, out: Path, name: str | None = None) -> None:
         self._session = session
-        self.name = f"{session.generator.slug}-{session.protocol.split}"
+        self.name = name or f"{session.generator.slug}-{session.protocol.split}"
         self.head = head(session)
         depends = {**self.head, "protocol": {**self.head["protocol"], "repeats": None}}
         key = hashlib.sha256(json.dumps(depends, sort_keys=True).encode()).hexdigest()[:12]

@@ -10,7 +10,6 @@ N segments, K sampler steps, R steps that a later segment takes (``rdm.staircase
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Generic, TypeVar
 
 from moveset.errors import FormatError, InputError
 from moveset.io.manifest import json_object
@@ -22,7 +21,6 @@ DENOISERS = ("teacher", "lcm-", "pcm-", "rdm", "md", "denoiser")
 # Repeats of rows that cost ten times as much as others: what others are compared with, the rest, and settings alone.
 MORE, FEW, FEWER = 10, 5, 3
 
-Result_ = TypeVar("Result_")
 Setting = str | int | float
 
 
@@ -40,7 +38,6 @@ class Row:
         settings: of the sampler, where they are not the folder's: start, lag, past_lag, shape, guidance, eta,
             stages.
         repeats: at most so many, for rows that cost much more than others.
-        ranked: whether it takes part in best and second best.
         against: keys of the rows that it is compared with.
     """
 
@@ -52,8 +49,12 @@ class Row:
     steps: int | None = None
     settings: Mapping[str, Setting] = field(default_factory=dict)
     repeats: int | None = None
-    ranked: bool = True
     against: Sequence[str] = ()
+
+    @property
+    def ranked(self) -> bool:
+        """Whether it takes part in best and second best: what samples does."""
+        return self.steps is not None
 
     def times(self, asked: int) -> int:
         """Repeats of this row when so many were asked for."""
@@ -77,15 +78,6 @@ class Suite:
     rows: tuple[Row, ...]
     references: tuple[str, ...]
     seams: float = 0.0
-
-
-@dataclass(frozen=True)
-class RowResult(Generic[Result_]):
-    """A row with what came out, or with the reason why there is nothing."""
-
-    row: Row
-    result: Result_ | None
-    missing: str = ""
 
 
 def get_suite(name: str) -> Suite:
@@ -116,9 +108,8 @@ def motionpcm() -> Suite:
     )
     student = Row(key="", label="", group="", model=CLIPS, against=held)
     rows = [
-        Row(key="real", label="Real", group="Reference", model=REAL, ranked=False),
-        Row(key="vae", label="VAE, reconstruction", group="Reference", model=CLIPS, network=RECONSTRUCTION,
-            ranked=False),
+        Row(key="real", label="Real", group="Reference", model=REAL),
+        Row(key="vae", label="VAE, reconstruction", group="Reference", model=CLIPS, network=RECONSTRUCTION),
         full,
         replace(full, key="mld", label="MLD-style, one latent token, 50 guided steps", model="mld-small",
                 against=("teacher",)),
@@ -163,7 +154,7 @@ def rdm() -> Suite:
         return replace(staircase, key=key, label=f"RDM-7, {what}", settings=settings)
 
     rows = [
-        Row(key="real", label="Real", group="Reference", model=REAL, ranked=False),
+        Row(key="real", label="Real", group="Reference", model=REAL),
         replace(stream, key="md-7", label="MD-7", group="Autoregressive", network="md", repeats=MORE,
                 against=()),
         replace(stream, key="md-7-alone", label="MD-7, told nothing of the past", group="Autoregressive",
@@ -201,60 +192,23 @@ def rdm() -> Suite:
 _SUITES: dict[str, Callable[[], Suite]] = {"motionpcm": motionpcm, "rdm": rdm}
 
 
-@dataclass(frozen=True)
-class SuiteSettings:
-    """How a suite is run.
-
-    Args:
-        folders: model folders besides those that ship; one with a shipped one's name takes its place.
-        repeats: of every row that does not say fewer.
-        only: keys of rows; all if empty.
-    """
-
-    folders: tuple[Path, ...] = ()
-    repeats: int = 20
-    only: tuple[str, ...] = ()
-
-
-Evaluate = Callable[[Row, Path | None, int], Result_]
-
-
-def run_suite(
-    name: str,
-    settings: SuiteSettings,
-    evaluate: Evaluate[Result_],
-    progress: Callable[[str], None] = lambda line: None,
-) -> list[RowResult[Result_]]:
-    """Every row of a suite, evaluated if its weights are there.
+def chosen_rows(name: str, given: Sequence[Path] = (), only: Sequence[str] = ()) -> list[tuple[Row, Path | None, str]]:
+    """The rows that were asked for, each with what ``find_weights`` says of it.
 
     Args:
         name: "motionpcm" or "rdm".
-        settings: how.
-        evaluate: the result of a row, given its model folder (None for real motion) and its number of repeats.
-        progress: told of every row before it starts.
+        given: model folders besides those that ship; one with a shipped one's name takes its place.
+        only: keys of rows; all if empty.
 
     Raises:
         InputError: no such suite or row, two folders of one name, or a folder that is none.
         FormatError: a damaged folder.
     """
-    out: list[RowResult[Result_]] = []
-    for row, folder, missing in chosen_rows(name, settings):
-        progress(f"{row.label}: {missing or plural(row.times(settings.repeats), 'repeat')}")
-        out.append(RowResult(row, None if missing else evaluate(row, folder, row.times(settings.repeats)), missing))
-    return out
-
-
-def chosen_rows(name: str, settings: SuiteSettings) -> list[tuple[Row, Path | None, str]]:
-    """The rows that were asked for, each with what ``find_weights`` says of it.
-
-    Raises:
-        InputError, FormatError: as ``run_suite``.
-    """
-    folders = named_folders(settings.folders)
+    folders = named_folders(given)
     rows = [*get_suite(name).rows, *extra_rows(get_suite(name), folders)]
-    if unknown := set(settings.only) - {row.key for row in rows}:
+    if unknown := set(only) - {row.key for row in rows}:
         raise InputError(f"suite {name!r} has no row {sorted(unknown)[0]!r}; it has {', '.join(r.key for r in rows)}")
-    return [(row, *find_weights(row, folders)) for row in rows if not settings.only or row.key in settings.only]
+    return [(row, *find_weights(row, folders)) for row in rows if not only or row.key in only]
 
 
 def find_weights(row: Row, folders: Mapping[str, Path]) -> tuple[Path | None, str]:
@@ -307,28 +261,24 @@ def extra_rows(suite: Suite, folders: Mapping[str, Path]) -> list[Row]:
     """Rows for folders that no row of a suite asks for, one for each of their denoisers, in the folder's order."""
     asked = {row.model for row in suite.rows}
     return [
-        Row(
-            key=f"{name}-{network}", label=f"{name}, {network}", group="Others given", model=name, network=network,
-            steps=_usual_steps(network), repeats=None if _student(network) else FEW,
-            against=suite.references,
-        )
+        given_row(suite, name, network)
         for name, path in folders.items() if name not in asked
         for network in networks(path) if network.startswith(DENOISERS)
     ]  # fmt: skip
 
 
+def given_row(suite: Suite, model: str, network: str) -> Row:
+    """The row of a network that a suite does not know."""
+    student = network.startswith(("pcm-", "lcm-"))
+    steps = int(network.split("-")[1]) if student else 50 if network == "teacher" else 10
+    return Row(
+        key=f"{model}-{network}", label=f"{model}, {network}", group="Others given", model=model, network=network,
+        steps=steps, repeats=None if student else FEW, against=suite.references,
+    )  # fmt: skip
+
+
 def _config(folder: Path) -> dict:
     return json_object((folder / "config.json").read_bytes(), folder / "config.json")
-
-
-def _student(network: str) -> bool:
-    return network.startswith(("pcm-", "lcm-"))
-
-
-def _usual_steps(network: str) -> int:
-    if _student(network):
-        return int(network.split("-")[1])
-    return 50 if network == "teacher" else 10
 
 
 def plural(count: int, what: str) -> str:
