@@ -153,7 +153,7 @@ def test_what_leans_to_one_side_cannot_be_symmetric(tmp_path):
 
 def test_other_features_have_no_mirror_image(tmp_path):
     config = dataclasses.replace(CONFIG, codec="hml", symmetric=("pcm-1",))
-    with pytest.raises(FormatError, match="codec 'hml'; a stream needs 'native'"):
+    with pytest.raises(FormatError, match="features of 'hml' are not symmetric"):
         StreamBundle(save(tmp_path / "hml", config)).module("pcm-1")
 
 

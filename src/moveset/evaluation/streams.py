@@ -59,7 +59,7 @@ class Streams:
         batch: int = 96,
     ) -> None:
         self._bundle, self._settings, self._shape = bundle, settings, shape
-        self._codec = bundle.config.native_codec()
+        self._codec = bundle.config.feature_codec()
         self._device, self._batch = pick_device(device), batch
         self._text = CachedEncoder(get_text_encoder(bundle.config.text_encoder, device=self._device), REMEMBERED)
         self.model, self.network, self.steps = bundle.config.name, settings.network, settings.steps

@@ -53,6 +53,21 @@ class FeatureCodec(Protocol):
     def joints(self, features: Tensor) -> Tensor:
         """Joint positions (..., F, J, 3) in metres of features (..., F, D), without building a motion."""
 
+    def root_path(self, features: Tensor) -> tuple[Tensor, Tensor]:
+        """Heading angle (..., F) in radians and root position (..., F, 3) in metres, as ``decode`` has them.
+
+        Both are integrated from zero, so those of a clip with one row more say where it leads.
+        """
+
+    def with_steps(self, features: Tensor, change_S2: Tensor) -> Tensor:
+        """Features (F, D) whose root goes further by (x, z) metres from each frame to the next, S = F - 1.
+
+        So does the last frame, whose step leads out of the clip, by as much as the one before it.
+        """
+
+    def planted(self, features: Tensor) -> Tensor:
+        """Which feet stand, (F, 4) bool: left ankle, left toe, right ankle, right toe."""
+
 
 @cache
 def get_codec(name: str) -> FeatureCodec:

@@ -35,6 +35,7 @@ from torch import Tensor
 from moveset.errors import InputError
 from moveset.motion import rotations
 from moveset.motion.clip import Motion
+from moveset.motion.contacts import foot_contacts
 from moveset.motion.hml_skeletons import HUMANML3D, KIT_ML, HmlConvention
 from moveset.motion.positions import positions_to_motion
 from moveset.motion.skeleton import Skeleton
@@ -179,6 +180,26 @@ class HmlCodec:
         """The motion of features (F, D): joint positions fitted with rotations (see ``positions_to_motion``)."""
         joints = self.joints(features.detach().double()) * self.reflection
         return positions_to_motion(joints, self.fps, self.skeleton)
+
+    def root_path(self, features: Tensor) -> tuple[Tensor, Tensor]:
+        """Heading angle (..., F) in radians and root position (..., F, 3) in metres, in the axes of ``Motion``."""
+        heading = -2.0 * self.reflection[0].item() * _integrate(features[..., self.groups["root_yaw"]])[..., 0]
+        return heading, self._root(features)[1] * self.convention.unit * self.reflection.to(features)
+
+    def with_steps(self, features: Tensor, change_S2: Tensor) -> Tensor:
+        """Features (F, D) whose root goes further by (x, z) metres at each step; see ``FeatureCodec``."""
+        heading, _ = self._root(features)
+        x_S, z_S = (change_S2 * self.reflection[[0, 2]].to(features) / self.convention.unit).unbind(-1)
+        # Steps are seen in the heading of the frame that they lead to.
+        step = rotations.rotate(heading[1:], torch.stack((x_S, torch.zeros_like(x_S), z_S), dim=-1))
+        moved, steps = features.clone(), self.groups["root_velocity"]
+        moved[:-1, steps] += step[:, [0, 2]]
+        moved[-1, steps] += step[-1, [0, 2]]
+        return moved
+
+    def planted(self, features: Tensor) -> Tensor:
+        """Which feet stand, (F, 4) bool, by where they are: the features' contacts only say which ones are slow."""
+        return foot_contacts(self.joints(features) * self.reflection.to(features), self.fps, self.skeleton)
 
     @cached_property
     def reflection(self) -> Tensor:

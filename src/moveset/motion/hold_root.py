@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import avg_pool1d, conv1d, pad
 
-from moveset.motion.native import NativeCodec
+from moveset.motion.features import FeatureCodec
 
 _ALONE = 0.5  # share of a lone foot's sliding that the root gives up; the rest is for the foot lock
 _FASTEST = 0.5  # m/s that are taken out at most: what differs more was not meant to stand
@@ -20,7 +20,7 @@ _EASE = 5  # steps over which holding sets in and ends
 _SMOOTH = (0.25, 0.5, 0.25)
 
 
-def hold_root(features_FD: Tensor, planted_F4: Tensor, codec: NativeCodec, travelling: float = 1.0) -> Tensor:
+def hold_root(features_FD: Tensor, planted_F4: Tensor, codec: FeatureCodec, travelling: float = 1.0) -> Tensor:
     """Features, not normalised, whose root does not travel while both feet stand, and less where one slides.
 
     From one frame to the next the root's planar step loses what the joints that are planted in both travel on average:
@@ -48,13 +48,4 @@ def hold_root(features_FD: Tensor, planted_F4: Tensor, codec: NativeCodec, trave
     drift_2S = (drift_S2 * torch.minimum(eased_S, held_S)[:, None]).T
     drift_2S = conv1d(pad(drift_2S[:, None], (1, 1), mode="replicate"), drift_2S.new_tensor([[_SMOOTH]]))[:, 0]
     most = _FASTEST / codec.fps
-    x_S, z_S = drift_2S * (most / drift_2S.norm(dim=0).clamp_min(most))
-    # Steps are in the heading of the frame that they lead from.
-    heading_F = codec.root_path(features_FD)[0]
-    sin_S, cos_S = heading_F[:-1].sin(), heading_F[:-1].cos()
-    local_S2 = torch.stack((x_S * cos_S - z_S * sin_S, x_S * sin_S + z_S * cos_S), dim=1)
-    held = features_FD.clone()
-    steps = codec.groups["root_velocity"]
-    held[:-1, steps] -= local_S2
-    held[-1, steps] -= local_S2[-1]
-    return held
+    return codec.with_steps(features_FD, -(drift_2S * (most / drift_2S.norm(dim=0).clamp_min(most))).T)

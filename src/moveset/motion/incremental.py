@@ -7,7 +7,7 @@ double precision. Pieces are float64 too, which a walk of kilometres needs to st
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import roma
@@ -17,7 +17,7 @@ from torch import Tensor
 from moveset.errors import InputError
 from moveset.motion import rotations
 from moveset.motion.clip import Motion
-from moveset.motion.native import NativeCodec
+from moveset.motion.features import FeatureCodec
 from moveset.motion.smoothing import decay
 
 _SEAM = 0.5  # frames from the seam to either neighbour
@@ -46,7 +46,7 @@ class IncrementalDecoder:
         InputError: a negative duration.
     """
 
-    def __init__(self, codec: NativeCodec, blend_seconds: float = 0.0) -> None:
+    def __init__(self, codec: FeatureCodec, blend_seconds: float = 0.0) -> None:
         if not 0.0 <= blend_seconds < math.inf:
             raise InputError(f"cannot blend over {blend_seconds} s; give a duration such as 0.3, or 0 for none")
         self.codec = codec
@@ -74,7 +74,9 @@ class IncrementalDecoder:
         turn = rotations.yaw(torch.tensor(self._heading, dtype=torch.float64))
         # One frame more than there is, so that the path ends where the next segment begins.
         heading, root = self.codec.root_path(torch.cat((features, features[-1:])))
-        piece = self.codec.decode(features).transformed(turn, turn.new_tensor((self._x, 0.0, self._z)))
+        local = self.codec.decode(features)
+        local = replace(local, rotations=local.rotations.double(), root=local.root.double())
+        piece = local.transformed(turn, turn.new_tensor((self._x, 0.0, self._z)))
         end = rotations.rotate(turn, root[-1])
         self._heading = math.remainder(self._heading + float(heading[-1]), 2.0 * math.pi)
         self._x += float(end[0])
@@ -97,7 +99,7 @@ class IncrementalDecoder:
         }
 
     @classmethod
-    def from_state(cls, codec: NativeCodec, state: Mapping[str, Any]) -> "IncrementalDecoder":
+    def from_state(cls, codec: FeatureCodec, state: Mapping[str, Any]) -> "IncrementalDecoder":
         """A decoder that goes on where the one whose ``state()`` this is stood."""
         decoder = cls(codec, state["blend_seconds"])
         decoder._heading, decoder._x, decoder._z = state["heading"], state["x"], state["z"]

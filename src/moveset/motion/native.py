@@ -23,7 +23,7 @@ from torch import Tensor
 from moveset.errors import InputError
 from moveset.motion import rotations
 from moveset.motion.clip import Motion
-from moveset.motion.contacts import foot_contacts
+from moveset.motion.contacts import PLANTED, foot_contacts
 from moveset.motion.kinematics import fk_matrices
 from moveset.motion.skeleton import HML22, Skeleton
 
@@ -137,6 +137,22 @@ class NativeCodec:
         planar = _integrate(torch.stack((x, z), dim=-1), dim=-2)
         height = features[..., self.groups["root_height"]]
         return heading, torch.cat((planar[..., :1], height, planar[..., 1:]), dim=-1)
+
+    def with_steps(self, features: Tensor, change_S2: Tensor) -> Tensor:
+        """Features (F, D) whose root goes further by (x, z) metres at each step; see ``FeatureCodec``."""
+        # Steps are in the heading of the frame that they lead from.
+        heading_F = self.root_path(features)[0]
+        sin_S, cos_S = heading_F[:-1].sin(), heading_F[:-1].cos()
+        x_S, z_S = change_S2.unbind(-1)
+        local_S2 = torch.stack((x_S * cos_S - z_S * sin_S, x_S * sin_S + z_S * cos_S), dim=1)
+        moved, steps = features.clone(), self.groups["root_velocity"]
+        moved[:-1, steps] += local_S2
+        moved[-1, steps] += local_S2[-1]
+        return moved
+
+    def planted(self, features: Tensor) -> Tensor:
+        """Which feet stand, (F, 4) bool, by the features' own account."""
+        return features[..., self.groups["contacts"]] > PLANTED
 
     def _six(self, features: Tensor) -> Tensor:
         return features[..., self.groups["rotations"]].unflatten(-1, (len(self.skeleton), 6))

@@ -11,11 +11,10 @@ import torch
 from torch import Tensor
 
 from moveset.motion.clip import Motion
-from moveset.motion.contacts import PLANTED
+from moveset.motion.features import FeatureCodec
 from moveset.motion.foot_lock import FootLock
 from moveset.motion.hold_root import hold_root
 from moveset.motion.incremental import IncrementalDecoder
-from moveset.motion.native import NativeCodec
 
 
 class StreamDecoder:
@@ -32,7 +31,7 @@ class StreamDecoder:
     """
 
     def __init__(
-        self, codec: NativeCodec, blend_seconds: float = 0.0, *, foot_lock: bool = True, travelling: float = 1.0
+        self, codec: FeatureCodec, blend_seconds: float = 0.0, *, foot_lock: bool = True, travelling: float = 1.0
     ) -> None:
         self.codec = codec
         self._foot_lock, self._travelling = foot_lock, travelling
@@ -47,7 +46,7 @@ class StreamDecoder:
         """
         if not self._foot_lock:
             return self._pieces(features)
-        planted = self.planted(features)
+        planted = self.codec.planted(features)
         return self._feet(self._pieces(hold_root(features, planted, self.codec, self._travelling)), planted)
 
     def whole(self, features: Tensor, frames: int) -> Motion:
@@ -57,14 +56,14 @@ class StreamDecoder:
         return Motion(turned, root, self.codec.fps, self.codec.skeleton)
 
     def planted(self, features: Tensor) -> Tensor:
-        """(n, 4) bool, which feet stand by the features' own account."""
-        return features[:, self.codec.groups["contacts"]] > PLANTED
+        """(n, 4) bool, which feet stand."""
+        return self.codec.planted(features)
 
     def go_on_from(self, features: Tensor, heading: float, x: float, z: float) -> None:
         """Begin behind a given motion, which is not held: its features (n, D), and where its first frame is."""
         place = {"heading": heading, "x": x, "z": z}
         self._pieces = IncrementalDecoder.from_state(self.codec, {**self._pieces.state(), **place})
-        self._feet(self._pieces(features), self.planted(features))
+        self._feet(self._pieces(features), self.codec.planted(features))
 
     def copy(self) -> "StreamDecoder":
         """An independent copy."""

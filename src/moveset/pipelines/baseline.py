@@ -13,7 +13,6 @@ from torch import Tensor
 from moveset.diffusion.guidance import cfg
 from moveset.errors import InputError
 from moveset.motion.clip import Motion
-from moveset.motion.contacts import PLANTED
 from moveset.motion.foot_lock import FootLock
 from moveset.motion.hold_root import hold_root
 from moveset.pipelines.baseline_bundle import DENOISER, IDLE, BaselineBundle
@@ -66,7 +65,7 @@ class Baseline:
         if not 0.0 <= self._w < 100.0:
             raise InputError(f"guidance {self._w:g} is not in 0 to 100; {config.name!r} has {chosen:g}")
         self._bundle, self._batch, self._foot_lock = bundle, batch, foot_lock
-        self._device, self._codec = pick_device(device), config.native_codec()
+        self._device, self._codec = pick_device(device), config.feature_codec()
         self._text = CachedEncoder(get_text_encoder(config.text_encoder, device=self._device), limit=8192)
         self._schedule = config.noise_schedule()
         self.model, self.network, self.fps = config.name, DENOISER, config.fps
@@ -158,7 +157,7 @@ class Baseline:
     def _motion(self, features: Tensor) -> Motion:
         if not self._foot_lock:
             return self._codec.decode(features)
-        planted = features[:, self._codec.groups["contacts"]] > PLANTED
+        planted = self._codec.planted(features)
         motion = self._codec.decode(hold_root(features, planted, self._codec))
         return FootLock(self._codec.skeleton, self._codec.fps)(motion, planted[: len(motion)])
 

@@ -28,8 +28,7 @@ from torch import Tensor, nn
 from moveset.errors import FormatError, InputError
 from moveset.io.manifest import VerifiedFolder, json_bytes, json_object, write_whole
 from moveset.models.packed import PACKABLE, can_pack, pack
-from moveset.motion.features import get_codec
-from moveset.motion.native import NativeCodec
+from moveset.motion.features import FeatureCodec, get_codec
 from moveset.pipelines.stored_weights import halved, restored, subtracted
 from moveset.text.familiarity import KnownPrompts
 
@@ -90,16 +89,9 @@ class FolderConfig:
         prefix = f"{solver}-"
         return tuple(sorted(int(name[len(prefix) :]) for name in self.models if name.startswith(prefix)))
 
-    def native_codec(self) -> NativeCodec:
-        """The codec of a model whose motion is made piece by piece, which only native features can be.
-
-        Raises:
-            FormatError: another codec.
-        """
-        codec = get_codec(self.codec)
-        if not isinstance(codec, NativeCodec):
-            raise FormatError(f"model {self.name!r} has the codec {codec.name!r}; a stream needs 'native'")
-        return codec
+    def feature_codec(self) -> FeatureCodec:
+        """The codec of its motions."""
+        return get_codec(self.codec)
 
     def check(self) -> None:
         """Raises ValueError, TypeError or KeyError for numbers that no such model can have."""

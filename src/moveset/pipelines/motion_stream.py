@@ -78,7 +78,7 @@ class MotionStream(Iterator[Segment]):
         device: torch.device | str = "auto",
         encoder: TextEncoder | None = None,
     ) -> None:
-        self.bundle, self.codec, self.device = bundle, bundle.config.native_codec(), pick_device(str(device))
+        self.bundle, self.codec, self.device = bundle, bundle.config.feature_codec(), pick_device(str(device))
         self.encoder = encoder or get_text_encoder(bundle.config.text_encoder, device=self.device)
         self._texts = CachedEncoder(self.encoder)
         normalizer = bundle.normalizer

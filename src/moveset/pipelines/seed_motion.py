@@ -12,6 +12,7 @@ from moveset.diffusion.steps import add_noise
 from moveset.errors import InputError
 from moveset.motion import rotations
 from moveset.motion.clip import Motion
+from moveset.motion.features import FeatureCodec
 from moveset.motion.native import NativeCodec
 from moveset.motion.retarget import retarget
 from moveset.pipelines.stream_bundle import StreamConfig
@@ -36,12 +37,15 @@ class SeedMotion:
     z: float
 
     @classmethod
-    def of(cls, motion: Motion, codec: NativeCodec, frames: int) -> "SeedMotion":
+    def of(cls, motion: Motion, codec: FeatureCodec, frames: int) -> "SeedMotion":
         """The last ``frames`` frames of a motion, on the codec's skeleton at its frame rate.
 
         Raises:
-            InputError: a skeleton that cannot be retargeted, or a shorter motion.
+            InputError: a skeleton that cannot be retargeted, a shorter motion, or features that re-pose what they
+                encode, so that a stream would not go on from it.
         """
+        if not isinstance(codec, NativeCodec):
+            raise InputError(f"a model of {codec.name!r} features cannot go on from a motion; take one of native ones")
         if motion.skeleton.joints != codec.skeleton.joints:
             motion = retarget(motion, codec.skeleton)
         given, motion = motion, motion.resampled(codec.fps)

@@ -18,6 +18,7 @@ from torch import Tensor, nn
 from moveset.errors import FormatError
 from moveset.models import flow, segment_transformer  # noqa: F401  (they register their kinds)
 from moveset.models.symmetric import Symmetric
+from moveset.motion.native import NativeCodec
 from moveset.pipelines.model_folder import STREAM, FolderConfig, ModelFolder, save_folder
 
 DEFAULT_STREAM = "rdm-small"
@@ -138,7 +139,10 @@ class StreamBundle(ModelFolder[StreamConfig]):
         return network
 
     def _even(self, network: nn.Module) -> Symmetric:
-        order, signs = self.config.native_codec().mirror()
+        codec = self.config.feature_codec()
+        if not isinstance(codec, NativeCodec):
+            raise FormatError(f"{self.path}: features of {codec.name!r} are not symmetric; export it without")
+        order, signs = codec.mirror()
         mean, std = (self.normalizer[statistic] for statistic in STATISTICS)
         lean = ((mean[order] * signs - mean) / std, std[order] / std - 1)
         if max(float(part.abs().max()) for part in lean) > _LEAN:

@@ -130,7 +130,7 @@ class StreamGroup:
                 "lag to the steps, or use a student"
             )
         self.bundle, self.settings = bundle, settings
-        self.codec, self.device = config.native_codec(), pick_device(str(device))
+        self.codec, self.device = config.feature_codec(), pick_device(str(device))
         self.encoder = encoder or get_text_encoder(config.text_encoder, device=self.device)
         self._texts = CachedEncoder(self.encoder)
         self._mean, self._std = (bundle.normalizer[name].to(self.device) for name in ("feature_mean", "feature_std"))

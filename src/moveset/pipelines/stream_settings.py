@@ -13,7 +13,7 @@ from moveset.diffusion.phases import PhaseGrid
 from moveset.diffusion.schedule import Schedule, cosine, linear
 from moveset.errors import InputError
 from moveset.models.segment_transformer import UNKNOWN
-from moveset.motion.native import NativeCodec
+from moveset.motion.features import FeatureCodec
 from moveset.motion.stream_decoder import StreamDecoder
 from moveset.pipelines.request import MAX_GUIDANCE, MAX_PROMPTS, SEEDS, check_prompt, check_real, check_whole
 from moveset.pipelines.stream_bundle import FLOW, StreamConfig
@@ -69,7 +69,7 @@ class StreamSettings:
         """Whether every segment is told its finished predecessor as it is, at every step."""
         return self.one_by_one and self.past_lag is None
 
-    def decoder(self, config: StreamConfig, codec: NativeCodec) -> StreamDecoder:
+    def decoder(self, config: StreamConfig, codec: FeatureCodec) -> StreamDecoder:
         """What makes motion of segments."""
         return StreamDecoder(codec, self.blend_seconds, foot_lock=self.foot_lock, travelling=config.travelling)
 

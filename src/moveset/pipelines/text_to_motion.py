@@ -19,7 +19,6 @@ from moveset.errors import InputError
 from moveset.models.length import LengthPredictor
 from moveset.motion.cleanup import lock_feet
 from moveset.motion.clip import Motion
-from moveset.motion.contacts import PLANTED
 from moveset.motion.features import get_codec
 from moveset.motion.join import join
 from moveset.pcm.sampler import item_noise
@@ -270,4 +269,4 @@ class TextToMotion:
         x_BFD = torch.addcmul(n["feature_mean"], x_BFD, n["feature_std"]).cpu()
         codec = get_codec(self.bundle.config.codec)
         clips = [x[:length] for x, length in zip(x_BFD, frames, strict=True)]
-        return [(codec.decode(x), x[:, codec.groups["contacts"]] > PLANTED) for x in clips]
+        return [(codec.decode(x), codec.planted(x)) for x in clips]
