@@ -5,10 +5,12 @@ import numpy as np
 import pytest
 import torch
 
-from moveset.data import bandai_namco
+from moveset.data import bandai_namco, posture
+from moveset.data.resample import resampled
 from moveset.errors import FormatError, InputError
-from moveset.io.bvh import LocalFrames, local_frames, read_bvh
+from moveset.io.bvh import local_frames, read_bvh
 from moveset.motion import rotations
+from moveset.motion.clip import Motion
 from moveset.motion.skeleton import HML22
 
 
@@ -27,18 +29,22 @@ def takes(refs):
         "dataset-2_walk-turn-right_normal_002",
         "dataset-2_wave-left-hand_normal_001",
     ]
-    return {name: bandai_namco.read_take(refs[name]) for name in names}
+    return {name: read(refs[name]) for name in names}
 
 
-def test_what_a_take_says_about_itself(takes):
-    take = takes["dataset-2_walk-turn-left_normal_001"]
-    assert (take.content, take.style, take.source) == ("walk-turn-left", "normal", "bandai2")
-    assert takes["dataset-1_bow_active_001"].source == "bandai1"
+def read(ref) -> Motion:
+    (run,) = bandai_namco.read_take(ref).runs
+    return posture.on_floor(run.rotations, run.root, posture.floor_of(run.rotations, run.root))
+
+
+def test_what_a_take_says_about_itself(refs):
+    ref = refs["dataset-2_walk-turn-left_normal_001"]
+    assert (ref.content, ref.style, ref.source) == ("walk-turn-left", "normal", "bandai2")
+    assert refs["dataset-1_bow_active_001"].source == "bandai1"
 
 
 def test_every_take_is_canonical_and_stands_on_the_floor(takes):
-    for take in takes.values():
-        motion = take.motion
+    for motion in takes.values():
         assert motion.skeleton is HML22
         assert motion.fps == 20.0
         assert motion.root[0, [0, 2]].abs().max() < 1e-5
@@ -50,25 +56,25 @@ def test_every_take_is_canonical_and_stands_on_the_floor(takes):
         assert motion.joints[0, HML22.index("left_hip"), 0] > 0.03
         assert motion.joints[0, HML22.index("left_shoulder"), 0] > 0.1
     for name in ("dataset-2_walk_active_002", "dataset-2_wave-left-hand_normal_001"):
-        assert takes[name].motion.joints[0, HML22.index("left_wrist"), 0] > 0.1
-        assert 0.90 < takes[name].motion.root[:, 1].median() < 0.97
+        assert takes[name].joints[0, HML22.index("left_wrist"), 0] > 0.1
+        assert 0.90 < takes[name].root[:, 1].median() < 0.97
 
 
 def test_turns_go_the_way_their_label_says(takes):
     for side, sign in (("left_normal_001", 1), ("right_normal_002", -1)):
-        motion = takes[f"dataset-2_walk-turn-{side}"].motion
+        motion = takes[f"dataset-2_walk-turn-{side}"]
         heading = np.unwrap(rotations.heading_angle(motion.rotations[:, 0]).numpy())
         assert math.degrees(heading[-1] - heading[0]) * sign == pytest.approx(93.0, abs=15.0)
 
 
 def test_a_loop_whose_travel_sits_in_the_outermost_joint_goes_backwards(takes):
-    motion = takes["dataset-1_walk-back_normal_001"].motion
+    motion = takes["dataset-1_walk-back_normal_001"]
     assert -1.4 < motion.root[-1, 2] < -1.0
     assert motion.root[-1, 0].abs() < 0.2
 
 
 def test_the_left_wrist_is_the_one_that_waves(takes):
-    joints = takes["dataset-2_wave-left-hand_normal_001"].motion.joints
+    joints = takes["dataset-2_wave-left-hand_normal_001"].joints
     assert joints[:, HML22.index("left_wrist"), 1].max() > joints[:, HML22.index("left_shoulder"), 1].max()
     assert (joints[:, HML22.index("right_wrist"), 1] < joints[:, HML22.index("right_shoulder"), 1]).all()
 
@@ -88,7 +94,7 @@ def test_limbs_point_where_the_capture_has_them(refs, takes):
     for name in ("dataset-2_walk_active_002", "dataset-1_bow_active_001"):
         frames = local_frames(read_bvh(refs[name].path), root="Hips")
         theirs = frames.world()[1][::3]
-        ours = takes[name].motion.joints[::2].double()
+        ours = takes[name].joints[::2].double()
         count = min(len(ours), len(theirs))
 
         def bone(places, a, b, count=count):
@@ -110,7 +116,7 @@ def test_limbs_point_where_the_capture_has_them(refs, takes):
 
 
 def test_knees_and_elbows_are_hinges(takes):
-    motion = takes["dataset-2_walk_active_002"].motion
+    motion = takes["dataset-2_walk_active_002"]
     for side, out in (("left", 1.0), ("right", -1.0)):
         knee = motion.rotations[:, HML22.index(f"{side}_knee")]
         knee = knee * torch.where(knee[:, 3:] < 0, -1.0, 1.0)
@@ -133,12 +139,10 @@ def test_resampling_does_not_ripple():
 
     turned = rotations.about("x", swing(time))[:, None]
     root = torch.stack((swing(time), 0 * time, time), dim=-1)
-    frames = LocalFrames(("a",), (-1,), torch.zeros(1, 3).double(), turned, root, torch.zeros(1).double())
-    new = bandai_namco._resampled(frames, 30.0)
-    truth = torch.arange(len(new.root), dtype=torch.float64) / 20
-    assert len(new.root) == 40
-    assert (new.root[:, 0] - swing(truth)).abs()[2:-2].max() < 0.05
-    error = rotations.angle(rotations.mul(rotations.inv(rotations.about("x", swing(truth))), new.rotations[:, 0]))
+    truth = torch.arange(40, dtype=torch.float64) / 20
+    new, path = resampled(turned, root, time, truth)
+    assert (path[:, 0] - swing(truth)).abs()[2:-2].max() < 0.05
+    error = rotations.angle(rotations.mul(rotations.inv(rotations.about("x", swing(truth))), new[:, 0]))
     assert torch.rad2deg(error)[2:-2].max() < 0.05
     middle = rotations.slerp(turned[1:-1:3], turned[2::3], 0.5)[:, 0]
     slerp_error = rotations.angle(rotations.mul(rotations.inv(rotations.about("x", swing(truth[1::2]))), middle))

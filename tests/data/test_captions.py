@@ -14,7 +14,7 @@ from moveset.data.captions import (
     normal_form,
     train_captions,
 )
-from moveset.data.labels import canonical_style, cmu_content, mirror_label
+from moveset.data.labels import canonical_style, mirror_label
 from moveset.errors import InputError
 from moveset.text.english import inflect
 
@@ -158,9 +158,5 @@ def test_unknown_labels_are_refused():
 
 def test_labels():
     assert canonical_style("masculinity") == "masculine"
-    assert cmu_content("walk") == "walk"
-    assert cmu_content("playground - climb") is None
-    assert cmu_content("Unknown") is None
-    assert cmu_content("Unknown", ("A person is dancing.",)) == "dance"
     for content in CONTENTS:
         assert mirror_label(mirror_label(content)) == content

@@ -20,6 +20,7 @@ def build(
     raw: Path = Path("data/raw"),
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("data/corpus.safetensors"),
     workers: int | None = None,
+    sources: str = "cmu,cmu-more,more-mocap",
     compositions: int = 3000,
     continuations: int = 0,
     keep_work: tyro.conf.FlagCreatePairsOff[bool] = False,
@@ -28,16 +29,22 @@ def build(
     """Build a corpus from motion capture; an interrupted build continues where it stopped.
 
     Args:
-        raw: Folder with dataset-1, dataset-2 and cmu, or with bandai-namco.tar.xz and cmu.tar.xz.
+        raw: Folder with the archives of motion capture, or what they unpack to, and humanml3d-cmu.jsonl.
         output: The corpus to write; a report is written beside it.
         workers: Processes (default: one a core).
+        sources: Of cmu, cmu-more, more-mocap and bandai-namco, separated by commas. Without the last, which is for
+            non-commercial use only, the result is free for any use.
         compositions: Training clips to add that are composed of two takes each.
         continuations: Training clips to add in which one action goes on for longer than its takes last.
         keep_work: Keep the imported takes, for a faster next build.
         json: Print one JSON object on stdout and nothing else.
     """
     from moveset.data.build import build_corpus, summarize_rejections
+    from moveset.data.raw import SOURCES
 
+    wanted = tuple(name.strip() for name in sources.split(","))
+    if unknown := [name for name in wanted if name not in SOURCES]:
+        raise InputError(f"there is no source {unknown[0]!r}; use some of {', '.join(SOURCES)}")
     cores = os.cpu_count() or 1
     workers = cores if workers is None else workers
     if not 1 <= workers <= 4 * cores:
@@ -53,6 +60,7 @@ def build(
         raw,
         output,
         workers=workers,
+        sources=wanted,
         compositions=compositions,
         continuations=continuations,
         keep_work=keep_work,

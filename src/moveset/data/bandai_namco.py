@@ -3,14 +3,14 @@
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import torch
 from torch import Tensor
 
-from moveset.data.hml22_calibration import FPS, assemble, finish, turn
-from moveset.data.takes import ImportedTake, TakeRef, imported
+from moveset.data.hml22_calibration import FPS, assemble, turn
+from moveset.data.resample import resampled
+from moveset.data.takes import ImportedRun, ImportedTake, TakeRef
 from moveset.errors import FormatError, InputError
-from moveset.io.bvh import LocalFrames, local_frames, read_bvh
+from moveset.io.bvh import local_frames, read_bvh
 from moveset.motion import rotations
 from moveset.motion.skeleton import HML22
 
@@ -72,14 +72,14 @@ def list_takes(root: Path) -> list[TakeRef]:
         if len(parts) != 4:
             raise InputError(f"{path} is not named dataset-K_CONTENT_STYLE_NNN.bvh; restore its original name")
         source = "bandai" + parts[0][-1]
-        takes.append(TakeRef(path.stem, source, path, parts[1], parts[2], None, (), source))
+        takes.append(TakeRef(path.stem, source, path, source, path.stem, content=parts[1], style=parts[2]))
     if not takes:
         raise InputError(f"{root} holds no dataset-1/data/*.bvh or dataset-2/data/*.bvh; give the unpacked data set")
     return takes
 
 
 def read_take(ref: TakeRef) -> ImportedTake:
-    """A take on ``hml22`` at 20 fps.
+    """A take on ``hml22`` at 20 fps, not on the floor yet.
 
     Raises:
         InputError: the file cannot be read.
@@ -90,7 +90,12 @@ def read_take(ref: TakeRef) -> ImportedTake:
     if missing:
         raise FormatError(f"{ref.path} has no joint {missing[0]!r}; it is not a take of the Bandai-Namco data set")
     # The motion of the root sits in Hips, in a few loops also in joint_Root: both are composed.
-    frames = _resampled(local_frames(bvh, root="Hips"), bvh.fps)
+    frames = local_frames(bvh, root="Hips")
+    if len(frames.root) > 1 and bvh.fps != FPS:
+        times = torch.arange(len(frames.root), dtype=torch.float64) / bvh.fps
+        at = torch.arange(int(times[-1] * FPS + 1e-6) + 1) / FPS
+        turned, root = resampled(frames.rotations, frames.root, times, at.double())
+        frames = replace(frames, rotations=turned, root=root)
     turned, placed = frames.world()
     where = {name: j for j, name in enumerate(frames.joints)}
     ours = {
@@ -100,22 +105,4 @@ def read_take(ref: TakeRef) -> ImportedTake:
     bones = ("LowerLeg_L", "Foot_L", "LowerLeg_R", "Foot_R")
     leg = sum(float(frames.offsets[where[bone]].norm()) for bone in bones) / 2 * _METRES
     local, root = assemble(ours, hips, leg)
-    return imported(ref, finish(local, root), (0, len(root)))
-
-
-def _resampled(frames: LocalFrames, fps: float) -> LocalFrames:
-    """At 20 fps by cubic splines.
-
-    Every other new frame falls halfway between two old ones, where linear interpolation would ripple: it halves the
-    accelerations there.
-    """
-    from scipy.interpolate import CubicSpline
-
-    count, joints = frames.rotations.shape[:2]
-    if count < 2 or fps == FPS:
-        return frames
-    channels = np.concatenate((frames.rotations.numpy().reshape(count, -1), frames.root.numpy()), axis=1)
-    times = np.arange(int((count - 1) / fps * FPS + 1e-6) + 1) / FPS
-    values = torch.from_numpy(CubicSpline(np.arange(count) / fps, channels)(times))
-    turned = rotations.normalize(values[:, :-3].reshape(-1, joints, 4))
-    return replace(frames, rotations=turned, root=values[:, -3:])
+    return ImportedTake((ImportedRun(0, local, root),))

@@ -1,29 +1,47 @@
-"""Build a corpus from raw motion capture: import, cut, label, compose, write, and report what was left out and why."""
+"""Build a corpus from raw motion capture: import, level, cut, tell, compose, write, and say what was left out.
+
+Clips are the spans of takes that sentences tell of, and what is left between these, which nobody tells about.
+"""
 
 import json
 import re
 import shutil
 import sys
 from collections import Counter
-from collections.abc import Iterable, Iterator
-from dataclasses import asdict, dataclass, field
-from itertools import pairwise
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from itertools import groupby, pairwise
 from pathlib import Path
 
+from torch import Tensor
+
+from moveset.data import posture
 from moveset.data.augment import MAX_FRAMES
 from moveset.data.captions import train_captions
 from moveset.data.compose import add_compositions, add_continuations
-from moveset.data.corpus import CorpusWriter, TakeEntry
+from moveset.data.corpus import CorpusWriter
+from moveset.data.descriptions import described, said_otherwise
 from moveset.data.importing import import_all, read_cached
-from moveset.data.labels import canonical_style, cmu_content
-from moveset.data.raw import find_takes, unpacked
-from moveset.data.splits import split_of
+from moveset.data.labels import canonical_style
+from moveset.data.raw import FREE, find_spans, find_takes, unpacked
+from moveset.data.records import ClipRecord
+from moveset.data.spans import Span
+from moveset.data.splits import Split, free_parts, overlap, split_of
 from moveset.data.takes import TakeRef
+from moveset.data.typos import mend, word_list
+from moveset.data.verbs import common_verbs
 from moveset.errors import MovesetError
 from moveset.io.limits import atomic_write
 from moveset.motion.clip import Motion
 
-MIN_FRAMES = 24
+FPS = 20.0
+#: Frames of the shortest clip that sentences tell of, and of one that nothing is told about.
+MIN_FRAMES, MIN_UNTOLD = 24, 40
+#: The share of a span that a clean run has to hold for the span's sentences to be true of it.
+_WHOLE = 0.8
+#: Sets whose takes are long and alike count as so many clips, whatever they are cut into.
+_MOST = 24.0
+_ALIKE = ("vsports", "tennis", "react-idle")
 
 
 @dataclass(frozen=True)
@@ -33,11 +51,13 @@ class BuildReport:
     Args:
         corpus: path of the corpus.
         takes: takes found.
-        clips: clips stored (takes longer than 196 frames are cut).
+        clips: clips stored (what is longer than 196 frames is cut).
         compositions: composed clips added.
-        seconds: duration of the clips, compositions not counted.
+        seconds: duration of the runs, compositions not counted.
         rejected: take name -> why it is not in the corpus.
-        trimmed: take name -> [first, last) frames that were kept, for takes whose beginning was cut off.
+        trimmed: take name -> what of it was cut out.
+        spans: name of a span with sentences -> why it is no clip.
+        mended: sentence as typed -> how the corpus has it.
     """
 
     corpus: str
@@ -46,7 +66,9 @@ class BuildReport:
     compositions: int
     seconds: float
     rejected: dict[str, str] = field(default_factory=dict)
-    trimmed: dict[str, tuple[int, int]] = field(default_factory=dict)
+    trimmed: dict[str, str] = field(default_factory=dict)
+    spans: dict[str, str] = field(default_factory=dict)
+    mended: dict[str, str] = field(default_factory=dict)
 
 
 def cut(frames: int, longest: int = MAX_FRAMES) -> list[tuple[int, int]]:
@@ -70,34 +92,95 @@ def clean_sentences(sentences: Iterable[str]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(s for s in tidy if s and not re.search(r"https?:|www\.|[<>]", s)))
 
 
-def _labels(ref: TakeRef) -> tuple[str | None, str | None, tuple[str, ...]]:
-    """Content, style and the take's own sentences."""
+#: First frame in the capture, and the motion from there on.
+_Run = tuple[int, Motion]
+
+
+@dataclass(frozen=True)
+class _Piece:
+    """Frames [start, stop) of a capture that become a clip."""
+
+    name: str
+    start: int
+    stop: int
+    split: Split
+    sentences: tuple[str, ...]
+
+
+class _Spans:
+    """Which frames of which take are told about, and which are on a held-out side."""
+
+    def __init__(self, refs: Sequence[TakeRef], spans: dict[str, list[Span]]) -> None:
+        self.spans = spans
+        self.failed: dict[str, str] = {}
+        self._held_out: dict[str, list[tuple[int, int, Split]]] = {}
+        for ref in refs:
+            for span in spans.get(ref.name, ()):
+                if span.split in ("val", "test"):
+                    self._held_out.setdefault(ref.group, []).append((*_frames(span), span.split))
+
+    def told(self, ref: TakeRef) -> list[tuple[int, int, Split, Span]]:
+        """Spans of a take that may become clips."""
+        found = []
+        for span in self.spans.get(ref.name, ()):
+            start, stop = _frames(span)
+            if span.split is None:
+                continue
+            others = [side for a, b, side in self._held_out.get(ref.group, ()) if overlap((a, b), (start, stop))]
+            if ("test" in others and span.split != "test") or ("val" in others and span.split == "train"):
+                self.failed[span.name] = "its seconds are held out"
+                continue
+            found.append((start, stop, span.split, span))
+        return found
+
+    def held_out(self, ref: TakeRef) -> list[tuple[int, int]]:
+        """Frames of a take that belong to validation or testing."""
+        return [(start, stop) for start, stop, _ in self._held_out.get(ref.group, ())]
+
+
+def _frames(span: Span) -> tuple[int, int]:
+    return round(span.start * FPS), round(span.end * FPS)
+
+
+def _pieces(ref: TakeRef, runs: Sequence[_Run], spans: _Spans) -> Iterator[tuple[int, _Piece]]:
+    """The clips of a take, each with the number of its run."""
+    whole = _said_of_all(ref) if ref.name not in spans.spans else ()
+    default: Split = "train" if spans.spans else split_of(ref.name if ref.source.startswith("bandai") else ref.group)
+    told = spans.told(ref)
+    done = set()
+    for number, (first, motion) in enumerate(runs):
+        last = first + len(motion)
+        taken = spans.held_out(ref)
+        for start, stop, split, span in told:
+            a, b = max(start, first), min(stop, last)
+            if b - a >= max(MIN_FRAMES, _WHOLE * (stop - start)):
+                b = min(b, a + MAX_FRAMES)
+                done.add(span.name)
+                taken.append((a, b))
+                yield number, _Piece(f"{ref.name}@{span.name}", a, b, split, clean_sentences(span.sentences))
+        least = MIN_FRAMES if whole else MIN_UNTOLD
+        for a, b in free_parts(first, last, taken):
+            if b - a < least:
+                continue
+            parts = cut(b - a)
+            # What is told in order is not told of each piece.
+            sentences = whole if len(parts) == 1 or not _in_order(whole) else ()
+            for start, stop in parts:
+                yield number, _Piece(f"{ref.name}#{a + start}", a + start, a + stop, default, sentences)
+    for _, _, _, span in told:
+        if span.name not in done:
+            spans.failed[span.name] = "too few of its frames are clean"
+
+
+def _said_of_all(ref: TakeRef) -> tuple[str, ...]:
+    """Sentences for all of a take, from what its set says about it."""
     if ref.source.startswith("bandai"):
-        return ref.content, canonical_style(ref.style) if ref.style else None, ()
-    sentences = clean_sentences(ref.sentences)
-    return cmu_content(ref.description or "", sentences), None, sentences
+        return train_captions(ref.content, canonical_style(ref.style) if ref.style else None)
+    return said_otherwise(ref.sentence) if ref.sentence else described(ref.description or "")
 
 
-def _entries(ref: TakeRef, motion: Motion) -> Iterator[TakeEntry]:
-    content, style, sentences = _labels(ref)
-    if content is None:
-        return
-    spans = cut(len(motion))
-    for number, (start, stop) in enumerate(spans):
-        # A long sentence tells a course of events, which a piece of the take does not show.
-        own = tuple(s for s in sentences if len(spans) == 1 or len(s.split()) <= 14)
-        yield TakeEntry(
-            name=ref.name if len(spans) == 1 else f"{ref.name}#{number}",
-            take=ref.name,
-            source=ref.source,
-            content=content,
-            style=style,
-            captions=tuple(dict.fromkeys(own + train_captions(content, style))),
-            split=split_of(ref.name),
-            subject=ref.subject,
-            motion=motion[start:stop].canonical(),
-            first_frame=start,
-        )
+def _in_order(sentences: Sequence[str]) -> bool:
+    return any(re.search(r"\bthen\b|\bafter|\bbefore\b|, \w+s\b", sentence) for sentence in sentences)
 
 
 def build_corpus(
@@ -105,59 +188,56 @@ def build_corpus(
     output: Path,
     *,
     workers: int,
+    sources: Sequence[str] = FREE,
     compositions: int = 3000,
     continuations: int = 0,
     keep_work: bool = False,
 ) -> BuildReport:
-    """Import every take, cut, label, compose, and write the corpus with its report beside it.
+    """Import every take, make it upright, cut, tell, compose, and write the corpus with its report beside it.
 
     Takes already imported by an interrupted build are not imported again: each has its own file in a work folder beside
     the output, which is removed when the corpus is written.
 
     Args:
-        raw: folder with ``dataset-1``, ``dataset-2`` and ``cmu``, or with their archives.
+        raw: folder with the sources' folders, or with their archives.
         output: the corpus file; the report is written to ``<output>.report.json``.
         workers: processes.
+        sources: of ``raw.SOURCES``; those that ``raw`` does not hold are left out.
         compositions: composed training clips to add.
         continuations: training clips to add in which one action goes on for longer than its takes last.
         keep_work: keep the imported takes for the next build.
 
     Raises:
         InputError: no raw data, or the output cannot be written.
-        FormatError: an archive is damaged.
+        FormatError: an archive or a list is damaged.
     """
     output.parent.mkdir(parents=True, exist_ok=True)
-    raw = unpacked(raw, output.parent / "raw")
-    refs = find_takes(raw)
+    raw = unpacked(raw, output.parent / "raw", sources)
+    refs, found = find_takes(raw, sources), find_spans(raw)
     work = output.parent / f"{output.name}.work"
     work.mkdir(exist_ok=True)
     rejected = {ref.name: f"its file {ref.path.name} is missing" for ref in refs if not ref.path.is_file()}
     present = [ref for ref in refs if ref.path.is_file()]
     import_all(present, work, workers)
-    writer = CorpusWriter()
-    trimmed: dict[str, tuple[int, int]] = {}
-    for ref in present:
-        take = read_cached(ref, work)
-        if take is None:
-            raise MovesetError(f"the imported take {ref.name!r} vanished from {work}; run the build again")
-        entries = list(_entries(ref, take.motion)) if take.motion is not None else []
-        if take.motion is None:
-            rejected[ref.name] = take.reason
-        elif len(take.motion) < MIN_FRAMES:
-            rejected[ref.name] = f"only {len(take.motion)} frames, fewer than {MIN_FRAMES}"
-        elif not entries:
-            rejected[ref.name] = f"nothing to say about it: described only as {ref.description!r}"
-        else:
-            for entry in entries:
-                writer.add_take(entry)
-            if take.span[0] > 0:
-                trimmed[ref.name] = take.span
+    writer, spans = CorpusWriter(), _Spans(present, found)
+    words = word_list(sentence for told in found.values() for span in told for sentence in span.sentences)
+    trimmed: dict[str, str] = {}
+    mended: dict[str, str] = {}
+    for _, performed in groupby(present, key=lambda ref: (ref.source.split("-")[0], ref.subject)):
+        for ref, runs in _upright(list(performed), work, rejected, trimmed):
+            pieces = list(_pieces(ref, runs, spans))
+            if not pieces:
+                frames = sum(len(motion) for _, motion in runs)
+                rejected[ref.name] = f"its {frames} clean frames are too short a run, or held out"
+            _add(writer, ref, runs, pieces, words, mended)
     clips = len(writer.records)
-    seconds = sum(len(m) / m.fps for m in writer.motions)
     composed = add_compositions(writer, train=compositions, progress=sys.stderr.isatty())
     composed += add_continuations(writer, train=continuations)
+    writer.records[:] = _weighed(writer.records)
     writer.write(output)
-    report = BuildReport(str(output), len(refs), clips, composed, round(seconds, 1), rejected, trimmed)
+    report = BuildReport(
+        str(output), len(refs), clips, composed, round(writer.frames / FPS, 1), rejected, trimmed, spans.failed, mended
+    )
     with atomic_write(output.parent / f"{output.name}.report.json") as file:
         file.write(json.dumps({**asdict(report), "corpus": output.name}, indent=1).encode())
     if not keep_work:
@@ -165,7 +245,83 @@ def build_corpus(
     return report
 
 
+def _upright(
+    refs: Sequence[TakeRef], work: Path, rejected: dict[str, str], trimmed: dict[str, str]
+) -> Iterator[tuple[TakeRef, list[_Run]]]:
+    """The takes of one performer, upright and with the floor at height 0."""
+    found: list[tuple[TakeRef, list[tuple[int, Tensor, Tensor]]]] = []
+    for ref in refs:
+        take = read_cached(ref, work)
+        if take is None:
+            raise MovesetError(f"the imported take {ref.name!r} vanished from {work}; run the build again")
+        if not take.runs:
+            rejected[ref.name] = take.reason
+            continue
+        if take.reason:
+            trimmed[ref.name] = take.reason
+        found.append((ref, [(run.first_frame, run.rotations, run.root) for run in take.runs]))
+    if found and found[0][0].levelled:
+        leaning = posture.leanings([(local, root) for _, runs in found for _, local, root in runs])
+        if leaning is not None:
+            found = [
+                (ref, [(first, *posture.upright(local, root, leaning)) for first, local, root in runs])
+                for ref, runs in found
+            ]
+    own = [min(posture.floor_of(local, root) for _, local, root in runs) for _, runs in found]
+    for (ref, runs), floor in zip(found, posture.floors(own, [ref.subject for ref, _ in found]), strict=True):
+        yield ref, [(first, posture.on_floor(local, root, floor)) for first, local, root in runs]
+
+
+def _add(
+    writer: CorpusWriter,
+    ref: TakeRef,
+    runs: Sequence[_Run],
+    pieces: Sequence[tuple[int, _Piece]],
+    words: Counter[str],
+    mended: dict[str, str],
+) -> None:
+    """Store a take's runs, as far as clips are in them, and its clips."""
+    stored: dict[int, int] = {}
+    for number, piece in pieces:
+        if number not in stored:
+            first, motion = runs[number]
+            stored[number] = writer.add_run(ref.name, motion, first)
+        sentences = piece.sentences
+        if piece.split == "train":
+            sentences = tuple(dict.fromkeys(mend(sentence, words) for sentence in piece.sentences))
+            mended |= {a: b for a in piece.sentences if (b := mend(a, words)) != a}
+        content = (ref.content,) if ref.content else common_verbs(sentences) or ("move",)
+        record = ClipRecord(
+            name=piece.name,
+            take=ref.name,
+            source=ref.source,
+            subject=ref.subject,
+            group=ref.group,
+            kind="take",
+            contents=content if sentences else (),
+            style=canonical_style(ref.style) if ref.style else None,
+            split=piece.split,
+            fps=FPS,
+            frames=piece.stop - piece.start,
+            captions=(),
+            first_frame=piece.start,
+            run=stored[number],
+        )
+        writer.add_clip(record, sentences)
+
+
+def _weighed(records: Sequence[ClipRecord]) -> list[ClipRecord]:
+    """The records with less weight where a set's takes are long and alike."""
+    counts = Counter(record.source for record in records)
+    return [
+        replace(record, weight=min(1.0, _MOST / counts[record.source])) if record.source in _ALIKE else record
+        for record in records
+    ]
+
+
 def summarize_rejections(report: BuildReport) -> str:
-    """Counts of rejected takes by reason, one line each."""
+    """Counts of rejected takes and spans by reason, one line each."""
     reasons = Counter(re.sub(r"\d+", "N", reason.split(": ")[-1]) for reason in report.rejected.values())
-    return "\n".join(f"{count:5d}  {reason}" for reason, count in reasons.most_common())
+    lines = [f"{count:5d}  {reason}" for reason, count in reasons.most_common()]
+    lines += [f"{count:5d}  spans: {reason}" for reason, count in Counter(report.spans.values()).most_common()]
+    return "\n".join(lines)

@@ -1,14 +1,21 @@
-"""CMU Graphics Lab Motion Capture Database: ASF/AMC takes, and BVH conversions where there is no AMC."""
+"""CMU Graphics Lab Motion Capture Database: ASF/AMC takes, and BVH conversions where there is no AMC.
+
+A conversion has a T-pose in front and begins one frame of the capture late; some keep every fifth frame of it only,
+with two decimals, and turn single joints by half a turn for some frames.
+"""
 
 import json
-from dataclasses import replace
+import math
+import re
 from pathlib import Path
 
+import torch
 from torch import Tensor
 
 from moveset.data import glitches
-from moveset.data.hml22_calibration import FPS, assemble, chain, finish, turn
-from moveset.data.takes import ImportedTake, RejectedTake, TakeRef, imported
+from moveset.data.hml22_calibration import FPS, assemble, chain, turn
+from moveset.data.resample import resampled
+from moveset.data.takes import ImportedRun, ImportedTake, RejectedTake, TakeRef
 from moveset.errors import FormatError, InputError
 from moveset.io.asf_amc import read_amc, read_asf
 from moveset.io.bvh import local_frames, read_bvh
@@ -18,22 +25,14 @@ from moveset.motion.skeleton import HML22
 
 _SIDES = (("left", "l", 1.0), ("right", "r", -1.0))
 _BVH_METRES = 0.01
-# The conversions start in a T-pose; the blend out of it, and the ringing after, last until frame 7.
+# At full rate the blend out of the T-pose, and the ringing after, last until frame 7.
 _BVH_LEADING = 8
-# Marker placement of each subject, degrees of forward pitch to take away.
-_PELVIS_PITCH = {"39": 15.0, "05": 8.0, "49": 8.0, "07": 5.0, "60": 5.0, "61": 5.0, "08": 4.0, "03": 4.0, "35": -4.0}
-_HEAD_PITCH = {
-    "03": 30.0, "05": 35.0, "10": 25.0, "09": 21.0, "60": 16.0, "61": 16.0, "38": 15.0, "16": 12.0, "32": 14.0,
-    "49": 13.0, "13": 11.0, "14": 11.0, "35": 9.0, "01": 8.0, "07": 8.0, "12": 8.0, "135": 7.0,
-}  # fmt: skip
-_HEAD_PITCH_DEFAULT = 6.0
-# Pitch of ankle to toe of a subject standing flat, and in the zero pose of every ASF, degrees.
-_STANCE_PITCH = {"55": -7.3, "10": -20.9}
-_STANCE_PITCH_DEFAULT = -18.0
+# Pitch of ankle to toe of somebody standing flat, and in the zero pose of every ASF, degrees.
+_STANCE_PITCH = -18.0
 _ZERO_POSE_PITCH = -11.2
 _DUPLICATES = {"14_36": "it is the same motion as 14_31"}
-# Words of descriptions that name something the body stands on, hangs from or sits on, which the data do not hold.
-_APPARATUS = ("climb", "ladder", "stool", "uneven", "steps")
+#: 60_NN and 61_NN are the two partners of one dance.
+_SALSA = re.compile(r"6[01]_(\d\d)")
 
 
 def list_takes(root: Path) -> list[TakeRef]:
@@ -52,94 +51,102 @@ def list_takes(root: Path) -> list[TakeRef]:
         try:
             trial = json.loads(line)
             name, files, description = str(trial["trial"]), list(trial["files"]), str(trial["description"])
-            fps, sentences = int(trial["fps"]), tuple(str(text) for text in trial["kit_captions"])
-            file = next((str(file) for file in files if str(file).endswith(".amc")), str(files[0]))
-        except (ValueError, KeyError, TypeError, IndexError) as error:
+            fps, file = float(trial["fps"]), next((f for f in files if f.endswith(".amc")), files[0])
+            capture_hz, drop = float(trial.get("capture_hz", fps)), int(trial.get("drop_first", _BVH_LEADING))
+            group = str(trial.get("group", _SALSA.sub(r"60-61_\1", name)))
+        except (ValueError, KeyError, TypeError, IndexError, AttributeError) as error:
             raise FormatError(f"{listing}, line {number}: not a trial ({error}); restore the original file") from error
         amc = file.endswith(".amc")
         subject = name.split("_")[0]
         takes.append(
             TakeRef(
                 name=name,
-                source="cmu-amc" if amc else "cmu-bvh",
+                source="cmu-amc" if amc else "cmu-bvh" if fps == capture_hz else "cmu-more",
                 path=Path(root) / file,
-                content=description.split(" - ")[0],
-                style=None,
+                subject=subject,
+                group=group,
                 description=description,
-                sentences=sentences,
-                # The partners of the salsa dances move as one, so nothing may separate them.
-                subject="60-61" if subject in ("60", "61") else subject,
                 fps=fps,
+                capture_hz=capture_hz,
+                drop=0 if amc else drop,
                 skeleton=(Path(root) / file).with_name(f"{subject}.asf") if amc else None,
-                leave_out=_leave_out(name, description),
+                leave_out=_DUPLICATES.get(name, ""),
+                levelled=True,
             )
         )
     return takes
 
 
-def _leave_out(name: str, description: str) -> str:
-    if name in _DUPLICATES:
-        return _DUPLICATES[name]
-    words = [word for word in _APPARATUS if word in description]
-    return f"it needs support that the data do not hold ({words[0]})" if words else ""
-
-
 def read_take(ref: TakeRef) -> ImportedTake:
-    """The longest clean run of a trial on ``hml22`` at 20 fps.
+    """The clean runs of a trial on ``hml22`` at 20 fps, neither levelled nor on the floor yet.
 
     Raises:
-        RejectedTake: the trial should not be trained on, is broken, or has no clean run of 40 frames.
+        RejectedTake: the trial should not be trained on, or has no clean run of 24 frames.
         InputError: a file cannot be read.
         FormatError: a file is damaged.
     """
     if ref.leave_out:
         raise RejectedTake(f"{ref.name}: {ref.leave_out}")
-    local, root = read_whole(ref)
-    start, stop = clean_run(ref, local, root)
-    local = glitches.calm_wrists(local[start:stop])
-    return imported(ref, finish(local, root[start:stop]), (start, stop))
+    runs, total, longest = [], 0, 0
+    for first, local, root in read_whole(ref):
+        local = glitches.faced_elbows(local)
+        turned, joints = fk(local, root, HML22)
+        bad = glitches.glitch_mask(local, root, joints, FPS)
+        bad |= glitches.turned_head(turned) | glitches.impossible_foot(local)
+        total += len(root)
+        for start, stop in glitches.runs(~bad):
+            longest = max(longest, stop - start)
+            if stop - start >= glitches.MIN_FRAMES:
+                calm = glitches.calm_wrists(local[start:stop])
+                runs.append(ImportedRun(first + start, calm, root[start:stop]))
+    if not runs:
+        raise RejectedTake(f"{ref.name}: its longest run without glitches has {longest} of {total} frames")
+    kept = sum(map(len, runs))
+    return ImportedTake(tuple(runs), "" if kept == total else f"{total - kept} of {total} frames have glitches")
 
 
-def read_whole(ref: TakeRef, *, start: int | None = None) -> tuple[Tensor, Tensor]:
-    """A whole trial: local rotations (F, 22, 4) and root (F, 3) in the capture's own place, 20 fps, nothing cut.
+def read_whole(ref: TakeRef) -> list[tuple[int, Tensor, Tensor]]:
+    """A whole trial at 20 fps in the capture's own place, split where the whole body jumps, flips mended.
 
-    ``start`` is the first frame of the file to take; without it the conversions' T-pose is skipped.
+    Returns:
+        For each piece its first frame, counted from the beginning of the capture, local rotations (F, 22, 4) and root
+        (F, 3).
     """
-    stride, rest = divmod(ref.fps, int(FPS))
-    if rest or stride < 1:
-        raise InputError(f"{ref.name} has {ref.fps} frames per second, not a multiple of {FPS:g}; correct trials.jsonl")
-    subject = ref.name.split("_")[0]
-    if ref.skeleton is None:
-        return _from_bvh(ref, subject, slice(_BVH_LEADING if start is None else start, None, stride))
-    return _from_amc(ref, ref.skeleton, subject, slice(start or 0, None, stride))
+    local, root = _from_bvh(ref) if ref.skeleton is None else _from_amc(ref, ref.skeleton)
+    if len(root) < ref.drop + 4:
+        raise RejectedTake(f"{ref.name}: only {len(root)} frames")
+    # Frame k of a conversion is k - 1 of the capture, at the capture's rate.
+    late = 0.0 if ref.skeleton is not None else 1.0 / ref.capture_hz
+    times = torch.arange(len(root), dtype=torch.float64) / ref.fps - late
+    stride = ref.fps / FPS
+    pieces = []
+    if stride == int(stride):
+        first = math.ceil(float(times[ref.drop]) * FPS - 1e-6)
+        taken = slice(round((first / FPS + late) * ref.fps), None, int(stride))
+        local, root = local[taken], root[taken]
+        for start, stop in glitches.whole_body_jumps(root, FPS):
+            piece = rotations.unroll(local[start:stop])
+            pieces.append((first + start, glitches.mended(piece, FPS), root[start:stop]))
+        return pieces
+    local, root, times = local[ref.drop :], root[ref.drop :], times[ref.drop :]
+    for start, stop in glitches.whole_body_jumps(root, ref.fps):
+        if stop - start < 4:
+            continue
+        piece, place, time = glitches.mended(local[start:stop], ref.fps), root[start:stop], times[start:stop]
+        frames = torch.arange(math.ceil(float(time[0]) * FPS - 1e-6), math.floor(float(time[-1]) * FPS + 1e-6) + 1)
+        if len(frames):
+            pieces.append((int(frames[0]), *resampled(piece, place, time, frames / FPS)))
+    return pieces
 
 
-def clean_run(ref: TakeRef, local: Tensor, root: Tensor) -> tuple[int, int]:
-    """First and one-past-last frame of the longest run without glitches.
-
-    Raises:
-        RejectedTake: there is none of 40 frames, an elbow bends backwards, or the head is turned round.
-    """
-    turned, joints = fk(local, root, HML22)
-    bad = glitches.glitch_mask(local, root, joints, FPS)
-    bad |= glitches.turned_head(turned) | glitches.impossible_posture(local)
-    start, stop = glitches.longest_clean_run(bad)
-    if stop - start < min(glitches.MIN_FRAMES, len(root)):
-        raise RejectedTake(f"{ref.name}: its longest run without glitches has {stop - start} of {len(root)} frames")
-    share = glitches.backward_elbow(local[start:stop])
-    if share > 0.1:
-        raise RejectedTake(f"{ref.name}: an elbow bends backwards in {share:.0%} of the frames")
-    return start, stop
-
-
-def _from_amc(ref: TakeRef, skeleton: Path, subject: str, frames: slice) -> tuple[Tensor, Tensor]:
+def _from_amc(ref: TakeRef, skeleton: Path) -> tuple[Tensor, Tensor]:
     asf = read_asf(skeleton)
-    take = read_amc(ref.path, asf)[frames]
+    take = read_amc(ref.path, asf)
     turned, ends = take.world
     where = {bone: j for j, bone in enumerate(asf.bones)}
     source = {"pelvis": "root", "spine2": "upperback", "spine3": "thorax", "head": "head"}
     constant: dict[str, Tensor] = {}
-    flat = turn("x", _STANCE_PITCH.get(subject, _STANCE_PITCH_DEFAULT) - _ZERO_POSE_PITCH)
+    flat = turn("x", _STANCE_PITCH - _ZERO_POSE_PITCH)
     for side, s, _ in _SIDES:
         source |= {
             f"{side}_collar": s + "clavicle", f"{side}_shoulder": s + "humerus", f"{side}_elbow": s + "wrist",
@@ -153,12 +160,11 @@ def _from_amc(ref: TakeRef, skeleton: Path, subject: str, frames: slice) -> tupl
     ours = {joint: turned[:, where[bone]] for joint, bone in source.items()}
     hips = ends[:, [where["lhipjoint"], where["rhipjoint"]]].mean(dim=1)
     leg = sum(asf.length(bone) for bone in ("lfemur", "ltibia", "rfemur", "rtibia")) / 2
-    return assemble(_calibrated(ours, constant, subject), hips, leg)
+    return assemble(_calibrated(ours, constant), hips, leg)
 
 
-def _from_bvh(ref: TakeRef, subject: str, taken: slice) -> tuple[Tensor, Tensor]:
+def _from_bvh(ref: TakeRef) -> tuple[Tensor, Tensor]:
     frames = local_frames(read_bvh(ref.path), root="hip")
-    frames = replace(frames, rotations=frames.rotations[taken], root=frames.root[taken])
     turned, placed = frames.world()
     where = {name: j for j, name in enumerate(frames.joints)}
     source = {"pelvis": "hip", "spine2": "abdomen", "spine3": "chest", "head": "head"}
@@ -177,11 +183,8 @@ def _from_bvh(ref: TakeRef, subject: str, taken: slice) -> tuple[Tensor, Tensor]
     hips = placed[:, [where["lThigh"], where["rThigh"]]].mean(dim=1) * _BVH_METRES
     bones = ("lShin", "lFoot", "rShin", "rFoot")
     leg = sum(float(frames.offsets[where[bone]].norm()) for bone in bones) / 2 * _BVH_METRES
-    return assemble(_calibrated(ours, constant, subject), hips, leg)
+    return assemble(_calibrated(ours, constant), hips, leg)
 
 
-def _calibrated(ours: dict[str, Tensor], constant: dict[str, Tensor], subject: str) -> dict[str, Tensor]:
-    out = {joint: rotations.mul(q, constant[joint]) if joint in constant else q for joint, q in ours.items()}
-    out["pelvis"] = rotations.mul(out["pelvis"], turn("x", -_PELVIS_PITCH.get(subject, 0.0)))
-    out["head"] = rotations.mul(out["head"], turn("x", -_HEAD_PITCH.get(subject, _HEAD_PITCH_DEFAULT)))
-    return out
+def _calibrated(ours: dict[str, Tensor], constant: dict[str, Tensor]) -> dict[str, Tensor]:
+    return {joint: rotations.mul(q, constant[joint]) if joint in constant else q for joint, q in ours.items()}

@@ -46,6 +46,7 @@ _LEGS = ("walk", "walk", "walk", "run", "run", "walk-turn-left", "walk-turn-righ
 _OFTEN = {"walk": 4, "run": 3, "walk-turn-left": 2, "walk-turn-right": 2} | {
     c: 3 for c in ON_THE_SPOT if c.startswith(("wave", "raise"))
 }
+_KNOWN = {(content,) for content in (*TRAVELLING, *ON_THE_SPOT, *_ARMS, *_LEGS)}
 _SPLITS: tuple[Split, ...] = ("train", "val", "test")
 _BLEND = 12
 _SHORTEST = 24
@@ -77,7 +78,7 @@ class _Pool:
         self.by_content: dict[str, list[_Clip]] = defaultdict(list)
         self._poses: dict[tuple[int, bool], Tensor] = {}
         for number, (record, motion) in enumerate(zip(records, motions, strict=False)):
-            if record.split != split or record.frames < _SHORTEST:
+            if record.split != split or record.frames < _SHORTEST or record.contents[:1] not in _KNOWN:
                 continue
             for mirrored in (False, True):
                 content = mirror_label(record.contents[0]) if mirrored else record.contents[0]

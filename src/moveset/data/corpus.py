@@ -342,6 +342,11 @@ class CorpusWriter:
         )
         return self.add_clip(record, entry.captions)
 
+    @property
+    def frames(self) -> int:
+        """Frames of all runs."""
+        return sum(run.frames for run in self._runs)
+
     def motion(self, record: ClipRecord) -> Motion:
         """The motion of a stored clip that is no composition."""
         assert record.run is not None

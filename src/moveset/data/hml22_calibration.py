@@ -11,13 +11,12 @@ import torch
 from torch import Tensor
 
 from moveset.motion import rotations
-from moveset.motion.clip import Motion
 from moveset.motion.kinematics import global_to_local
 from moveset.motion.skeleton import HML22
 
 FPS = 20.0
-_FEET = list(HML22.feet)
-_HIPS = HML22.offsets[1:3].double().mean(dim=0)
+#: (3,) middle of the hips in the pelvis.
+HIPS = HML22.offsets[1:3].double().mean(dim=0)
 _LEG = float(HML22.offsets[[4, 7]].double().norm(dim=-1).sum())
 
 
@@ -53,14 +52,5 @@ def assemble(turned: Mapping[str, Tensor], hip_centre: Tensor, leg: float) -> tu
     if "neck" not in turned:
         turned["neck"] = rotations.slerp(turned["spine3"], turned["head"], 0.5)
     local = global_to_local(torch.stack([turned[joint] for joint in HML22.joints], dim=1), HML22)
-    root = hip_centre * (_LEG / leg) - rotations.rotate(turned["pelvis"], _HIPS)
+    root = hip_centre * (_LEG / leg) - rotations.rotate(turned["pelvis"], HIPS)
     return rotations.unroll(local), root
-
-
-def finish(local: Tensor, root: Tensor) -> Motion:
-    """A canonical clip: frame 0 above the origin facing +Z; the floor, the 1st percentile over time of the lowest of
-    ankles and toes, at height 0."""
-    motion = Motion(rotations.normalize(local).float(), root.float(), FPS, HML22).canonical()
-    lowest = motion.joints[:, _FEET, 1].amin(dim=1)
-    floor = torch.quantile(lowest, 0.01)
-    return Motion(motion.rotations, motion.root - floor * motion.root.new_tensor((0.0, 1.0, 0.0)), FPS, HML22)

@@ -1,40 +1,24 @@
 """Import takes in parallel into a folder of small files, so that an interrupted build goes on where it stopped."""
 
 import json
+import re
 import sys
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
-from dataclasses import dataclass
 from multiprocessing import get_context
 from pathlib import Path
 
 import torch
 
-from moveset.data import bandai_namco, cmu
-from moveset.data.takes import RejectedTake, TakeRef
+from moveset.data import bandai_namco, cmu, more_mocap
+from moveset.data.takes import ImportedRun, ImportedTake, RejectedTake, TakeRef
 from moveset.errors import FormatError, MovesetError
 from moveset.io.limits import atomic_write
 from moveset.io.process import end_with_parent
-from moveset.motion.clip import Motion
 
 #: Part of every imported take's stamp: raise it when an importer changes.
-_IMPORT_VERSION = 2
-
-
-@dataclass(frozen=True, eq=False)
-class Imported:
-    """What came of importing a take.
-
-    Args:
-        motion: the motion; None where the take was rejected.
-        span: first and one-past-last frame kept, at 20 fps.
-        reason: why it was rejected; empty where it was not.
-    """
-
-    motion: Motion | None
-    span: tuple[int, int]
-    reason: str
+_IMPORT_VERSION = 4
 
 
 def _stamp(ref: TakeRef) -> str:
@@ -46,25 +30,25 @@ def _import_to(ref: TakeRef, cache: Path) -> None:
     """Import one take into its cache file."""
     from safetensors.torch import save
 
-    reader = cmu if ref.source.startswith("cmu") else bandai_namco
-    tensors, reason, span = {"empty": torch.zeros(0)}, "", (0, 0)
+    reader = {"cmu": cmu, "bandai": bandai_namco}.get(re.split(r"[\d-]", ref.source)[0], more_mocap)
     try:
         take = reader.read_take(ref)
-        tensors = {"rotations": take.motion.rotations.contiguous(), "root": take.motion.root.contiguous()}
-        span = take.span
     except (RejectedTake, FormatError) as error:
-        reason = str(error)
-    about = {"stamp": _stamp(ref), "reason": reason, "span": list(span)}
+        take = ImportedTake((), str(error))
+    about = {"stamp": _stamp(ref), "reason": take.reason, "first": [run.first_frame for run in take.runs]}
+    tensors = {"empty": torch.zeros(0)}
+    for k, run in enumerate(take.runs):
+        tensors |= {f"rotations{k}": run.rotations.float().contiguous(), f"root{k}": run.root.float().contiguous()}
     with atomic_write(cache) as file:
         file.write(save(tensors, metadata={"take": json.dumps(about)}))
 
 
 def cache_of(ref: TakeRef, work: Path) -> Path:
     """Where the imported take is kept."""
-    return work / f"{ref.name}.safetensors"
+    return work / f"{ref.name.replace('/', '__')}.safetensors"
 
 
-def read_cached(ref: TakeRef, work: Path) -> Imported | None:
+def read_cached(ref: TakeRef, work: Path) -> ImportedTake | None:
     """The cached import of a take, if it is there, whole and of this very file."""
     from safetensors import SafetensorError, safe_open
 
@@ -76,9 +60,11 @@ def read_cached(ref: TakeRef, work: Path) -> Imported | None:
             about = json.loads((file.metadata() or {}).get("take", "{}"))
             if about.get("stamp") != _stamp(ref):
                 return None
-            if about["reason"]:
-                return Imported(None, (0, 0), about["reason"])
-            return Imported(Motion(file.get_tensor("rotations"), file.get_tensor("root")), tuple(about["span"]), "")
+            runs = (
+                ImportedRun(int(first), file.get_tensor(f"rotations{k}"), file.get_tensor(f"root{k}"))
+                for k, first in enumerate(about["first"])
+            )
+            return ImportedTake(tuple(runs), str(about["reason"]))
     except (SafetensorError, ValueError, KeyError):
         return None
 

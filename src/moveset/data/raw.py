@@ -4,37 +4,50 @@ import os
 import shutil
 import sys
 import tarfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from moveset.data import bandai_namco, cmu
+from moveset.data import bandai_namco, cmu, more_mocap
+from moveset.data.spans import Span, read_spans
 from moveset.data.takes import TakeRef
 from moveset.errors import FormatError, InputError
 from moveset.io.process import locked
 
-_ARCHIVES = {"bandai-namco.tar.xz": ("dataset-1", "dataset-2"), "cmu.tar.xz": ("cmu",)}
+_ARCHIVES = {
+    "cmu.tar.xz": ("cmu",),
+    "cmu-more.tar.xz": ("cmu-more",),
+    "more-mocap.tar.xz": ("more-mocap",),
+    "bandai-namco.tar.xz": ("dataset-1", "dataset-2"),
+}
+#: Whose content may be used for anything, products too.
+FREE = ("cmu", "cmu-more", "more-mocap")
+SOURCES = (*FREE, "bandai-namco")
+_SPANS = "humanml3d-cmu.jsonl"
 _MAX_UNPACKED = 16 * 2**30
 _MAX_MEMBERS = 200_000
 
 
-def unpacked(raw: Path, scratch: Path) -> Path:
-    """The folder that holds ``dataset-1``, ``dataset-2`` and ``cmu``; archives in ``raw`` are unpacked to ``scratch``.
+def unpacked(raw: Path, scratch: Path, sources: Sequence[str] = FREE) -> Path:
+    """The folder that holds the sources' folders; archives in ``raw`` are unpacked to ``scratch``.
 
     Raises:
-        InputError: ``raw`` holds neither the folders nor the archives.
+        InputError: ``raw`` holds neither folders nor archives of these sources.
         FormatError: an archive is damaged, tries to write elsewhere, or is absurdly large.
     """
-    folders = [f for names in _ARCHIVES.values() for f in names]
-    if any((raw / f).is_dir() for f in folders):
+    wanted = {f"{source}.tar.xz": _ARCHIVES[f"{source}.tar.xz"] for source in sources}
+    folders = [folder for names in wanted.values() for folder in names]
+    if any((raw / folder).is_dir() for folder in folders):
         return raw
-    archives = [raw / name for name in _ARCHIVES if (raw / name).is_file()]
+    archives = [raw / name for name in wanted if (raw / name).is_file()]
     if not archives:
-        raise InputError(f"{raw} holds none of {', '.join((*folders, *_ARCHIVES))}; give the folder with the raw data")
+        raise InputError(f"{raw} holds none of {', '.join((*folders, *wanted))}; give the folder with the raw data")
     # Who builds another corpus at the same time waits, and finds everything there.
     with locked(scratch):
         for archive in archives:
-            if not all((scratch / f).is_dir() for f in _ARCHIVES[archive.name]):
+            if not all((scratch / folder).is_dir() for folder in wanted[archive.name]):
                 _unpack(archive, scratch)
+        if (raw / _SPANS).is_file():
+            shutil.copyfile(raw / _SPANS, scratch / _SPANS)
     return scratch
 
 
@@ -67,17 +80,29 @@ def _bounded(tar: tarfile.TarFile, archive: Path) -> Iterator[tarfile.TarInfo]:
             yield member
 
 
-def find_takes(raw: Path) -> list[TakeRef]:
-    """All takes below a folder of unpacked data, in the order of their sources and names.
+def find_takes(raw: Path, sources: Sequence[str] = FREE) -> list[TakeRef]:
+    """All takes of the sources below a folder of unpacked data, in the order of their sources and names.
 
     Raises:
         InputError: there are none.
     """
     refs: list[TakeRef] = []
-    if any((raw / f).is_dir() for f in ("dataset-1", "dataset-2")):
+    for folder in ("cmu", "cmu-more"):
+        if folder in sources and (raw / folder).is_dir():
+            refs += cmu.list_takes(raw / folder)
+    if "more-mocap" in sources and (raw / "more-mocap").is_dir():
+        refs += more_mocap.list_takes(raw / "more-mocap")
+    if "bandai-namco" in sources and any((raw / folder).is_dir() for folder in _ARCHIVES["bandai-namco.tar.xz"]):
         refs += bandai_namco.list_takes(raw)
-    if (raw / "cmu").is_dir():
-        refs += cmu.list_takes(raw / "cmu")
     if not refs:
-        raise InputError(f"{raw} holds no takes; give the folder with dataset-1, dataset-2 or cmu")
+        raise InputError(f"{raw} holds no takes of {', '.join(sources)}; give the folder with the raw data")
     return refs
+
+
+def find_spans(raw: Path) -> dict[str, list[Span]]:
+    """Sentences for spans of the CMU takes, by take; none where there is no file of them.
+
+    Raises:
+        FormatError: the file is damaged.
+    """
+    return read_spans(raw / _SPANS) if (raw / _SPANS).is_file() else {}

@@ -22,6 +22,12 @@ _IRREGULAR = {
     "sweep": ("swept", "sweeping"), "swing": ("swung", "swinging"), "take": ("took", "taking"),
     "tear": ("tore", "tearing"), "throw": ("threw", "throwing"), "thrust": ("thrust", "thrusting"),
     "tread": ("trod", "treading"), "withdraw": ("withdrew", "withdrawing"),
+    "catch": ("caught", "catching"), "dig": ("dug", "digging"), "draw": ("drew", "drawing"),
+    "drive": ("drove", "driving"), "eat": ("ate", "eating"), "fall": ("fell", "falling"),
+    "grind": ("ground", "grinding"), "kneel": ("knelt", "kneeling"), "leap": ("leapt", "leaping"),
+    "lie": ("lay", "lying"), "ride": ("rode", "riding"), "rise": ("rose", "rising"), "sit": ("sat", "sitting"),
+    "slide": ("slid", "sliding"), "squat": ("squatted", "squatting"), "swim": ("swam", "swimming"),
+    "write": ("wrote", "writing"),
 }  # fmt: skip
 
 

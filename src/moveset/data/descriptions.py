@@ -1,0 +1,60 @@
+"""Sentences from what data sets say about takes: CMU's short descriptions, and one sentence said in a few ways."""
+
+import re
+
+from moveset.data.verbs import VERBS, verbs_of
+from moveset.text.english import article, inflect
+
+#: Descriptions that say nothing about what is done.
+_NOTHING = re.compile(
+    r"unknown|story|alaskan vacation|motorcycle|nursery rhyme|range of motion|calibration|\brom\b|various|subject \d"
+    r"|sequence|^$",
+    re.IGNORECASE,
+)
+_PERSON = re.compile(r"^(?:a|the) (?:person|man|woman|figure)\b|^someone\b", re.IGNORECASE)
+_SHORT = 3  # letters of a part that may be a word
+
+
+def said_otherwise(sentence: str) -> tuple[str, ...]:
+    """A sentence about a person, and the same about others and about nobody.
+
+    >>> said_otherwise("a person jumps over a box")
+    ('a person jumps over a box', 'someone jumps over a box', 'the person jumps over a box', 'jumps over a box')
+    """
+    if not (found := _PERSON.match(sentence)):
+        return (sentence,)
+    rest = sentence[found.end() :].strip()
+    return tuple(dict.fromkeys((sentence, f"someone {rest}", f"the person {rest}", rest)))
+
+
+def described(description: str) -> tuple[str, ...]:
+    """Sentences for CMU's description of a trial; none where it says nothing.
+
+    >>> described("walk, veer right")[:2], described("chicken (human subject)")[:1], described("Unknown")
+    (('a person walks, veers right', 'someone walks, veers right'), ('a person acts like a chicken',), ())
+    """
+    text = re.sub(r"\(.*?subject.*?\)|CleanedGRS|\(repeated\)", "", description.replace("\xa0", " "))
+    animal = "human subject" in description
+    text = re.sub(r"(?<=[a-z])(?=[A-Z])|(?<=[A-Za-z])(?=\d)|(?<=\d)(?=[A-Za-z])|/", " ", text).lower()
+    text = re.sub(r"\s+", " ", re.sub(r"\b\d{3}$", "", text)).strip(" .")
+    if _NOTHING.search(description) or len(text) < _SHORT or re.search(r"\b[ab]\b.*\b[ab]\b", text):
+        return ()
+    if animal:
+        return said_otherwise(f"a person acts like {article('a', text)} {text}")
+    topic, _, rest = text.rpartition(" - ")
+    parts = [_inflected(part.strip()) for part in re.split(r"[,;] ", rest)]
+    if parts[0] is None:
+        # A noun: what is done is named, not told.
+        sentence = f"a person does {rest}" + (f", {topic}" if topic else "")
+        return (sentence, rest, f"someone doing {rest}")
+    told = ", ".join(part or rest for part, rest in zip(parts, re.split(r"[,;] ", rest), strict=True))
+    return said_otherwise(f"a person {told}" + (f", {topic}" if topic else ""))
+
+
+def _inflected(part: str) -> str | None:
+    """The part with its first verb as in "he walks"; None if it does not begin with a verb, or an adverb and one."""
+    words = part.split()
+    for place, word in enumerate(words[:2]):
+        if word in VERBS:
+            return " ".join((*words[:place], inflect(word, "present"), *words[place + 1 :]))
+    return f"is {part}" if words and words[0].endswith("ing") and verbs_of(words[0]) else None

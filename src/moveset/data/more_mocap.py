@@ -1,0 +1,100 @@
+"""Eleven small sets of motion capture as BVH, each on skeletons of its own, with a sentence for every take."""
+
+import json
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from moveset.data import glitches
+from moveset.data.hml22_calibration import FPS
+from moveset.data.resample import resampled
+from moveset.data.takes import ImportedRun, ImportedTake, RejectedTake, TakeRef
+from moveset.errors import FormatError, InputError
+from moveset.io.bvh import bvh_motion, read_bvh
+from moveset.motion.retarget import retarget
+from moveset.motion.skeleton import HML22
+
+
+def list_takes(root: Path) -> list[TakeRef]:
+    """Takes of ``root/takes.jsonl``.
+
+    Raises:
+        InputError: there is no list.
+        FormatError: a line of it is damaged.
+    """
+    listing = Path(root) / "takes.jsonl"
+    if not listing.is_file():
+        raise InputError(f"{listing} is missing; give the folder that holds takes.jsonl and takes/")
+    takes = []
+    for number, line in enumerate(listing.read_text(encoding="utf-8").splitlines(), start=1):
+        try:
+            take = json.loads(line)
+            name, source = str(take["take"]), str(take["source"])
+            ref = TakeRef(
+                name=name,
+                source=source,
+                path=Path(root) / str(take["file"]),
+                subject=source,
+                group=name,
+                sentence=str(take["sentence"]),
+                unit=float(take["unit_m"]),
+            )
+        except (ValueError, KeyError, TypeError) as error:
+            raise FormatError(f"{listing}, line {number}: not a take ({error}); restore the original file") from error
+        takes.append(ref)
+    return takes
+
+
+def read_take(ref: TakeRef) -> ImportedTake:
+    """A take on ``hml22`` at 20 fps, not on the floor yet, without the poses for calibration at its ends.
+
+    Raises:
+        RejectedTake: it is nothing but such poses.
+        InputError: the file cannot be read, or its skeleton is no humanoid.
+        FormatError: it is damaged.
+    """
+    bvh = read_bvh(ref.path)
+    motion = retarget(bvh_motion(bvh, scale=ref.unit), HML22)
+    local, root = motion.rotations.double(), motion.root.double()
+    if len(root) < 4:
+        raise RejectedTake(f"{ref.name}: only {len(root)} frames")
+    start, stop = without_calibration(motion.joints, bvh.fps)
+    if stop - start < 4:
+        raise RejectedTake(f"{ref.name}: nothing but poses for calibration")
+    times = torch.arange(len(root), dtype=torch.float64)[start:stop] / bvh.fps
+    first = int(times[0] * FPS) + 1 if start else 0
+    frames = torch.arange(first, int(times[-1] * FPS + 1e-6) + 1)
+    local, root = resampled(glitches.mended(local[start:stop], bvh.fps), root[start:stop], times, frames / FPS)
+    return ImportedTake((ImportedRun(first, local, root),))
+
+
+def without_calibration(joints: Tensor, fps: float) -> tuple[int, int]:
+    """First and one-past-last frame of a take (F, J, 3) on ``hml22`` without a T- or A-pose at either end.
+
+    Such a pose holds both straight arms out symmetrically, and is still; the way out of it, up to half a second, goes
+    with it.
+    """
+    side = {}
+    for name in ("left", "right"):
+        shoulder, elbow, wrist = (joints[:, HML22.index(f"{name}_{part}")] for part in ("shoulder", "elbow", "wrist"))
+        upper, fore = elbow - shoulder, wrist - elbow
+        straight = torch.cosine_similarity(upper, fore, dim=-1) > 0.94
+        reach = (wrist - shoulder) / (wrist - shoulder).norm(dim=-1, keepdim=True).clamp_min(1e-6)
+        side[name] = (straight, reach)
+    across = joints[:, HML22.index("left_shoulder")] - joints[:, HML22.index("right_shoulder")]
+    across = across / across.norm(dim=-1, keepdim=True).clamp_min(1e-6)
+    out_left = (side["left"][1] * across).sum(dim=-1)
+    out_right = -(side["right"][1] * across).sum(dim=-1)
+    down = -0.5 * (side["left"][1][:, 1] + side["right"][1][:, 1])
+    held = side["left"][0] & side["right"][0] & (out_left > 0.55) & (out_right > 0.55)
+    held &= ((out_left - out_right).abs() < 0.15) & (down > -0.2)
+    speed = joints.diff(dim=0).norm(dim=-1).amax(dim=1) * fps
+    held &= torch.cat((speed, speed[-1:])) < 0.6
+    found = glitches.runs(held)
+    start, stop, out = 0, len(joints), round(0.5 * fps)
+    if found and found[0][0] <= out // 4:
+        start = min(found[0][1] + out, len(joints))
+    if found and found[-1][1] >= len(joints) - out // 4 and found[-1][0] >= start:
+        stop = max(found[-1][0] - out, start)
+    return start, stop

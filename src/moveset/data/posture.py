@@ -1,0 +1,113 @@
+"""Upright and on the floor: what the markers of one performer have in common, taken from all takes of them.
+
+Where markers sit tilts pelvis, head and feet by a constant that differs from performer to performer, and the floor of a
+capture is not always at height 0. Both are seen in frames in which somebody stands; a take on a stool, on a ladder or
+upside down has none of its own, but other takes of its performer have. F frames.
+"""
+
+import math
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from moveset.data.hml22_calibration import FPS, HIPS, turn
+from moveset.motion import rotations
+from moveset.motion.clip import Motion
+from moveset.motion.kinematics import fk, global_to_local
+from moveset.motion.skeleton import HML22
+
+_PELVIS, _CHEST, _HEAD = (HML22.index(name) for name in ("pelvis", "spine3", "head"))
+_FEET = list(HML22.feet)
+_SOLES = {"ankle": [HML22.index("left_ankle"), HML22.index("right_ankle")], "toe": [10, 11]}
+_KNEES = [HML22.index("left_knee"), HML22.index("right_knee")]
+_LEANING = ("pelvis", "head", "ankle")
+# Somebody who stands looks down a little: degrees.
+_USUAL = {"pelvis": 0.0, "head": 6.0, "ankle": 0.0}
+_LEAST = 40  # frames of standing that say how a performer's markers sit
+_FLOOR_SPREAD = 0.06  # metres by which a take's floor may differ from that of its performer's others
+
+
+def standing(turned: Tensor, joints: Tensor) -> Tensor:
+    """(F,) bool: straight legs below an upright chest, both feet still and equally high.
+
+    Args:
+        turned: (F, 22, 4) world rotations.
+        joints: (F, 22, 3) world positions.
+    """
+    if len(joints) < 2:
+        return torch.zeros(len(joints), dtype=torch.bool)
+    speed = joints[:, _FEET].diff(dim=0).norm(dim=-1).amax(dim=1) * FPS
+    still = torch.cat((speed, speed[-1:])) < 0.25
+    shin = joints[:, _SOLES["ankle"]] - joints[:, _KNEES]
+    thigh = joints[:, _KNEES] - joints[:, [1, 2]]
+    straight = (torch.cosine_similarity(shin, thigh, dim=-1) > math.cos(math.radians(20.0))).all(dim=1)
+    upright = rotations.rotate(turned[:, _CHEST], joints.new_tensor((0.0, 1.0, 0.0)))[:, 1] > math.cos(
+        math.radians(15.0)
+    )
+    below = (thigh[..., 1] < -0.9 * thigh.norm(dim=-1)).all(dim=1)
+    level = (joints[:, 7, 1] - joints[:, 8, 1]).abs() < 0.05
+    return still & straight & upright & below & level
+
+
+def lean(turned: Tensor) -> Tensor:
+    """(F, 3) forward pitch of pelvis, head and (the mean of both) feet in degrees."""
+    ahead = rotations.rotate(turned, turned.new_tensor((0.0, 0.0, 1.0)))[..., 1].clamp(-1.0, 1.0).asin()
+    feet = ahead[:, _SOLES["ankle"]].mean(dim=1)
+    return torch.rad2deg(-torch.stack((ahead[:, _PELVIS], ahead[:, _HEAD], feet), dim=1))
+
+
+def leanings(takes: Sequence[tuple[Tensor, Tensor]]) -> dict[str, float] | None:
+    """Degrees of forward pitch that are to be taken from a performer's pelvis, head and feet; None if nobody stands.
+
+    Args:
+        takes: local rotations (F, 22, 4) and root (F, 3) of each.
+    """
+    found = []
+    for local, root in takes:
+        turned, joints = fk(local, root, HML22)
+        found.append(lean(turned)[standing(turned, joints)])
+    pitch = torch.cat(found) if found else torch.zeros(0, 3)
+    if len(pitch) < _LEAST:
+        return None
+    return {name: float(pitch[:, k].median()) - _USUAL[name] for k, name in enumerate(_LEANING)}
+
+
+def upright(local: Tensor, root: Tensor, degrees: dict[str, float]) -> tuple[Tensor, Tensor]:
+    """The take with so much forward pitch taken from pelvis, head and feet; hips stay where they are."""
+    turned, _ = fk(local, root, HML22)
+    turned = turned.clone()
+    moved = rotations.rotate(turned[:, 0], HIPS.to(turned))
+    for joints, name in (([_PELVIS], "pelvis"), ([_HEAD], "head"), ([*_SOLES["ankle"], *_SOLES["toe"]], "ankle")):
+        turned[:, joints] = rotations.mul(turned[:, joints], turn("x", -degrees[name]).to(turned))
+    moved = moved - rotations.rotate(turned[:, 0], HIPS.to(turned))
+    return rotations.unroll(global_to_local(turned, HML22)), root + moved
+
+
+def floor_of(local: Tensor, root: Tensor) -> float:
+    """Height of the floor that a take seems to have: the 1st percentile over time of the lowest of ankles and toes."""
+    lowest = fk(local, root, HML22)[1][:, _FEET, 1].amin(dim=1)
+    return float(torch.quantile(lowest, 0.01))
+
+
+def on_floor(local: Tensor, root: Tensor, floor: float) -> Motion:
+    """The motion above the origin, facing +Z, with a floor of the capture at height 0."""
+    down = root.new_tensor((0.0, floor, 0.0))
+    return Motion(rotations.normalize(local).float(), (root - down).float(), FPS, HML22).canonical()
+
+
+def floors(takes: Sequence[float], where: Sequence[str]) -> list[float]:
+    """The floor of each take: its own where it is near the median of its performer's, else that.
+
+    Args:
+        takes: ``floor_of`` each take.
+        where: whose take each is.
+    """
+    by_performer: dict[str, list[float]] = {}
+    for floor, performer in zip(takes, where, strict=True):
+        by_performer.setdefault(performer, []).append(floor)
+    usual = {performer: float(torch.tensor(found).median()) for performer, found in by_performer.items()}
+    return [
+        floor if abs(floor - usual[performer]) < _FLOOR_SPREAD else usual[performer]
+        for floor, performer in zip(takes, where, strict=True)
+    ]
