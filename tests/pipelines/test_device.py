@@ -5,8 +5,8 @@ import torch
 from torch.nn.modules.module import register_module_forward_pre_hook
 
 from moveset.pipelines.motion_stream import MotionStream
+from moveset.pipelines.stream_batch import StreamBatch
 from moveset.pipelines.stream_bundle import StreamBundle
-from moveset.pipelines.stream_group import StreamGroup
 from moveset.pipelines.stream_settings import check_stream
 from moveset.pipelines.text_to_motion import TextToMotion
 from tests.bundles import tiny_bundle
@@ -32,10 +32,10 @@ def stream(folders, buffer=0):
 
 def group(folders):
     bundle = StreamBundle.find(folders["streams"])
-    lanes = StreamGroup(bundle, check_stream(bundle.config, network="pcm-1").settings, device="cpu")
+    lanes = StreamBatch(bundle, check_stream(bundle.config, network="pcm-1").settings, device="cpu")
     lane = lanes.open("a person walks", 0)
     lanes.prompt(lane, "a person bows")
-    return [lanes.advance([lane])[0].segment.motion.root]
+    return [lanes.step([lane])[0].motion.root]
 
 
 def called(make, folders, monkeypatch, threads):

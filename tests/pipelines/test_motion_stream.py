@@ -281,14 +281,19 @@ def test_where_a_motion_is_does_not_matter(opened):
 
 def test_a_seed_motion_is_told_clean_and_is_no_first_segment(opened, monkeypatch):
     made = opened(seed_motion=walking(28), network="rdm")
-    seen = []
+    read, seen = [], []
     network = made.bundle.module("rdm")
 
-    def spy(x, t, prev, prev_t, index, *more, forward=network.forward, **told):
-        seen.extend(zip(t.tolist(), prev_t.tolist(), index.tolist(), strict=True))
-        return forward(x, t, prev, prev_t, index, *more, **told)
+    def reads(tokens, mask, prev, prev_t, index, real=network.read, **told):
+        read.append((prev_t.tolist(), index.tolist()))
+        return real(tokens, mask, prev, prev_t, index, **told)
 
-    monkeypatch.setattr(network, "forward", spy)
+    def denoises(x, t, *more, real=network.denoise):
+        seen.extend(zip(t.tolist(), *read[-1], strict=True))
+        return real(x, t, *more)
+
+    monkeypatch.setattr(network, "read", reads)
+    monkeypatch.setattr(network, "denoise", denoises)
     take(made, 2)
     assert all(index > 0 for _, _, index in seen)
     assert {prev_t for _, prev_t, index in seen if index == 1} == {0}

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from moveset.pipelines.motion_stream import MotionStream
-from moveset.pipelines.stream_group import StreamGroup
+from moveset.pipelines.stream_batch import StreamBatch
 from moveset.pipelines.stream_settings import check_stream, share_evenly
 
 WALK, BOW = "a person walks", "a person bows"
@@ -132,22 +132,22 @@ def test_a_state_goes_on_within_the_stages(opened):
 
 def test_a_group_does_what_a_stream_does(bundle, encoder, opened):
     settings = check_stream(bundle.config).settings
-    group = StreamGroup(bundle, settings, device="cpu", encoder=encoder)
-    lane, lone = group.open(BOTH, 7), opened(BOTH, seed=7)
+    batch = StreamBatch(bundle, settings, device="cpu", encoder=encoder)
+    lane, lone = batch.open(BOTH, 7), opened(BOTH, seed=7)
     for _ in range(5):
-        made, want = group.advance([lane])[0].segment, next(lone)
+        made, want = batch.step([lane])[0], next(lone)
         assert made.prompt == want.prompt
         assert torch.allclose(made.motion.joints, want.motion.joints, atol=1e-4)
-    assert group.prompt(lane, f"{BOW} before waving") == 5 * 28
-    told = [group.advance([lane])[0].segment.prompt for _ in range(4)]
+    assert batch.prompt(lane, f"{BOW} before waving") == 5 * 28
+    told = [batch.step([lane])[0].prompt for _ in range(4)]
     assert told == [BOW] * 3 + ["a person waving"]
 
 
 def test_every_stage_is_warned_of(bundle, encoder, opened):
-    group = StreamGroup(bundle, check_stream(bundle.config).settings, device="cpu", encoder=encoder)
+    batch = StreamBatch(bundle, check_stream(bundle.config).settings, device="cpu", encoder=encoder)
     text = f"{WALK}, then quarterly earnings of a bank"
-    for warnings in (group.warnings(group.open(text, 0)), opened(text).warnings):
+    for warnings in (batch.warnings(batch.open(text, 0)), opened(text).warnings):
         assert [
             w for w in warnings if "unlike anything" in w and "quarterly" in w and "walks" not in w.split("unlike")[0]
         ]
-    assert not group.warnings(group.open(BOTH, 0))
+    assert not batch.warnings(batch.open(BOTH, 0))

@@ -47,9 +47,9 @@ def test_the_encoder_is_shared(models):
     catalog = Catalog(models, "cpu")
     bundle = catalog.stream(None)
     settings = [catalog.request(bundle, None, 0, 1, w).settings for w in (0.0, 3.0)]
-    groups = [catalog.group(bundle, one) for one in settings]
-    assert groups[0] is groups[1]
-    assert catalog.ready(catalog.clip(None)).encoder is groups[0].encoder
+    batches = [catalog.batch(bundle, one) for one in settings]
+    assert batches[0] is batches[1]
+    assert catalog.ready(catalog.clip(None)).encoder is batches[0].encoder
 
 
 def test_the_shipped_models():
@@ -75,17 +75,17 @@ def test_the_shipped_models():
         assert torch.allclose(take.motion.joints, next(alone).motion.joints.float(), atol=1e-3)
 
 
-def test_groups_of_any_settings_do_not_pile_up(models):
+def test_batches_of_any_settings_do_not_pile_up(models):
     catalog = Catalog([models[1]], "cpu")
     bundle = catalog.stream(None)
 
-    def group(steps):
+    def batch(steps):
         settings = check_stream(bundle.config, network="md", steps=steps).settings
-        return catalog.group(bundle, settings)
+        return catalog.batch(bundle, settings)
 
-    first = group(1)
-    assert group(1) is first
+    first = batch(1)
+    assert batch(1) is first
     for steps in range(2, 60):
-        group(steps)
-        assert group(1) is first  # in use, so it stays
-    assert len(catalog._groups) == catalog_module._GROUPS
+        batch(steps)
+        assert batch(1) is first  # in use, so it stays
+    assert len(catalog._batches) == catalog_module._BATCHES

@@ -8,7 +8,8 @@ import torch
 
 from moveset.motion.features import get_codec
 from moveset.motion.stream_decoder import StreamDecoder
-from moveset.pipelines.stream_group import Lane
+from moveset.pipelines.conditioning import SegmentCondition
+from moveset.pipelines.stream_batch import Stream
 from moveset.pipelines.stream_settings import held
 from moveset.server import sessions
 from moveset.server.sessions import Session
@@ -27,17 +28,18 @@ def begin(buffer=2.0, commit=None):
     config = SimpleNamespace(fps=20.0, segment=28)
     codec = get_codec("native")
     text = TextEmbedding(torch.zeros(1, 1, 4), torch.ones(1, 1, dtype=torch.bool), torch.zeros(1, 4))
-    lane = Lane(0, 1.0, held("walk"), "walk", text, StreamDecoder(codec))
-    session.started(SimpleNamespace(bundle=SimpleNamespace(config=config)), lane)
+    condition = SegmentCondition("walk", text, None, (-1, -1), 0, 1.0)
+    stream = Stream(0, 1.0, held("walk"), StreamDecoder(codec), condition)
+    session.started(SimpleNamespace(bundle=SimpleNamespace(config=config)), stream)
     return session
 
 
 def make(session):
     """What the worker does with it."""
     session.keep()
-    session.lane = session.lane.copy()
-    session.lane.number += 1
-    session.sent = session.lane.number * 28
+    session.stream = session.stream.copy()
+    session.stream.number += 1
+    session.sent = session.stream.number * 28
     session.due_since = None
     session.look()
 
@@ -115,19 +117,17 @@ def test_a_prompt_goes_back_to_the_first_segment_that_is_not_committed(clock):
     for _ in range(5):
         make(session)
     session.acknowledge(30)
-    lane, line, text = session.lane, held("bow"), replace(session.lane.text)
-    lane.line, lane.since, lane.prompt, lane.text, lane.mirrored, lane.guidance = line, 5, "bow", text, text, 3.0
+    session.stream.line, session.stream.guidance = held("bow").beginning(5), 3.0
+    session.stream.condition = condition = replace(session.stream.condition, prompt="bow")
     session.go_back()
-    assert (session.lane.number, session.sent) == (2, 56)  # frame 40 is in segment 1
-    assert (session.lane.line, session.lane.prompt, session.lane.guidance) == (line, "bow", 3.0)
-    assert session.lane.text is text
-    assert session.lane.mirrored is text
-    assert session.lane.since == 2
+    assert (session.stream.number, session.sent) == (2, 56)  # frame 40 is in segment 1
+    assert (session.stream.line, session.stream.guidance) == (held("bow").beginning(2), 3.0)
+    assert session.stream.condition is condition
     make(session)
     assert min(session.kept) >= 1
     session.acknowledge(84)
     session.go_back()
-    assert session.lane.number == 3
+    assert session.stream.number == 3
 
 
 def test_without_commit_what_was_sent_stays(clock):
@@ -135,7 +135,7 @@ def test_without_commit_what_was_sent_stays(clock):
     for _ in range(5):
         make(session)
     session.go_back()
-    assert (session.lane.number, session.kept) == (5, {})
+    assert (session.stream.number, session.kept) == (5, {})
 
 
 def test_what_is_remembered_is_bounded(clock):

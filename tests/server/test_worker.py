@@ -122,17 +122,17 @@ def test_jobs_take_turns(bench):
 def test_streams_of_one_setting_are_one_batch(bench, catalog, monkeypatch):
     one = bench()
     bundle = catalog.stream(None)
-    group = catalog.group(bundle, catalog.request(bundle, None, 0, None, None).settings)
-    sizes, real, gate = [], group.advance, threading.Event()
+    group = catalog.batch(bundle, catalog.request(bundle, None, 0, None, None).settings)
+    sizes, real, gate = [], group.step, threading.Event()
 
-    def advance(lanes):
+    def step(lanes):
         gate.wait(30)
         sizes.append(len(lanes))
         return real(lanes)
 
     while not one.worker.ready:
         pass
-    monkeypatch.setattr(group, "advance", advance)
+    monkeypatch.setattr(group, "step", step)
     for name in "abcd":
         one.stream(name, most=0)
     one.stream("other", steps=2, most=0)
@@ -171,16 +171,16 @@ def test_who_runs_out_first_comes_first(bench, monkeypatch):
 
 def test_what_breaks_one_stream_breaks_no_other(bench, catalog, monkeypatch):
     bundle = catalog.stream(None)
-    group = catalog.group(bundle, catalog.request(bundle, None, 0, None, None).settings)
-    real = group.advance
+    group = catalog.batch(bundle, catalog.request(bundle, None, 0, None, None).settings)
+    real = group.step
 
-    def advance(lanes):
+    def step(lanes):
         made = real(lanes)  # the others' lanes have moved on already
-        if any(lane.prompt == "break" and lane.number > 2 for lane in lanes):
+        if any(lane.condition.prompt == "break" and lane.number > 2 for lane in lanes):
             raise FloatingPointError("a fault of ours")
         return made
 
-    monkeypatch.setattr(group, "advance", advance)
+    monkeypatch.setattr(group, "step", step)
     one = bench()
     one.stream("good", most=28 * 12)
     one.stream("bad", prompt="break")
@@ -214,7 +214,7 @@ def test_a_model_that_cannot_be_warmed_up_stops_no_other(bench, catalog, monkeyp
     def broken(self, bundle, settings):
         raise InputError("this model's segments cannot be made together; take another")
 
-    monkeypatch.setattr(Catalog, "group", broken)
+    monkeypatch.setattr(Catalog, "batch", broken)
     one = bench()
     one.stream("a")
     one.job()

@@ -29,7 +29,7 @@ from moveset.pipelines.bundle import BundleConfig
 from moveset.pipelines.denoise import Denoise
 from moveset.pipelines.motion_stream import MotionStream
 from moveset.pipelines.request import TEACHER_STEPS, Method, Request, check_method
-from moveset.pipelines.segment import Segment
+from moveset.pipelines.stream_batch import Segment
 from moveset.pipelines.text_to_motion import TextToMotion
 
 AITS = ("text", "sample", "decode")

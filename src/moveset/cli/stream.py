@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from moveset.cli.prompt_lines import PromptLines
     from moveset.motion.clip import Motion
     from moveset.pipelines.motion_stream import MotionStream
-    from moveset.pipelines.segment import Segment
+    from moveset.pipelines.stream_batch import Segment
     from moveset.pipelines.stream_settings import StreamRequest
 
 _NAP = 0.02  # seconds between two looks at signals and prompts while there is nothing to do

@@ -3,7 +3,7 @@
 n frames of a segment, D features.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from copy import copy
 from typing import Any
 
@@ -49,12 +49,6 @@ class StreamDecoder:
         planted = self.codec.planted(features)
         return self._feet(self._pieces(hold_root(features, planted, self.codec, self._travelling)), planted)
 
-    def whole(self, features: Tensor, frames: int) -> Motion:
-        """All the next pieces, of ``frames`` frames each, as one motion."""
-        pieces = [self(piece) for piece in features.split(frames)]
-        turned, root = (torch.cat([getattr(piece, name) for piece in pieces]) for name in ("rotations", "root"))
-        return Motion(turned, root, self.codec.fps, self.codec.skeleton)
-
     def planted(self, features: Tensor) -> Tensor:
         """(n, 4) bool, which feet stand."""
         return self.codec.planted(features)
@@ -81,3 +75,9 @@ class StreamDecoder:
         """Go on where the one whose ``state()`` this is stood."""
         self._pieces = IncrementalDecoder.from_state(self.codec, state["decoder"])
         self._feet = FootLock.from_state(self.codec.skeleton, self.codec.fps, state["feet"])
+
+
+def concatenate(pieces: Sequence[Motion]) -> Motion:
+    """Pieces that go on from each other, end to end."""
+    turned, root = (torch.cat([getattr(piece, name) for piece in pieces]) for name in ("rotations", "root"))
+    return Motion(turned, root, pieces[0].fps, pieces[0].skeleton)

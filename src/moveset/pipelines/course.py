@@ -54,13 +54,17 @@ class Course:
         >>> course.turned(4, torch.tensor([4])), course.turned(4, torch.tensor([1]))
         (tensor([4.]), tensor([1.]))
         """
+        return self.total(segment, behind_B).float().to(behind_B.device)
+
+    def total(self, segment: int, behind_B: Tensor) -> Tensor:
+        """The same in double precision, on the processor."""
         before_B = behind_B.cpu()
         total_B = torch.zeros(len(before_B), dtype=torch.float64)
         for number, (turn_B, _) in self._turns.items():
             if number < segment:
                 total_B += turn_B * (before_B >= segment - number)
         oldest = min(self._turns, default=segment)
-        return (total_B + (before_B > segment - oldest) * self._before).float().to(behind_B.device)
+        return total_B + (before_B > segment - oldest) * self._before
 
     def state(self) -> dict[str, Any]:
         """Of a single stream, for JSON."""

@@ -7,9 +7,8 @@ Shapes: n frames of a segment, D features; in the sampler always one item.
 """
 
 import threading
-import time
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from copy import deepcopy
 from dataclasses import replace
@@ -17,17 +16,14 @@ from pathlib import Path
 from typing import Any, Self, cast
 
 import torch
-from torch import Tensor
 
 from moveset.errors import FormatError, InputError
-from moveset.models.flow import CouplingFlow
 from moveset.models.segment_transformer import UNKNOWN
 from moveset.motion.clip import Motion
-from moveset.pipelines.course import Course
-from moveset.pipelines.device import one_thread, pick_device
+from moveset.pipelines.device import pick_device
+from moveset.pipelines.overlapping import Overlapping
 from moveset.pipelines.seed_motion import SeedMotion
-from moveset.pipelines.segment import Segment
-from moveset.pipelines.segment_denoise import SegmentDenoise
+from moveset.pipelines.stream_batch import Segment, StreamBatch, StreamModel
 from moveset.pipelines.stream_bundle import DEFAULT_STREAM, FLOW, StreamBundle
 from moveset.pipelines.stream_settings import (
     BLEND_SECONDS,
@@ -38,14 +34,11 @@ from moveset.pipelines.stream_settings import (
     held,
 )
 from moveset.pipelines.stream_state import Snapshot
-from moveset.pipelines.warnings import too_long, unfamiliar
-from moveset.rdm.sampler import Settings, Stream
 from moveset.rdm.state import StreamState
-from moveset.rdm.transport import Transport
-from moveset.text.cache import CachedEncoder
 from moveset.text.encoder import TextEncoder, get_text_encoder
 
 _WARM_UP = 3  # segments made and thrown away before the first
+_TENSORS = ("motion", "planted")  # of a segment
 
 
 class MotionStream(Iterator[Segment]):
@@ -80,14 +73,15 @@ class MotionStream(Iterator[Segment]):
     ) -> None:
         self.bundle, self.codec, self.device = bundle, bundle.config.feature_codec(), pick_device(str(device))
         self.encoder = encoder or get_text_encoder(bundle.config.text_encoder, device=self.device)
-        self._texts = CachedEncoder(self.encoder)
-        normalizer = bundle.normalizer
-        self._mean, self._std = (normalizer[name].to(self.device) for name in ("feature_mean", "feature_std"))
-        self._seed, self._timeline = request.seed, request.timeline
         if seed_motion is not None and not isinstance(seed_motion, Motion):
             raise InputError(f"a stream goes on from a Motion, not from {seed_motion!r}; read a file by moveset.load")
-        seed = None if seed_motion is None else SeedMotion.of(seed_motion, self.codec, bundle.config.segment)
-        self._begin(request.settings, seed)
+        self._open(request.settings, request.timeline, request.seed)
+        if seed_motion is not None:
+            given = SeedMotion.of(seed_motion, self.codec, bundle.config.segment)
+            self._stream.decoder.go_on_from(given.features, given.heading, given.x, given.z)
+            left_1nD = ((given.features.to(self.device) - self._model.mean) / self._model.std)[None]
+            solver, plan = self._model.solver, request.settings.staircase()
+            self._go_on(given.state(left_1nD, solver, plan, request.seed), 1)
 
     @classmethod
     def from_pretrained(
@@ -134,7 +128,7 @@ class MotionStream(Iterator[Segment]):
 
     def __reduce__(self) -> tuple[Any, ...]:
         # A pickle, or a copy, goes on where this one stands; the model's folder is read again.
-        request = StreamRequest(self._timeline, self._seed, self._settings, (), ())
+        request = StreamRequest(self.timeline, self.seed, self._settings, (), ())
         return _reopened, (self.bundle, request, self.device, self.encoder, self.state())
 
     def __next__(self) -> Segment:
@@ -145,7 +139,6 @@ class MotionStream(Iterator[Segment]):
             self._ahead.append(self._pool.submit(self._make))
         return self._waiting.popleft() if self._waiting else self._ahead.popleft().result()
 
-    @one_thread()
     def prompt(self, text: str) -> int:
         """Go on with another prompt, until the next call; what was left of a timeline is dropped.
 
@@ -157,15 +150,9 @@ class MotionStream(Iterator[Segment]):
         Raises:
             InputError: an empty or absurd prompt.
         """
-        timeline = held(text, self._settings.stages)
-        start = time.perf_counter()
-        for stage in timeline.prompts:
-            self._texts.encode([stage])
         with self._lock:
-            begins = self._sampler.progress.entered - self._given
-            self._timeline = timeline.beginning(begins)
-            self._reading += time.perf_counter() - start
-            return begins * self.bundle.config.segment
+            entered = self._stream.number if self._overlapping is None else self._overlapping.progress.entered
+            return self._model.prompt(self._stream, text, entered - self._stream.given)
 
     @property
     def settings(self) -> StreamSettings:
@@ -175,43 +162,43 @@ class MotionStream(Iterator[Segment]):
     @property
     def timeline(self) -> Timeline:
         """Which segment has which prompt."""
-        return self._timeline
+        return self._stream.line
 
     @property
     def seed(self) -> int:
         """What the noise was drawn from."""
-        return self._seed
+        return self._stream.seed
 
     @property
-    @one_thread()
     def warnings(self) -> tuple[str, ...]:
         """What the user should know about the prompts of the timeline, or about the last one given."""
-        prompts = tuple(dict.fromkeys(self._timeline.prompts))
-        pooled = self._texts.encode(prompts).pooled
-        return (*too_long(self.encoder, prompts), *unfamiliar(self.bundle, prompts, pooled))
+        return self._model.warnings(self._stream)
 
     def state(self) -> Snapshot:
         """Everything that the next segments depend on, also those that were made ahead of the reader."""
         waiting = [*self._waiting, *(ahead.result() for ahead in self._ahead)]
         with self._lock:
-            progress = self._sampler.progress
+            stream, overlapping = self._stream, self._overlapping
+            conditions = {} if overlapping is None else {j: one for j, [one] in overlapping.conditions.items()}
+            progress = self._progress()
             numbers = {
                 "model": self.bundle.config.name,
                 "weights": self._weights(self._settings),
                 "settings": dict(vars(self._settings)),
-                "seed": self._seed,
-                "timeline": dict(vars(self._timeline)),
-                "given": self._given,
-                "prompts": {str(j): self._prompts[j] for j in progress.active},
-                "places": {str(j): self._places[j] for j in progress.active},
-                "course": self._denoise.course.state(),
+                "seed": stream.seed,
+                "timeline": dict(vars(stream.line)),
+                "given": stream.given,
+                "prompts": {str(j): one.prompt for j, one in conditions.items()},
+                "places": {str(j): (*one.timing, one.behind) for j, one in conditions.items()},
+                "course": {"before": stream.turned, "turns": {}} if overlapping is None else overlapping.course.state(),
                 "sampler": progress.numbers(),
-                **self._decoder.state(),
-                "waiting": [{k: v for k, v in vars(made).items() if k != "motion"} for made in waiting],
+                **stream.decoder.state(),
+                "waiting": [{k: v for k, v in vars(made).items() if k not in _TENSORS} for made in waiting],
             }
             tensors = {f"sampler.{name}": x for name, x in progress.tensors().items()}
             for k, made in enumerate(waiting):
                 tensors |= {f"waiting.{k}.rotations": made.motion.rotations, f"waiting.{k}.root": made.motion.root}
+                tensors[f"waiting.{k}.planted"] = made.planted
             return Snapshot(numbers, tensors)
 
     def restore(self, snapshot: Snapshot) -> Self:
@@ -235,25 +222,18 @@ class MotionStream(Iterator[Segment]):
             if numbers["weights"] != self._weights(settings):
                 raise InputError(f"this state was made with other weights of {name!r}; open the model it was made with")
             line = numbers["timeline"]
-            self._begin(settings, None)
-            self._seed = numbers["seed"]
-            self._timeline = Timeline(**{**line, "prompts": tuple(line["prompts"]), "starts": tuple(line["starts"])})
+            line = Timeline(**{**line, "prompts": tuple(line["prompts"]), "starts": tuple(line["starts"])})
+            self._open(settings, line, numbers["seed"])
             found = {k.removeprefix("sampler."): x for k, x in snapshot.tensors.items() if k.startswith("sampler.")}
             found = {k: x.to(self.device) for k, x in found.items()}
-            self._go_on(StreamState.restore(numbers["sampler"], found), int(numbers["given"]))
-            self._prompts |= {int(segment): prompt for segment, prompt in numbers["prompts"].items()}
-            places = numbers.get("places", {})  # states from before streams were told have none, or no third number
-            for segment, prompt in self._prompts.items():
-                place = (*places.get(str(segment), (UNKNOWN, UNKNOWN)), 0)[:3]
-                self._places[segment] = place
-                self._denoise.enter(segment, prompt, place)
-            if "course" in numbers:
-                self._denoise.course.restored(numbers["course"])
-            self._decoder.restore(numbers)
+            self._go_on(StreamState.restore(numbers["sampler"], found), int(numbers["given"]), numbers)
+            self._stream.decoder.restore(numbers)
             for k, made in enumerate(numbers["waiting"]):
                 turned, root = (snapshot.tensors[f"waiting.{k}.{part}"] for part in ("rotations", "root"))
                 motion = Motion(turned, root, self.codec.fps, self.codec.skeleton)
-                self._waiting.append(Segment(motion=motion, **made))
+                # States from before segments told which feet they have planted have none.
+                planted = snapshot.tensors.get(f"waiting.{k}.planted", torch.zeros(len(root), 4, dtype=torch.bool))
+                self._waiting.append(Segment(motion=motion, planted=planted, **made))
         except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
             raise FormatError(f"this state does not describe a stream: {error}") from error
         return self
@@ -275,105 +255,79 @@ class MotionStream(Iterator[Segment]):
         """
         return self.restore(Snapshot.load(path))
 
-    @one_thread()
-    def _begin(self, settings: StreamSettings, seed: SeedMotion | None) -> None:
+    def _open(self, settings: StreamSettings, line: Timeline, seed: int) -> None:
         """Everything anew, by these settings."""
-        config = self.bundle.config
         if (pool := getattr(self, "_pool", None)) is not None:
             # What it still has to make would be taken from the stream that begins here.
             pool.shutdown(cancel_futures=True)
         self._settings = settings
-        self._reading = 0.0
         self._lock = threading.Lock()
         self._pool = ThreadPoolExecutor(1) if settings.buffer else None
         self._ahead: deque[Future[Segment]] = deque()
         self._waiting: deque[Segment] = deque()
-        self._network = self.bundle.module(settings.network, self.device)
-        # Networks that were trained on other than white noise say so.
-        self._colour: Callable[[Tensor], Tensor] | None = getattr(self._network, "colour", None)
-        flow = self.bundle.module(FLOW, self.device) if self._uses_flow(settings) else None
-        self._transport = Transport(cast(CouplingFlow | None, flow), max(config.depth_cap, 1))
-        self._warm_up()
-        self._fresh()
-        if seed is not None:
-            self._decoder.go_on_from(seed.features, seed.heading, seed.x, seed.z)
-            left = (seed.features.to(self.device) - self._mean) / self._std
-            self._go_on(seed.state(left[None], settings, self._seed, config, self._colour), 1)
+        self._warm_up(settings)
+        model = StreamBatch if settings.sequential else StreamModel
+        self._model = model(self.bundle, settings, device=self.device, encoder=self.encoder)
+        self._stream = self._model.open(line, seed)
+        self._overlapping = None if settings.sequential else Overlapping(self._model, [self._stream])
 
-    def _fresh(self) -> None:
-        self._decoder = self._settings.decoder(self.bundle.config, self.codec)
-        self._go_on(None, 0)
-
-    def _go_on(self, state: StreamState | None, given: int) -> None:
-        """A sampler from this state on, of which the first ``given`` segments are none of the stream's own."""
-        config, settings = self.bundle.config, self._settings
-        self._given, self._told = given, 0
-        self._prompts: dict[int, str] = {}
-        self._places: dict[int, tuple[int, int, int]] = {}
-        self._denoise = SegmentDenoise(
-            self._network,
-            guided=bool(config.models[settings.network].config.get("guided")),
-            guidance=settings.guidance,
-            texts=self._texts,
-            clean_left=settings.clean_left,
-            seeded=given > 0,
-            course=Course(self.codec.groups["root_yaw"], self._mean, self._std, settings.steps),
-            device=self.device,
-        )
-        plan = Settings(solver=settings.solver(config, self._network), staircase=settings.staircase())
-        self._sampler = Stream(
-            self._denoise, self._transport, plan, (self._seed,), (config.segment, self.codec.dim), self._enter, state,
-            self.device,
-        )  # fmt: skip
-
-    def _warm_up(self) -> None:
+    def _warm_up(self, settings: StreamSettings) -> None:
         """A few segments of one step that nobody sees: first calls of a network take many times as long as others."""
-        settings, timeline = self._settings, self._timeline
-        self._settings = replace(settings, steps=1, start=1, lag=1, past_lag=None)
-        self._timeline = held(self.bundle.config.idle)
-        self._fresh()
+        settings = replace(settings, steps=1, start=1, lag=1, past_lag=None)
+        batch = StreamBatch(self.bundle, settings, device=self.device, encoder=self.encoder)
+        stream = batch.open(self.bundle.config.idle, 0)
         for _ in range(_WARM_UP):
-            self._make()
-        self._settings, self._timeline = settings, timeline
+            batch.step([stream])
 
-    @one_thread()
+    def _go_on(self, state: StreamState, given: int, numbers: Mapping[str, Any] | None = None) -> None:
+        """From this state of a sampler on, of which the first ``given`` segments are none of the stream's own.
+
+        Args:
+            numbers: of a whole stream's state (``state``), if it is one.
+        """
+        stream, course = self._stream, self._model.course(self._settings.steps)
+        stream.given, stream.number = given, state.finished
+        if numbers is not None and "course" in numbers:  # states from before streams knew how they turn have none
+            course.restored(numbers["course"])
+        if self._settings.sequential:
+            behind = stream.line.behind(stream.number - given)
+            stream.left, stream.left_pooled = state.left, state.left_pooled
+            stream.turned = float(course.total(stream.number, torch.tensor([behind])))
+            return
+        self._overlapping = Overlapping(self._model, [stream], state=state)
+        self._overlapping.course = course
+        places = {} if numbers is None else numbers.get("places", {})
+        for segment, prompt in ({} if numbers is None else numbers["prompts"]).items():
+            # States from before streams were told where in a sentence they are have no place, or no third number.
+            *timing, behind = (*places.get(segment, (UNKNOWN, UNKNOWN)), 0)[:3]
+            condition = self._model.conditioning.of(held(prompt, stages=False), 0, stream.guidance)
+            self._overlapping.conditions[int(segment)] = [replace(condition, timing=tuple(timing), behind=behind)]
+
+    def _progress(self) -> StreamState:
+        if self._overlapping is not None:
+            return self._overlapping.progress
+        stream, plan = self._stream, self._settings.staircase()
+        waves = plan.begin(stream.number)
+        pooled = None if self._settings.past_lag is None else stream.left_pooled
+        return StreamState(waves, waves, stream.number, left=stream.left, left_pooled=pooled)
+
     def _make(self) -> Segment:
         """The next segment."""
         with self._lock:
-            start = time.perf_counter()
-            with torch.inference_mode():
-                features = next(self._sampler)[0] * self._std + self._mean
-            # Outside, so that what users get are ordinary tensors.
-            features = features.cpu().clone()
-            finished = self._sampler.progress.finished - 1
-            motion = self._decoder(features)
-            self._denoise.leave(finished)
-            self._places.pop(finished)
-            number, frames = finished - self._given, len(features)
-            evaluations, self._told = self._denoise.evaluations - self._told, self._denoise.evaluations
-            spent, self._reading = time.perf_counter() - start + self._reading, 0.0
-            return Segment(
-                number, number * frames, frames, self._prompts.pop(finished), motion, round(spent * 1e3, 3), evaluations
-            )
-
-    def _enter(self, segment: int) -> Tensor | None:
-        """Called by the sampler when a segment enters: its prompt, which stays."""
-        line, number = self._timeline, segment - self._given
-        prompt = self._prompts[segment] = line.at(number)
-        place = self._places[segment] = (*line.place(number), line.behind(number))
-        pooled = self._denoise.enter(segment, prompt, place)
-        return None if self._transport.flow is None else pooled
+            if self._overlapping is not None:
+                [made] = self._overlapping.step()
+            else:
+                [made] = cast(StreamBatch, self._model).step([self._stream])
+            return made
 
     def _weights(self, settings: StreamSettings) -> dict[str, Any]:
         """The sha256 of the networks that make segments, and what else of the model they depend on."""
-        names = (settings.network, FLOW) if self._uses_flow(settings) else (settings.network,)
+        config = self.bundle.config
+        names = (settings.network, FLOW) if config.flows(settings.network) else (settings.network,)
         found: dict[str, Any] = {name: self.bundle.files[f"{name}.safetensors"][0] for name in names}
-        travelling = self.bundle.config.travelling
-        found |= {} if travelling == 1.0 else {"travelling": travelling}  # states of models from before have none
-        return found | {"symmetric": settings.network in self.bundle.config.symmetric}
-
-    def _uses_flow(self, settings: StreamSettings) -> bool:
-        return self.bundle.config.flows(settings.network)
+        if config.travelling != 1.0:  # states of models from before have none
+            found["travelling"] = config.travelling
+        return found | {"symmetric": settings.network in config.symmetric}
 
 
 def _reopened(

@@ -3,7 +3,6 @@
 Shapes: n frames of a segment, D features.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from torch import Tensor
@@ -15,9 +14,9 @@ from moveset.motion.clip import Motion
 from moveset.motion.features import FeatureCodec
 from moveset.motion.native import NativeCodec
 from moveset.motion.retarget import retarget
-from moveset.pipelines.stream_bundle import StreamConfig
-from moveset.pipelines.stream_settings import StreamSettings, get_schedule
-from moveset.rdm.noise import START, segment_noise
+from moveset.rdm.noise import START
+from moveset.rdm.sequential import Solver
+from moveset.rdm.staircase import Staircase
 from moveset.rdm.state import StreamState
 
 
@@ -59,25 +58,19 @@ class SeedMotion:
         heading = rotations.heading_angle(rotations.heading(last.rotations[0, 0]))
         return cls(codec.encode(last), float(heading), float(last.root[0, 0]), float(last.root[0, 2]))
 
-    def state(
-        self,
-        left_1nD: Tensor,
-        settings: StreamSettings,
-        seed: int,
-        config: StreamConfig,
-        colour: Callable[[Tensor], Tensor] | None,
-    ) -> StreamState:
+    def state(self, left_1nD: Tensor, solver: Solver, plan: Staircase, seed: int) -> StreamState:
         """A sampler that has finished segment 0, this clip, and is about to take in segment 1.
 
         Args:
             left_1nD: the features, normalised, on the device.
-            colour: of the noise that the network knows.
+            solver: of the network.
+            plan: of the stream.
+            seed: of its noise.
         """
-        plan, waiting = settings.staircase(), None
+        waiting = None
         if at := plan.entry(1) if plan.has(1) else 0:
             # What segment 1 begins with is a noisy neighbour, which was never sampled here: the clip with noise on it.
-            noise = segment_noise(seed, 0, START, left_1nD.shape[1:])[None].to(left_1nD)
-            noise = noise if colour is None else colour(noise)
-            level = left_1nD.new_full((1,), settings.levels(config)[at]).long()
-            waiting = add_noise(get_schedule(config), left_1nD, noise, level)
+            noise = solver.noise([seed], [0], START, left_1nD.shape[1:]).to(left_1nD)
+            level = left_1nD.new_full((1,), solver.levels[at]).long()
+            waiting = add_noise(solver.schedule, left_1nD, noise, level)
         return StreamState(wave=plan.begin(1), finished=1, left=left_1nD, waiting=waiting)

@@ -65,6 +65,11 @@ class StreamSettings:
         return self.lag == self.steps
 
     @property
+    def sequential(self) -> bool:
+        """Whether every segment waits for its finished predecessor, and begins with noise of its own."""
+        return self.one_by_one and self.start == self.steps
+
+    @property
     def clean_left(self) -> bool:
         """Whether every segment is told its finished predecessor as it is, at every step."""
         return self.one_by_one and self.past_lag is None
@@ -99,7 +104,7 @@ class Timeline:
     Args:
         prompts: in order of time, every stage of a sentence for itself.
         starts: number of the segment with which each begins; the first is 0.
-        end: segments in all; after them the last prompt is held.
+        end: segments in all, the last not always whole; after them the last prompt is held.
         loop: begin again instead.
         timed: the last prompt was given a time of its own, though it may be held beyond it.
         origin: number of the segment with which the first prompt was taken up.
@@ -107,7 +112,7 @@ class Timeline:
 
     prompts: tuple[str, ...]
     starts: tuple[int, ...]
-    end: int
+    end: float
     loop: bool = False
     timed: bool = False
     origin: int = 0
@@ -121,7 +126,7 @@ class Timeline:
         """
         return self.prompts[self._part(segment)]
 
-    def place(self, segment: int) -> tuple[int, int]:
+    def place(self, segment: int) -> tuple[float, float]:
         """Where a segment lies in the time of its prompt: segments behind it, and those from it on.
 
         Of a prompt that is held nobody knows when it ends.
@@ -130,7 +135,7 @@ class Timeline:
         >>> [line.place(k) for k in (0, 2, 3)]
         [(0, 3), (2, 1), (-1, -1)]
         """
-        part, segment = self._part(segment), segment % self.end if self.loop else segment
+        part, segment = self._part(segment), self._within(segment)
         begin, end = (self.origin, *self.starts[1:], self.end)[part : part + 2]
         known = begin <= segment < end and (end < self.end or self.timed or self.loop)
         return (segment - begin, end - segment) if known else (UNKNOWN, UNKNOWN)
@@ -142,24 +147,28 @@ class Timeline:
         >>> [line.behind(k) for k in (0, 2, 3, 9)]
         [0, 2, 0, 6]
         """
-        part, segment = self._part(segment), segment % self.end if self.loop else segment
+        part, segment = self._part(segment), self._within(segment)
         return max(segment - (self.origin, *self.starts[1:])[part], 0)
 
     def _part(self, segment: int) -> int:
-        return bisect_right(self.starts, segment % self.end if self.loop else segment) - 1
+        return bisect_right(self.starts, self._within(segment)) - 1
 
-    def segments(self) -> tuple[int, ...]:
+    def _within(self, segment: int) -> int:
+        return segment % int(self.end) if self.loop else segment
+
+    def segments(self) -> tuple[float, ...]:
         """How many segments each prompt has."""
         return tuple(stop - start for start, stop in zip(self.starts, (*self.starts[1:], self.end), strict=True))
 
     def beginning(self, segment: int) -> "Timeline":
-        """The same, later: as if this segment were the first.
+        """The same, taken up with another segment.
 
         >>> Timeline(("walk", "bow"), (0, 3), 6).beginning(10).starts
         (0, 13)
         """
-        starts = (0, *(start + segment for start in self.starts[1:]))
-        return replace(self, starts=starts, end=self.end + segment, origin=segment)
+        later = segment - self.origin
+        starts = (0, *(start + later for start in self.starts[1:]))
+        return replace(self, starts=starts, end=self.end + later, origin=segment)
 
 
 @dataclass(frozen=True)

@@ -13,8 +13,8 @@ from moveset.pipelines.bundle import DEFAULT_MODEL, Bundle
 from moveset.pipelines.device import pick_device
 from moveset.pipelines.model_folder import STREAM, find_folder, shipped, task_of
 from moveset.pipelines.request import TEACHER_STEPS, Method, check_method
+from moveset.pipelines.stream_batch import StreamBatch
 from moveset.pipelines.stream_bundle import DEFAULT_STREAM, StreamBundle
-from moveset.pipelines.stream_group import StreamGroup
 from moveset.pipelines.stream_settings import StreamRequest, StreamSettings, check_stream
 from moveset.pipelines.text_to_motion import TextToMotion
 from moveset.server.failures import RequestError
@@ -22,7 +22,7 @@ from moveset.text.encoder import TextEncoder, get_text_encoder
 
 SUGGESTIONS = 24
 _LONGEST = 60  # characters of a suggestion
-_GROUPS = 32  # of settings that streams are made by: clients choose them
+_BATCHES = 32  # of settings that streams are made by: clients choose them
 _SHIPPED_LICENSE = "CC-BY-NC-4.0"  # weights/LICENSE.md
 
 
@@ -53,7 +53,7 @@ class Catalog:
             else:
                 self.clips[name] = TextToMotion(bundle, self.device)
         self._encoders: dict[str, TextEncoder] = {}
-        self._groups: OrderedDict[tuple[str, StreamSettings], StreamGroup] = OrderedDict()
+        self._batches: OrderedDict[tuple[str, StreamSettings], StreamBatch] = OrderedDict()
         self._suggestions: dict[str, list[str]] = {}
 
     @property
@@ -103,16 +103,16 @@ class Catalog:
             _check_steps(_stream_row(bundle), steps)
         return check_stream(bundle.config, prompt, seed=seed, steps=steps, guidance=guidance)
 
-    def group(self, bundle: StreamBundle, settings: StreamSettings) -> StreamGroup:
+    def batch(self, bundle: StreamBundle, settings: StreamSettings) -> StreamBatch:
         """What makes streams of these settings, whatever their guidance; the last few that were asked for are kept."""
         key = (bundle.config.name, replace(settings, guidance=0.0))
-        if key not in self._groups:
+        if key not in self._batches:
             encoder = self.encoder(bundle.config.text_encoder)
-            self._groups[key] = StreamGroup(bundle, settings, device=self.device, encoder=encoder)
-            if len(self._groups) > _GROUPS:
-                self._groups.popitem(last=False)
-        self._groups.move_to_end(key)
-        return self._groups[key]
+            self._batches[key] = StreamBatch(bundle, settings, device=self.device, encoder=encoder)
+            if len(self._batches) > _BATCHES:
+                self._batches.popitem(last=False)
+        self._batches.move_to_end(key)
+        return self._batches[key]
 
     def encoder(self, name: str) -> TextEncoder:
         """A text encoder, shared by the models that use it."""

@@ -2,7 +2,7 @@
 
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, generate_latest
 
-from moveset.pipelines.segment import Segment
+from moveset.pipelines.stream_batch import Segment
 from moveset.pipelines.text_to_motion import Generation
 
 _SECONDS = (0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0)

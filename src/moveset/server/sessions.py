@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from moveset.pipelines.stream_group import Lane, StreamGroup
+from moveset.pipelines.stream_batch import Stream, StreamBatch
 
 Message = Mapping[str, Any] | bytes
 
@@ -52,8 +52,8 @@ class Session:
     begin: Begin | None
     asked: str | None = None
     wishes: dict[str, Any] = field(default_factory=dict)
-    group: StreamGroup | None = None
-    lane: Lane | None = None
+    batch: StreamBatch | None = None
+    stream: Stream | None = None
     fps: float = 20.0
     segment: int = 1
     paused: bool = False
@@ -61,7 +61,7 @@ class Session:
     unsent: int = 0
     sent: int = 0
     played: int = 0
-    kept: dict[int, Lane] = field(default_factory=dict)
+    kept: dict[int, Stream] = field(default_factory=dict)
     due_since: float | None = None
     _clock: float = 0.0
     _heard: float = 0.0
@@ -76,7 +76,7 @@ class Session:
     def due(self) -> bool:
         """Whether it is time to make the next segment: less than the buffer is ahead, and the last one was sent."""
         ahead = self.sent - self.played
-        return not (self.over or self.paused or self.lane is None or self.unsent) and ahead < self.buffer * self.fps
+        return not (self.over or self.paused or self.stream is None or self.unsent) and ahead < self.buffer * self.fps
 
     @property
     def deadline(self) -> float:
@@ -86,10 +86,10 @@ class Session:
         """
         return max(self._clock + self.sent / self.fps, self._heard + (self.sent - self.played) / self.fps)
 
-    def started(self, group: StreamGroup, lane: Lane) -> None:
+    def started(self, batch: StreamBatch, stream: Stream) -> None:
         """It begins to play now."""
-        self.group, self.lane = group, lane
-        self.fps, self.segment = group.bundle.config.fps, group.bundle.config.segment
+        self.batch, self.stream = batch, stream
+        self.fps, self.segment = batch.bundle.config.fps, batch.bundle.config.segment
         self._clock = self._heard = time.monotonic()
         self.look()
 
@@ -121,22 +121,22 @@ class Session:
     def keep(self) -> None:
         """Remember where the next segment begins, in case a prompt is to go back there; forget what was played.
 
-        The next segment must then be made with a copy of the lane.
+        The next segment must then be made with a copy of it.
         """
-        assert self.lane is not None
+        assert self.stream is not None
         if self.commit is not None:
             oldest = self.played // self.segment
-            self.kept = {number: lane for number, lane in self.kept.items() if number >= oldest}
-            self.kept[self.lane.number] = self.lane
+            self.kept = {number: stream for number, stream in self.kept.items() if number >= oldest}
+            self.kept[self.stream.number] = self.stream
 
     def go_back(self) -> None:
         """To the first segment that is not committed, if that was made already; the newest prompt begins there."""
-        now = self.lane
+        now = self.stream
         assert now is not None
         if self.commit is None:
             return
         number = math.ceil((self.played + self.commit) / self.segment)
         if number < now.number:
-            self.lane = now.back_at(self.kept[number])
+            self.stream = now.back_at(self.kept[number])
             self.sent = number * self.segment
             self.look()

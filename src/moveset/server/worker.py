@@ -16,7 +16,7 @@ from typing import Any
 import torch
 
 from moveset.errors import MovesetError
-from moveset.pipelines.stream_group import StreamGroup
+from moveset.pipelines.stream_batch import StreamBatch
 from moveset.server.catalog import Catalog
 from moveset.server.failures import RequestError, busy, sayable, stopping
 from moveset.server.jobs import Job
@@ -186,10 +186,10 @@ class Worker:
     def _first_segments(self) -> None:
         if self._catalog.default["stream"] is not None:
             bundle = self._catalog.stream(None)
-            group = self._catalog.group(bundle, self._catalog.request(bundle, None, 0, None, None).settings)
-            lane = group.open(bundle.config.idle, 0)
+            batch = self._catalog.batch(bundle, self._catalog.request(bundle, None, 0, None, None).settings)
+            stream = batch.open(bundle.config.idle, 0)
             for _ in range(2):
-                group.advance([lane])
+                batch.step([stream])
 
     def _serve(self) -> None:
         """Streams: wishes first, then segments, until nobody is about to run out."""
@@ -200,38 +200,37 @@ class Worker:
                 self._obey(session)
             with self.lock:
                 due = sorted((s for s in self._sessions if s.due), key=lambda s: s.deadline)
-                batch = [session for session in due if session.group is due[0].group]
+                sessions = [session for session in due if session.batch is due[0].batch]
             if not due or (batches and due[0].deadline > time.monotonic() + _SOON):
                 return
-            self._advance(batch)
+            self._advance(sessions)
 
-    def _advance(self, batch: list[Session]) -> None:
-        group = batch[0].group
-        assert group is not None
+    def _advance(self, sessions: list[Session]) -> None:
+        batch = sessions[0].batch
+        assert batch is not None
         begun = time.monotonic()
         with self.lock:
-            for session in batch:
+            for session in sessions:
                 session.keep()
-            lanes = [session.lane.copy() for session in batch if session.lane is not None]
+            streams = [session.stream.copy() for session in sessions if session.stream is not None]
         try:
-            pieces = group.advance(lanes)
+            segments = batch.step(streams)
         except Exception as error:
-            if len(batch) > 1:  # one of them; the others must not suffer
-                for session in batch:
+            if len(sessions) > 1:  # one of them; the others must not suffer
+                for session in sessions:
                     self._advance([session])
                 return
             _log.exception("a segment could not be made")
-            batch[0].deliver([_broken(error), {"type": "stopped", "frames": batch[0].sent, "reason": "failed"}])
-            self.leave(batch[0])
+            sessions[0].deliver([_broken(error), {"type": "stopped", "frames": sessions[0].sent, "reason": "failed"}])
+            self.leave(sessions[0])
             return
-        self._metrics.batch.observe(len(batch))
-        for session, lane, piece in zip(batch, lanes, pieces, strict=True):
-            made = piece.segment
+        self._metrics.batch.observe(len(sessions))
+        for session, stream, made in zip(sessions, streams, segments, strict=True):
             packet = pack_packet(
-                made.motion, first_frame=made.first_frame, latency_ms=made.latency_ms, planted=piece.planted
+                made.motion, first_frame=made.first_frame, latency_ms=made.latency_ms, planted=made.planted
             )
             with self.lock:
-                session.lane = lane
+                session.stream = stream
                 since, session.due_since = session.due_since or begun, None
                 session.sent = made.first_frame + made.frames
                 session.unsent += 1
@@ -280,40 +279,40 @@ class Worker:
     def _begin(self, session: Session, begin: Any) -> None:
         bundle = self._catalog.stream(begin.model)
         request = self._catalog.request(bundle, begin.prompt, begin.seed, begin.steps, begin.guidance)
-        group = self._catalog.group(bundle, request.settings)
-        lane = group.open(begin.prompt or bundle.config.idle, request.seed, request.settings.guidance)
+        batch = self._catalog.batch(bundle, request.settings)
+        stream = batch.open(begin.prompt or bundle.config.idle, request.seed, request.settings.guidance)
         with self.lock:
-            session.started(group, lane)
+            session.started(batch, stream)
         said = {
             "type": "started",
             "stream": session.number,
             "model": bundle.config.name,
-            "seed": lane.seed,
+            "seed": stream.seed,
             "fps": session.fps,
             "segment_frames": session.segment,
             "buffer": session.buffer,
             "commit": session.commit,
-            "skeleton": skeleton_json(group.codec.skeleton),
+            "skeleton": skeleton_json(batch.codec.skeleton),
             **_settings(session),
         }
         session.deliver([said, _effect(session, begin.prompt or bundle.config.idle)])
 
     def _change(self, session: Session, wishes: dict[str, Any]) -> None:
-        group, lane = session.group, session.lane
-        if group is None or lane is None:
+        batch, stream = session.batch, session.stream
+        if batch is None or stream is None:
             return
-        steps = wishes.get("steps", group.settings.steps)
-        guidance = wishes.get("guidance", lane.guidance)
-        settings = self._catalog.request(group.bundle, None, lane.seed, steps, guidance).settings
-        changed: StreamGroup = self._catalog.group(group.bundle, settings)
+        steps = wishes.get("steps", batch.settings.steps)
+        guidance = wishes.get("guidance", stream.guidance)
+        settings = self._catalog.request(batch.bundle, None, stream.seed, steps, guidance).settings
+        changed: StreamBatch = self._catalog.batch(batch.bundle, settings)
         with self.lock:
-            session.group, lane.guidance = changed, settings.guidance
+            session.batch, stream.guidance = changed, settings.guidance
         session.deliver([{"type": "set", "buffer": session.buffer, **_settings(session)}])
 
     def _prompt(self, session: Session, text: str) -> None:
-        if session.group is None or session.lane is None:
+        if session.batch is None or session.stream is None:
             return
-        session.group.prompt(session.lane, text)
+        session.batch.prompt(session.stream, text)
         with self.lock:
             session.go_back()
         session.deliver([_effect(session, text)])
@@ -369,21 +368,21 @@ def _broken(error: Exception) -> dict[str, str]:
 
 
 def _settings(session: Session) -> dict[str, Any]:
-    assert session.group is not None
-    assert session.lane is not None
-    return {"steps": session.group.settings.steps, "guidance": session.lane.guidance}
+    assert session.batch is not None
+    assert session.stream is not None
+    return {"steps": session.batch.settings.steps, "guidance": session.stream.guidance}
 
 
 def _effect(session: Session, text: str) -> Message:
     """What a client is told of its new prompt, which begins now."""
-    assert session.group is not None
-    lane, n = session.lane, session.segment
-    assert lane is not None
-    begins = [(lane.number + start) * n for start in lane.line.starts]
+    assert session.batch is not None
+    stream, n = session.stream, session.segment
+    assert stream is not None
+    begins = [max(start, stream.line.origin) * n for start in stream.line.starts]
     return {
         "type": "prompt",
         "text": text,
         "takes_effect_at": begins[0],
-        "stages": [{"text": said, "takes_effect_at": at} for said, at in zip(lane.line.prompts, begins, strict=True)],
-        "warnings": list(session.group.warnings(lane)),
+        "stages": [{"text": said, "takes_effect_at": at} for said, at in zip(stream.line.prompts, begins, strict=True)],
+        "warnings": list(session.batch.warnings(stream)),
     }

@@ -9,7 +9,7 @@ from moveset.errors import InputError
 from moveset.motion.foot_lock import FootLock
 from moveset.motion.incremental import IncrementalDecoder
 from moveset.pipelines.motion_stream import MotionStream
-from moveset.pipelines.stream_group import StreamGroup
+from moveset.pipelines.stream_batch import StreamBatch
 from moveset.pipelines.stream_settings import check_stream
 
 WALK, BOW = "a person walks forward", "a person bows politely to everybody who is there"
@@ -19,7 +19,7 @@ WALK, BOW = "a person walks forward", "a person bows politely to everybody who i
 def group(bundle, encoder):
     def make(**options):
         settings = check_stream(bundle.config, **options).settings
-        return StreamGroup(bundle, settings, device="cpu", encoder=encoder)
+        return StreamBatch(bundle, settings, device="cpu", encoder=encoder)
 
     return make
 
@@ -50,49 +50,49 @@ def differ(one, two):
 def test_each_stream_of_a_group_is_what_it_is_alone(bundle, encoder, group, options):
     together = group(**options)
     lanes = [together.open(text, seed) for text, seed in ((WALK, 1), (BOW, 2), (WALK, 3))]
-    rounds = [together.advance(lanes) for _ in range(3)]
+    rounds = [together.step(lanes) for _ in range(3)]
     for k, (text, seed) in enumerate(((WALK, 1), (BOW, 2), (WALK, 3))):
         want = alone(bundle, encoder, text, 3, seed=seed, **options)
         for pieces, segment in zip(rounds, want, strict=True):
-            made = pieces[k].segment
+            made = pieces[k]
             assert differ(made, segment) < 1e-4
             assert (made.number, made.first_frame, made.frames, made.prompt, made.network_evaluations) == (
                 segment.number, segment.first_frame, segment.frames, segment.prompt, segment.network_evaluations
             )  # fmt: skip
-    assert differ(rounds[0][0].segment, rounds[0][2].segment) > 1e-3
+    assert differ(rounds[0][0], rounds[0][2]) > 1e-3
 
 
 def test_joining_late_prompts_and_guidance_of_ones_own_change_nothing_for_others(bundle, encoder, group):
     together = group(network="pcm-2")
     first = together.open(WALK, 1)
-    made = [together.advance([first])[0]]
+    made = [together.step([first])[0]]
     late = together.open(BOW, 2, guidance=4.0)
-    made.append(together.advance([first, late])[0])
+    made.append(together.step([first, late])[0])
     assert together.prompt(first, BOW) == 56
-    pieces = together.advance([late, first])
+    pieces = together.step([late, first])
     made.append(pieces[1])
 
     lone = MotionStream(bundle, check_stream(bundle.config, WALK, seed=1, network="pcm-2"), encoder=encoder)
     want = [next(lone), next(lone)]
     assert lone.prompt(BOW) == 56
     want.append(next(lone))
-    assert max(differ(a.segment, b) for a, b in zip(made, want, strict=True)) < 1e-4
+    assert max(differ(a, b) for a, b in zip(made, want, strict=True)) < 1e-4
     second = alone(bundle, encoder, BOW, 2, seed=2, network="pcm-2", guidance=4.0)[1]
-    assert differ(pieces[0].segment, second) < 1e-4
+    assert differ(pieces[0], second) < 1e-4
 
 
 def test_a_lane_goes_back_and_over_to_another_network(bundle, encoder, group):
     one, two = group(network="pcm-1"), group(network="pcm-2")
     lane = one.open(WALK, 5)
-    one.advance([lane])
+    one.step([lane])
     kept = lane.copy()
-    ahead = [one.advance([lane])[0] for _ in range(2)]
-    again = [one.advance([kept])[0] for _ in range(2)]
-    assert all(torch.equal(a.segment.motion.root, b.segment.motion.root) for a, b in zip(ahead, again, strict=True))
+    ahead = [one.step([lane])[0] for _ in range(2)]
+    again = [one.step([kept])[0] for _ in range(2)]
+    assert all(torch.equal(a.motion.root, b.motion.root) for a, b in zip(ahead, again, strict=True))
     assert all(torch.equal(a.planted, b.planted) for a, b in zip(ahead, again, strict=True))
-    other = two.advance([kept])[0].segment
+    other = two.step([kept])[0]
     assert (other.number, other.network_evaluations) == (3, 2)
-    assert differ(other, one.advance([lane])[0].segment) > 1e-3
+    assert differ(other, one.step([lane])[0]) > 1e-3
 
 
 def test_planted_feet_are_those_that_the_lock_holds(group, monkeypatch):
@@ -109,12 +109,12 @@ def test_planted_feet_are_those_that_the_lock_holds(group, monkeypatch):
 
     monkeypatch.setattr(IncrementalDecoder, "__call__", decoded)
     monkeypatch.setattr(FootLock, "__call__", locked)
-    together.advance([together.open(WALK, seed) for seed in (1, 2)])
+    together.step([together.open(WALK, seed) for seed in (1, 2)])
     # An untrained network's feet all stand or none does: let half of them.
     limit = float(torch.cat(seen).median())
     monkeypatch.setattr("moveset.motion.stream_decoder.PLANTED", limit)
     held.clear()
-    pieces = together.advance([together.open(WALK, seed) for seed in (1, 2)])
+    pieces = together.step([together.open(WALK, seed) for seed in (1, 2)])
     for piece, contacts, one in zip(pieces, seen[2:], held, strict=True):
         assert piece.planted.shape == (28, 4)
         assert torch.equal(piece.planted, contacts > limit)
@@ -129,7 +129,7 @@ def test_what_cannot_be_grouped_is_refused(group):
     lane = made.open(WALK, 1)
     with pytest.raises(InputError, match="empty"):
         made.prompt(lane, "  ")
-    assert lane.prompt == WALK
+    assert lane.condition.prompt == WALK
     with pytest.raises(InputError, match="empty"):
         made.open("", 1)
 
@@ -138,13 +138,13 @@ def test_what_mirror_images_are_told_is_read_once(group, monkeypatch):
     together = group()
     assert "pcm-1" in together.bundle.config.symmetric
     lanes = [together.open("a person turns left", 1)]
-    together.advance(lanes)
+    together.step(lanes)
 
     def refused(sentences):
         raise AssertionError(f"{sentences} were read again")
 
     monkeypatch.setattr(together.encoder, "encode", refused)
     # Other streams' prompts may have pushed these out of the memory.
-    together._texts._known.clear()
-    together.advance(lanes)
+    together.texts._known.clear()
+    together.step(lanes)
     assert lanes[0].number == 2
