@@ -18,8 +18,9 @@ from moveset.motion.retarget import retarget
 from moveset.motion.skeleton import HML22, Skeleton
 from moveset.pipelines.motion_stream import MotionStream
 from moveset.pipelines.stream_bundle import StreamBundle
-from moveset.pipelines.stream_settings import Timeline, check_stream
+from moveset.pipelines.stream_settings import check_stream
 from moveset.pipelines.stream_state import Snapshot
+from moveset.pipelines.timeline import Timeline
 from moveset.rdm.noise import START, segment_noise
 from tests.streams import FRAMES, tiny_stream
 

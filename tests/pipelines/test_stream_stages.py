@@ -7,7 +7,8 @@ import torch
 
 from moveset.pipelines.motion_stream import MotionStream
 from moveset.pipelines.stream_batch import StreamBatch
-from moveset.pipelines.stream_settings import check_stream, share_evenly
+from moveset.pipelines.stream_settings import check_stream
+from moveset.pipelines.timeline import share_evenly
 
 WALK, BOW = "a person walks", "a person bows"
 BOTH = "a person walks, then bows"

@@ -10,7 +10,7 @@ from moveset.motion.features import get_codec
 from moveset.motion.stream_decoder import StreamDecoder
 from moveset.pipelines.conditioning import SegmentCondition
 from moveset.pipelines.stream_batch import Stream
-from moveset.pipelines.stream_settings import held
+from moveset.pipelines.timeline import held
 from moveset.server import sessions
 from moveset.server.sessions import Session
 from moveset.text.encoder import TextEmbedding

@@ -17,7 +17,8 @@ from moveset.pipelines.generator import REMEMBERED
 from moveset.pipelines.overlapping import Overlapping
 from moveset.pipelines.stream_batch import Segment, StreamBatch, StreamModel
 from moveset.pipelines.stream_bundle import FLOW, StreamBundle
-from moveset.pipelines.stream_settings import StreamSettings, Timeline, share_evenly
+from moveset.pipelines.stream_settings import StreamSettings
+from moveset.pipelines.timeline import Timeline, share_evenly
 from moveset.rdm.staircase import Shape, Staircase
 from moveset.text.stages import split_stages
 

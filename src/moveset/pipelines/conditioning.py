@@ -14,7 +14,7 @@ from moveset.data.captions import mirror_text
 from moveset.diffusion.guidance import cfg
 from moveset.models.segment_transformer import told_of
 from moveset.models.symmetric import Symmetric
-from moveset.pipelines.stream_settings import Timeline
+from moveset.pipelines.timeline import Timeline
 from moveset.rdm.sequential import Denoise
 from moveset.text.cache import CachedEncoder
 from moveset.text.encoder import TextEmbedding, stack

@@ -29,11 +29,10 @@ from moveset.pipelines.stream_settings import (
     BLEND_SECONDS,
     StreamRequest,
     StreamSettings,
-    Timeline,
     check_stream,
-    held,
 )
 from moveset.pipelines.stream_state import Snapshot
+from moveset.pipelines.timeline import Timeline, held
 from moveset.rdm.state import StreamState
 from moveset.text.encoder import TextEncoder, get_text_encoder
 

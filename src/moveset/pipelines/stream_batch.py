@@ -22,7 +22,8 @@ from moveset.pipelines.conditioning import Conditioning, SegmentCondition
 from moveset.pipelines.course import Course
 from moveset.pipelines.device import one_thread, pick_device
 from moveset.pipelines.stream_bundle import FLOW, StreamBundle
-from moveset.pipelines.stream_settings import StreamSettings, Timeline, held
+from moveset.pipelines.stream_settings import StreamSettings
+from moveset.pipelines.timeline import Timeline, held
 from moveset.pipelines.warnings import too_long, unfamiliar
 from moveset.rdm.sequential import Past, sample_segment
 from moveset.rdm.transport import Transport

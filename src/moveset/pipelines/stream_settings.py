@@ -1,9 +1,8 @@
 """What may be asked of a stream, checked before anything is computed. One sentence a refusal: value, limit, remedy."""
 
 import math
-from bisect import bisect_right
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import chain, pairwise
 from typing import cast
 
@@ -12,17 +11,16 @@ from torch import nn
 from moveset.diffusion.phases import PhaseGrid
 from moveset.diffusion.schedule import Schedule, cosine, linear
 from moveset.errors import InputError
-from moveset.models.segment_transformer import UNKNOWN
 from moveset.motion.features import FeatureCodec
 from moveset.motion.stream_decoder import StreamDecoder
 from moveset.pipelines.request import MAX_GUIDANCE, MAX_PROMPTS, SEEDS, check_prompt, check_real, check_whole
 from moveset.pipelines.stream_bundle import FLOW, StreamConfig
+from moveset.pipelines.timeline import STAGE_SEGMENTS, Timeline, share_evenly
 from moveset.rdm.sequential import Solver
 from moveset.rdm.staircase import Staircase, levels
 from moveset.text.stages import split_stages
 
 SEGMENTS = 4  # of a prompt that is followed by another and was given no duration
-STAGE_SEGMENTS = 3  # of each stage of a prompt that has several and was given no duration
 MAX_SECONDS = 86_400.0
 MAX_BUFFER = 64
 BLEND_SECONDS = 0.3
@@ -95,80 +93,6 @@ class StreamSettings:
             schedule=get_schedule(config), levels=self.levels(config), eta=self.eta, past_lag=self.past_lag,
             colour=colour,
         )  # fmt: skip
-
-
-@dataclass(frozen=True)
-class Timeline:
-    """Which prompt a segment has.
-
-    Args:
-        prompts: in order of time, every stage of a sentence for itself.
-        starts: number of the segment with which each begins; the first is 0.
-        end: segments in all, the last not always whole; after them the last prompt is held.
-        loop: begin again instead.
-        timed: the last prompt was given a time of its own, though it may be held beyond it.
-        origin: number of the segment with which the first prompt was taken up.
-    """
-
-    prompts: tuple[str, ...]
-    starts: tuple[int, ...]
-    end: float
-    loop: bool = False
-    timed: bool = False
-    origin: int = 0
-
-    def at(self, segment: int) -> str:
-        """The prompt of a segment.
-
-        >>> line = Timeline(("walk", "bow"), (0, 3), 4)
-        >>> [line.at(k) for k in (2, 3, 9)]
-        ['walk', 'bow', 'bow']
-        """
-        return self.prompts[self._part(segment)]
-
-    def place(self, segment: int) -> tuple[float, float]:
-        """Where a segment lies in the time of its prompt: segments behind it, and those from it on.
-
-        Of a prompt that is held nobody knows when it ends.
-
-        >>> line = Timeline(("walk", "bow"), (0, 3), 4)
-        >>> [line.place(k) for k in (0, 2, 3)]
-        [(0, 3), (2, 1), (-1, -1)]
-        """
-        part, segment = self._part(segment), self._within(segment)
-        begin, end = (self.origin, *self.starts[1:], self.end)[part : part + 2]
-        known = begin <= segment < end and (end < self.end or self.timed or self.loop)
-        return (segment - begin, end - segment) if known else (UNKNOWN, UNKNOWN)
-
-    def behind(self, segment: int) -> int:
-        """How many segments before this one belong to the same saying of its prompt.
-
-        >>> line = Timeline(("walk", "bow"), (0, 3), 4)
-        >>> [line.behind(k) for k in (0, 2, 3, 9)]
-        [0, 2, 0, 6]
-        """
-        part, segment = self._part(segment), self._within(segment)
-        return max(segment - (self.origin, *self.starts[1:])[part], 0)
-
-    def _part(self, segment: int) -> int:
-        return bisect_right(self.starts, self._within(segment)) - 1
-
-    def _within(self, segment: int) -> int:
-        return segment % int(self.end) if self.loop else segment
-
-    def segments(self) -> tuple[float, ...]:
-        """How many segments each prompt has."""
-        return tuple(stop - start for start, stop in zip(self.starts, (*self.starts[1:], self.end), strict=True))
-
-    def beginning(self, segment: int) -> "Timeline":
-        """The same, taken up with another segment.
-
-        >>> Timeline(("walk", "bow"), (0, 3), 6).beginning(10).starts
-        (0, 13)
-        """
-        later = segment - self.origin
-        starts = (0, *(start + later for start in self.starts[1:]))
-        return replace(self, starts=starts, end=self.end + later, origin=segment)
 
 
 @dataclass(frozen=True)
@@ -267,18 +191,6 @@ def get_schedule(config: StreamConfig) -> Schedule:
     return {"linear": linear, "cosine": cosine}[config.schedule](config.timesteps)
 
 
-def held(prompt: str, stages: bool = True) -> Timeline:
-    """One prompt whose last stage is held for ever.
-
-    Raises:
-        InputError: an empty or absurd prompt.
-    """
-    check_prompt(prompt)
-    said = split_stages(prompt) if stages else (prompt,)
-    each = STAGE_SEGMENTS if len(said) > 1 else 1
-    return Timeline(said, tuple(range(0, each * len(said), each)), each * len(said))
-
-
 def _timeline(
     config: StreamConfig, prompt: str | Sequence[str] | None, seconds: float | Sequence[float] | None, loop: bool,
     stages: bool,
@@ -320,15 +232,6 @@ def _timeline(
     counts = tuple(end - begin for begin, end in pairwise(bounds))
     timeline = Timeline(tuple(chain.from_iterable(said)), tuple(starts), bounds[-1], loop, seconds is not None)
     return timeline, given, counts
-
-
-def share_evenly(begin: int, end: int, count: int) -> list[int]:
-    """The ``count`` + 1 bounds of parts of [begin, end) that differ by one at most.
-
-    >>> share_evenly(10, 17, 2)
-    [10, 14, 17]
-    """
-    return [begin + -(-(end - begin) * k // count) for k in range(count + 1)]
 
 
 def _is_student(network: str) -> bool:
