@@ -11,7 +11,7 @@ from moveset.errors import FormatError, InputError
 from moveset.evaluation.folder import folder_motions
 from moveset.evaluation.generators import Generated, Given, Reconstruction, Wanted, check_made, resampled
 from moveset.evaluation.items import open_items
-from moveset.evaluation.job import Job, clip_method, open_generator
+from moveset.evaluation.run import EvaluationConfig, clip_method, open_generator
 from moveset.evaluation.streams import Streams, timeline
 from moveset.motion.features import get_codec
 from moveset.pipelines.bundle import Bundle
@@ -336,8 +336,8 @@ def test_folders_that_are_none(tmp_path):
 
 
 def test_jobs_open_what_they_name(bundle, streams):
-    def opened(**job):
-        return open_generator(Job(device="cpu", **job))
+    def opened(**given):
+        return open_generator(EvaluationConfig(device="cpu", **given))
 
     folder, flow = str(bundle.path), str(streams.path)
     assert opened(model=folder).slug == "tiny-pcm-1"

@@ -11,12 +11,12 @@ from pathlib import Path
 import pytest
 
 from moveset.errors import FormatError, InputError, MovesetError
-from moveset.evaluation import job as jobs
 from moveset.evaluation import results as results_module
+from moveset.evaluation import run as running
 from moveset.evaluation.items import open_items
-from moveset.evaluation.job import Job, open_session, run
 from moveset.evaluation.protocol import Protocol, Session, run_repeat
 from moveset.evaluation.results import Results, summary
+from moveset.evaluation.run import EvaluationConfig, evaluate, open_session
 from tests.bundles import tiny_bundle
 from tests.evaluation.corpora import content_corpus
 from tests.evaluation.judges import Oracle, Painter
@@ -230,13 +230,13 @@ def test_a_folder_that_cannot_be_written_to(items, oracle, tmp_path, out, monkey
         opened(items, oracle, Path(out))
 
 
-# ----------------------------------------------------------------------------------------------- real jobs, processes
+# ----------------------------------------------------------------------------------- real evaluations, processes
 
 
 @pytest.fixture(scope="module")
-def job(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("job")
-    return Job(
+def config(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("config")
+    return EvaluationConfig(
         model=str(tiny_bundle(folder / "tiny")),
         data=content_corpus(folder / "corpus.safetensors"),
         evaluator=str(tiny_evaluator(folder / "judge")),
@@ -247,34 +247,34 @@ def job(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def alone(job, tmp_path_factory):
-    return run(job, tmp_path_factory.mktemp("alone"), processes=1)
+def alone(config, tmp_path_factory):
+    return evaluate(config, tmp_path_factory.mktemp("alone"), processes=1)
 
 
-def test_two_processes_make_the_same_table_as_one(job, alone, tmp_path):
-    result, path = run(job, tmp_path, processes=2)
+def test_two_processes_make_the_same_table_as_one(config, alone, tmp_path):
+    result, path = evaluate(config, tmp_path, processes=2)
     assert same(result, alone[0])
     assert timeless(path) == timeless(alone[1])
 
 
-def test_ranks_of_torchrun_make_the_same_table(job, alone, tmp_path):
-    early, path = run(job, tmp_path, share=(1, 2))
+def test_ranks_of_torchrun_make_the_same_table(config, alone, tmp_path):
+    early, path = evaluate(config, tmp_path, share=(1, 2))
     assert early is None
     assert not path.exists()
-    result, _ = run(job, tmp_path, share=(0, 2))
+    result, _ = evaluate(config, tmp_path, share=(0, 2))
     assert same(result, alone[0])
 
 
-def test_ranks_of_torchrun_do_not_make_everything_anew(job, alone):
+def test_ranks_of_torchrun_do_not_make_everything_anew(config, alone):
     for rank in range(2):
         with pytest.raises(InputError, match="give a fresh --out"):
-            run(job, alone[1].parent, share=(rank, 2), again=True)
-    assert same(run(job, alone[1].parent, processes=1)[0], alone[0])
+            evaluate(config, alone[1].parent, share=(rank, 2), again=True)
+    assert same(evaluate(config, alone[1].parent, processes=1)[0], alone[0])
 
 
-def test_finished_work_makes_nothing(job, alone, monkeypatch):
-    monkeypatch.setattr(jobs, "run_repeat", None)
-    assert same(run(job, alone[1].parent, processes=1)[0], alone[0])
+def test_finished_work_makes_nothing(config, alone, monkeypatch):
+    monkeypatch.setattr(running, "run_repeat", None)
+    assert same(evaluate(config, alone[1].parent, processes=1)[0], alone[0])
 
 
 class Helper:
@@ -293,37 +293,37 @@ class Helper:
         self.exitcode = self.exitcode or -15
 
 
-def test_a_process_that_dies_is_told_of(job, tmp_path, monkeypatch):
-    monkeypatch.setattr(jobs, "_start", lambda *_: Helper(-9))
-    monkeypatch.setattr(jobs, "work", lambda *_: None)
+def test_a_process_that_dies_is_told_of(config, tmp_path, monkeypatch):
+    monkeypatch.setattr(running, "_start", lambda *_: Helper(-9))
+    monkeypatch.setattr(running, "work", lambda *_: None)
     with pytest.raises(MovesetError, match="process 1 of 2 ended with code -9; run again to resume"):
-        run(job, tmp_path, processes=2)
+        evaluate(config, tmp_path, processes=2)
 
 
-def test_a_process_that_dies_ends_the_others_at_once(job, tmp_path, monkeypatch):
+def test_a_process_that_dies_ends_the_others_at_once(config, tmp_path, monkeypatch):
     helpers = [Helper(), Helper()]
-    monkeypatch.setattr(jobs, "_start", lambda job, out, rank, world: helpers[rank - 1])
+    monkeypatch.setattr(running, "_start", lambda config, out, rank, world: helpers[rank - 1])
 
     def repeat(session, number, say):
         helpers[1].exitcode = 1
         say("motions", 1, 2)
         raise AssertionError("this repeat went on")
 
-    monkeypatch.setattr(jobs, "run_repeat", repeat)
+    monkeypatch.setattr(running, "run_repeat", repeat)
     with pytest.raises(MovesetError, match="process 2 of 3 ended with code 1"):
-        run(job, tmp_path, processes=3)
+        evaluate(config, tmp_path, processes=3)
     assert helpers[0].exitcode == -15
 
 
-def test_what_nobody_has_thought_of_is_told_with_its_repeat(job, tmp_path, monkeypatch):
+def test_what_nobody_has_thought_of_is_told_with_its_repeat(config, tmp_path, monkeypatch):
     def repeat(session, number, say):
         raise KeyError("joints") if number == 1 else InputError("nothing can be judged")
 
-    monkeypatch.setattr(jobs, "run_repeat", repeat)
+    monkeypatch.setattr(running, "run_repeat", repeat)
     with pytest.raises(InputError, match=r"^nothing can be judged$"):
-        run(job, tmp_path, processes=1)
+        evaluate(config, tmp_path, processes=1)
     with pytest.raises(MovesetError, match="repeat 1 of tiny-pcm-1-test failed: KeyError: 'joints'"):
-        run(job, tmp_path, share=(1, 2))
+        evaluate(config, tmp_path, share=(1, 2))
 
 
 PARENT = """
@@ -352,38 +352,38 @@ def test_helpers_end_with_the_process_that_started_them(tmp_path, number):
         assert parent.communicate(timeout=30) == ("", None)
 
 
-def test_progress_is_told(job, tmp_path):
+def test_progress_is_told(config, tmp_path):
     heard = []
-    run(
-        replace(job, protocol=Protocol(repeats=1, multimodality=0, group=8)),
+    evaluate(
+        replace(config, protocol=Protocol(repeats=1, multimodality=0, group=8)),
         tmp_path,
         processes=1,
-        watch=lambda *x: heard.append(x),
+        progress=lambda *x: heard.append(x),
     )
     assert heard[-1] == (1, 1, "0")
     assert any("motions 24/24" in stage for _, _, stage in heard)
 
 
-def test_what_does_not_fit_is_refused_before_anything_is_made(job, tmp_path):
-    few = replace(job, items=20, protocol=Protocol())
+def test_what_does_not_fit_is_refused_before_anything_is_made(config, tmp_path):
+    few = replace(config, items=20, protocol=Protocol())
     with pytest.raises(InputError, match="20 items, and R-precision needs 32"):
-        run(few, tmp_path, processes=1)
+        evaluate(few, tmp_path, processes=1)
     assert os.listdir(tmp_path) == []
     with pytest.raises(InputError, match=r"the 33 drawn at random have \d+ distinct ones; raise --items"):
-        open_session(replace(job, items=33, protocol=Protocol()))
+        open_session(replace(config, items=33, protocol=Protocol()))
     with pytest.raises(InputError, match="unknown evaluator"):
-        open_session(replace(job, evaluator="nobody"))
+        open_session(replace(config, evaluator="nobody"))
     with pytest.raises(InputError, match="there is no corpus"):
-        open_session(replace(job, data=tmp_path / "nothing"))
+        open_session(replace(config, data=tmp_path / "nothing"))
     with pytest.raises(InputError, match="batch 0"):
-        open_session(replace(job, batch=0))
+        open_session(replace(config, batch=0))
     with pytest.raises(InputError, match="0 processes"):
-        run(job, tmp_path, processes=0)
+        evaluate(config, tmp_path, processes=0)
 
 
-def test_a_truncated_judge_is_refused(job, tmp_path):
+def test_a_truncated_judge_is_refused(config, tmp_path):
     judge = tiny_evaluator(tmp_path / "judge")
     weights = judge / "model.safetensors"
     weights.write_bytes(weights.read_bytes()[:-1])
     with pytest.raises(FormatError):
-        open_session(replace(job, evaluator=str(judge)))
+        open_session(replace(config, evaluator=str(judge)))

@@ -5,7 +5,7 @@ import torch
 from torch import nn
 
 from moveset.errors import FormatError, InputError
-from moveset.evaluation.job import Job, open_generator
+from moveset.evaluation.run import EvaluationConfig, open_generator
 from moveset.models.light_t2m import LightT2MConfig
 from moveset.motion.features import get_codec
 from moveset.pipelines.baseline import Baseline
@@ -127,13 +127,15 @@ def test_a_clip_of_two_parts_is_told_both(folders):
 
 
 def test_a_job_opens_a_folder(folders):
-    made = open_generator(Job(model=str(folders["light"]), steps=2, settings=(("guidance", 2.0),), device="cpu"))
+    made = open_generator(
+        EvaluationConfig(model=str(folders["light"]), steps=2, settings=(("guidance", 2.0),), device="cpu")
+    )
     assert (made.slug, made.steps, made.describe()["guidance"]) == ("light-2-steps-guidance2", 2, 2.0)
     assert set(made.weights()) == {"denoiser.safetensors", "normalizer.safetensors", "denoiser in config.json"}
 
 
 @pytest.mark.parametrize(
-    ("kind", "job", "message"),
+    ("kind", "given", "message"),
     [
         ("light", {"steps": 0}, "cannot take 0 steps"),
         ("chunks", {"steps": 3}, "'chunks' cannot take 3 steps; its own choice is 4"),
@@ -142,9 +144,9 @@ def test_a_job_opens_a_folder(folders):
         ("light", {"settings": (("guidance", -1.0),)}, "guidance -1 is not in"),
     ],
 )
-def test_what_a_baseline_cannot_do(folders, kind, job, message):
+def test_what_a_baseline_cannot_do(folders, kind, given, message):
     with pytest.raises(InputError, match=message):
-        open_generator(Job(model=str(folders[kind]), device="cpu", **job))
+        open_generator(EvaluationConfig(model=str(folders[kind]), device="cpu", **given))
 
 
 def test_a_baseline_is_for_the_evaluation_only(folders, tmp_path):

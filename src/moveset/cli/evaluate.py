@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from moveset.cli.output import check_folder
-from moveset.cli.tables import How, print_results, run_job, run_suite
+from moveset.cli.tables import How, print_results, run_one, run_suite
 from moveset.errors import InputError
 
 if TYPE_CHECKING:
-    from moveset.evaluation.job import Job
+    from moveset.evaluation.run import EvaluationConfig
 
 
 def evaluate(
@@ -90,14 +90,14 @@ def evaluate(
         device: auto, cpu, cuda or mps.
         json: Print one JSON object on stdout and nothing else.
     """
-    from moveset.evaluation.job import Job
     from moveset.evaluation.protocol import Protocol
+    from moveset.evaluation.run import EvaluationConfig
 
     protocol = Protocol(split=split, repeats=repeats, seed=seed, multimodality=multimodality, seams=seams)
     given = {"guidance": guidance, "start": start, "lag": lag, "past_lag": past_lag, "eta": eta, "shape": shape}
     given["stages"] = None if stages else False
     settings = tuple((name, value) for name, value in given.items() if value is not None)
-    common = Job(
+    common = EvaluationConfig(
         network=network, steps=steps, settings=settings, motions=motions, prompts=prompts,
         motions_fps=20.0 if motions_fps is None else motions_fps, data=data, evaluator=evaluator, protocol=protocol,
         composed=composed, mirrored=mirrored, items=items, foot_lock=foot_lock, batch=batch, device=device,
@@ -113,10 +113,10 @@ def evaluate(
         return _sanity(models, common, out, json)
     if suite is not None:
         return run_suite(suite, models, common, row, how, json)
-    jobs = _jobs(models, common)
+    configs = _configs(models, common)
     done = []
-    for job in jobs:
-        result, path = run_job(job, how)
+    for config in configs:
+        result, path = run_one(config, how)
         if result is None:
             print(f"moveset: other processes are still at work; the last one writes {path}", file=sys.stderr)
         else:
@@ -125,40 +125,40 @@ def evaluate(
     return 0
 
 
-def _sanity(models: Sequence[str], job: "Job", out: Path, json: bool) -> int:
+def _sanity(models: Sequence[str], config: "EvaluationConfig", out: Path, json: bool) -> int:
     """What an evaluator says of motion that is known to be right or wrong."""
     import torch
 
     from moveset.evaluation.evaluator import Evaluator
-    from moveset.evaluation.job import open_set
+    from moveset.evaluation.run import open_set
     from moveset.evaluation.sanity import sanity
     from moveset.io.limits import atomic_write
     from moveset.pipelines.device import pick_device
 
-    if models or job.motions is not None:
+    if models or config.motions is not None:
         raise InputError("--sanity checks the evaluator itself; leave models and --motions out")
-    if job.protocol.split == "rollout":
+    if config.protocol.split == "rollout":
         raise InputError("--sanity checks the evaluator on single motions; take --split test or val")
-    judge, items = Evaluator.open(job.evaluator, pick_device(job.device)), open_set(job).items
+    judge, items = Evaluator.open(config.evaluator, pick_device(config.device)), open_set(config).items
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"cannot write to {str(out)!r}: {error.strerror or error}; choose another --out") from error
     check_folder(out)
-    report = sanity(judge, items, torch.Generator().manual_seed(job.protocol.seed))
-    few = "" if job.items is None else f"-{job.items}-items"
-    path = out / f"sanity-{judge.card.name}-{job.protocol.split}{few}.json"
+    report = sanity(judge, items, torch.Generator().manual_seed(config.protocol.seed))
+    few = "" if config.items is None else f"-{config.items}-items"
+    path = out / f"sanity-{judge.card.name}-{config.protocol.split}{few}.json"
     with atomic_write(path) as file:
         file.write((jsonlib.dumps(report.to_json(), indent=1) + "\n").encode())
     print(jsonlib.dumps({**report.to_json(), "file": str(path)}) if json else report.to_markdown())
     return 0
 
 
-def _jobs(models: Sequence[str], common: "Job") -> "list[Job]":
+def _configs(models: Sequence[str], common: "EvaluationConfig") -> "list[EvaluationConfig]":
     """One a model, each checked before any is evaluated."""
     from dataclasses import replace
 
-    from moveset.evaluation.job import open_generator
+    from moveset.evaluation.run import open_generator
 
     if common.motions is not None:
         if models:
@@ -168,11 +168,11 @@ def _jobs(models: Sequence[str], common: "Job") -> "list[Job]":
         return [common]
     if not models:
         raise InputError("no model was given; give pcm, lcm, teacher, vae, rdm, md, rdm-pcm, real or a model folder")
-    jobs = [replace(common, model=model) for model in models]
-    opened = [open_generator(job) for job in jobs]
+    configs = [replace(common, model=model) for model in models]
+    opened = [open_generator(config) for config in configs]
     # Beside a model that samples, real motion and an autoencoder may stand with what is meant for the model.
     if (common.steps is not None or common.settings) and not any(generator.random for generator in opened):
         raise InputError(f"nothing is sampled for {' and '.join(models)}; leave --steps and settings out")
     if common.network and all(generator.network is None for generator in opened):
         raise InputError(f"real motion has no network {common.network!r}; add a model, or leave --network out")
-    return jobs
+    return configs

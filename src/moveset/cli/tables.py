@@ -12,7 +12,7 @@ from moveset.cli.bulk import share
 from moveset.errors import InputError
 
 if TYPE_CHECKING:
-    from moveset.evaluation.job import Job
+    from moveset.evaluation.run import EvaluationConfig
     from moveset.evaluation.table import State
 
 
@@ -25,26 +25,28 @@ class How:
     processes: int | None
 
 
-def run_job(job: "Job", how: How) -> tuple[dict[str, Any] | None, Path]:
+def run_one(config: "EvaluationConfig", how: How) -> tuple[dict[str, Any] | None, Path]:
     """One model, behind a progress bar where stderr is a terminal."""
     from tqdm import tqdm
 
-    from moveset.evaluation.job import run
+    from moveset.evaluation.run import evaluate
 
-    name = job.model if job.motions is None else job.motions.resolve().name
+    name = config.model if config.motions is None else config.motions.resolve().name
     with tqdm(desc=name, unit="repeat", disable=not sys.stderr.isatty(), leave=False) as bar:
 
-        def watch(done: int, count: int, stage: str) -> None:
+        def progress(done: int, count: int, stage: str) -> None:
             bar.total, bar.n = count, done
             bar.set_postfix_str(stage)
 
-        return run(job, how.out, share=share(), processes=how.processes, again=not how.resume, watch=watch)
+        return evaluate(
+            config, how.out, share=share(), processes=how.processes, again=not how.resume, progress=progress
+        )
 
 
 def run_suite(
     name: str,
     folders: Sequence[str],
-    common: "Job",
+    common: "EvaluationConfig",
     only: Sequence[str],
     how: How,
     json: bool,
@@ -68,13 +70,13 @@ def run_suite(
         print(f"moveset: {row.label}: {missing or plural(repeats, 'repeat')}", file=sys.stderr)
         # Real motion's jerk is measured as far apart as the seams of the suite's streams, to compare them with.
         seams = common.protocol.seams or (get_suite(name).seams if row.model == REAL else 0.0)
-        job = replace(
+        config = replace(
             common, model=REAL if folder is None else str(folder), network=row.network, steps=row.steps,
             settings=tuple(row.settings.items()), protocol=replace(common.protocol, repeats=repeats, seams=seams),
             name=row.key,
         )  # fmt: skip
         if not missing:
-            run_job(job, replace(how, out=out))
+            run_one(config, replace(how, out=out))
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -84,11 +86,11 @@ def run_suite(
     return 0
 
 
-def _state(common: "Job") -> "State":
+def _state(common: "EvaluationConfig") -> "State":
     """How rows are measured now."""
     from moveset.evaluation.evaluator import Evaluator
-    from moveset.evaluation.job import open_set
     from moveset.evaluation.results import commit
+    from moveset.evaluation.run import open_set
     from moveset.evaluation.table import State
     from moveset.pipelines.device import pick_device
 

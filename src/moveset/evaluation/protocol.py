@@ -28,7 +28,7 @@ from moveset.motion.measures import boundary_jerk, measure
 ENCODED = 64  # clips turned into features at once
 PHYSICAL = ("skating", "penetration", "floating", "jerk", "root_drift")
 
-Say = Callable[[str, int, int], None]
+Progress = Callable[[str, int, int], None]
 
 
 class Card(Interface):
@@ -143,13 +143,13 @@ class Session:
         return self._real
 
 
-def run_repeat(session: Session, number: int, say: Say = lambda stage, done, count: None) -> dict[str, Any]:
+def run_repeat(session: Session, number: int, progress: Progress = lambda stage, done, count: None) -> dict[str, Any]:
     """The measures of one repeat, as JSON has them.
 
     Args:
         session: what is judged, on what, by whom.
         number: of the repeat.
-        say: told of progress: a stage, how much of it is done, and how much there is.
+        progress: told of progress: a stage, how much of it is done, and how much there is.
 
     Raises:
         InputError: motions that cannot be judged, or too few items or texts.
@@ -159,10 +159,10 @@ def run_repeat(session: Session, number: int, say: Say = lambda stage, done, cou
     asked = session.judged.draw(random_of(protocol, number, "items"))
     real = asked if session.judged is session.items else session.items.draw(random_of(protocol, number, "items"))
     wanted = [Wanted(((d.prompt, d.frames),), seed_of(protocol, number, d.item.name), d) for d in asked]
-    made = _made(session, wanted, asked, say)
+    made = _made(session, wanted, asked, progress)
     generated = time.perf_counter() - begun
 
-    say("judging", 0, 1)
+    progress("judging", 0, 1)
     motion = session.evaluator.embed_motions(features_of(generator, asked, made, session.items.codec))
     text = session.evaluator.embed_texts([draw.caption for draw in asked])
     labels = session.judged.labels
@@ -175,7 +175,7 @@ def run_repeat(session: Session, number: int, say: Say = lambda stage, done, cou
     found["diversity"] = metrics.diversity(motion, random_of(protocol, number, "diversity"), pairs)
     texts = {}
     if protocol.multimodality:
-        found["multimodality"], texts["texts"] = _multimodality(session, asked, number, say)
+        found["multimodality"], texts["texts"] = _multimodality(session, asked, number, progress)
     found |= physical(made, session.items.codec, generator.segment or protocol.seams)
     if isinstance(generator, Reconstruction):
         found |= _errors(asked, made)
@@ -235,20 +235,20 @@ def physical(clips: Sequence[Tensor], codec: HmlCodec, segment: float = 0.0) -> 
     return out
 
 
-def _made(session: Session, wanted: Sequence[Wanted], asked: Sequence[Draw], say: Say) -> list[Tensor]:
+def _made(session: Session, wanted: Sequence[Wanted], asked: Sequence[Draw], progress: Progress) -> list[Tensor]:
     done = 0
 
     def tick(count: int) -> None:
         nonlocal done
         done += count
-        say("motions", done, len(wanted))
+        progress("motions", done, len(wanted))
 
     made = session.generator.generate(wanted, session.items.codec.fps, tick)
     check_made(made, asked, session.generator.slug, (len(session.items.codec.skeleton), 3))
     return made
 
 
-def _multimodality(session: Session, asked: Sequence[Draw], number: int, say: Say) -> tuple[float, int]:
+def _multimodality(session: Session, asked: Sequence[Draw], number: int, progress: Progress) -> tuple[float, int]:
     """Of texts drawn at random, each with the length of its item; and how many these are."""
     protocol = session.protocol
     order = torch.randperm(len(asked), generator=random_of(protocol, number, "texts")).tolist()
@@ -259,7 +259,7 @@ def _multimodality(session: Session, asked: Sequence[Draw], number: int, say: Sa
         Wanted(((draw.prompt, draw.frames),), seed_of(protocol, number, draw.item.name, k % protocol.samples), draw)
         for k, draw in enumerate(draws)
     ]
-    made = _made(session, wanted, draws, say)
+    made = _made(session, wanted, draws, progress)
     motion = session.evaluator.embed_motions(encoded(made, session.items.codec))
     motion_TnE = motion.view(len(chosen), protocol.samples, -1)
     return metrics.multimodality(motion_TnE, random_of(protocol, number, "pairs"), protocol.pairs), len(chosen)

@@ -22,7 +22,7 @@ from moveset.errors import InputError
 from moveset.evaluation import metrics
 from moveset.evaluation.generators import Given, Reconstruction, Wanted
 from moveset.evaluation.items import Draw, text_of
-from moveset.evaluation.protocol import Say, Session, encoded, physical, random_of, seed_of
+from moveset.evaluation.protocol import Progress, Session, encoded, physical, random_of, seed_of
 from moveset.motion.hml import HmlCodec
 from moveset.motion.join import join
 from moveset.motion.measures import windows as measured_windows
@@ -154,7 +154,7 @@ def apart(groups: Sequence[Sequence[int]], labels: Sequence[Hashable], of: Seque
     return made
 
 
-def run_rollout(session: Session, number: int, say: Say = lambda stage, done, count: None) -> dict[str, Any]:
+def run_rollout(session: Session, number: int, progress: Progress = lambda stage, done, count: None) -> dict[str, Any]:
     """The measures of one repeat of the rollout split, as ``protocol.run_repeat`` gives them.
 
     Raises:
@@ -171,11 +171,11 @@ def run_rollout(session: Session, number: int, say: Say = lambda stage, done, co
     if isinstance(generator, Given):
         made, features = [joints for joints, _ in real], [x for _, found in real for x in found]
     else:
-        made = generator.generate(wanted, codec.fps, lambda count: say("rollouts", count, len(wanted)))
+        made = generator.generate(wanted, codec.fps, lambda count: progress("rollouts", count, len(wanted)))
         features = encoded([window for joints in made for window in cut(joints)], codec)
     generated = time.perf_counter() - begun
 
-    say("judging", 0, 1)
+    progress("judging", 0, 1)
     told = _told(chosen, made)
     motion = session.evaluator.embed_motions(features)
     text = session.evaluator.embed_texts([sentence for sentence, _ in told])

@@ -46,11 +46,11 @@ REAL = "real"
 MAX_PROCESSES, MAX_CORES = 8, 256
 NEAREST_SEAMS = 5  # frames: ``measures.boundary_jerk`` compares what is within two of a seam with what is not
 
-Watch = Callable[[int, int, str], None]
+Progress = Callable[[int, int, str], None]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Job:
+class EvaluationConfig:
     """One model under one protocol.
 
     Args:
@@ -92,27 +92,27 @@ class Job:
     name: str | None = None
 
 
-def open_session(job: Job) -> Session:
-    """Everything that a job names, opened and checked.
+def open_session(config: EvaluationConfig) -> Session:
+    """Everything that a configuration names, opened and checked.
 
     Raises:
         InputError: something does not exist, or does not fit.
         FormatError: something is damaged.
     """
-    if not 1 <= job.batch <= 4096:
-        raise InputError(f"batch {job.batch} is not in 1 to 4096; give 64 on a CPU, more on a GPU")
-    generator, items = open_generator(job), open_set(job)
-    if job.protocol.seams and round(job.protocol.seams * items.codec.fps) < NEAREST_SEAMS:
+    if not 1 <= config.batch <= 4096:
+        raise InputError(f"batch {config.batch} is not in 1 to 4096; give 64 on a CPU, more on a GPU")
+    generator, items = open_generator(config), open_set(config)
+    seams, least = config.protocol.seams, NEAREST_SEAMS / items.codec.fps
+    if seams and round(seams * items.codec.fps) < NEAREST_SEAMS:
         raise InputError(
-            f"seams {job.protocol.seams:g} s apart are less than {NEAREST_SEAMS / items.codec.fps:g} s, and no motion "
-            "would be away from one; give more"
+            f"seams {seams:g} s apart are less than {least:g} s, and no motion would be away from one; give more"
         )
-    evaluator = Evaluator.open(job.evaluator, pick_device(job.device))
+    evaluator = Evaluator.open(config.evaluator, pick_device(config.device))
     if isinstance(generator, Given) and generator.items is not None:
         generator.items = _as_read(generator.items, evaluator.card.max_frames)
     judged: ItemSet = (generator.items if isinstance(generator, Given) else None) or items
-    _check_fit(job, generator, judged, items)
-    return Session(job.protocol.fitted(judged, generator.random), items, generator, evaluator)
+    _check_fit(config, generator, judged, items)
+    return Session(config.protocol.fitted(judged, generator.random), items, generator, evaluator)
 
 
 def _as_read(given: ItemSet, most: int) -> ItemSet:
@@ -122,7 +122,7 @@ def _as_read(given: ItemSet, most: int) -> ItemSet:
     return replace(given, dropped={**given.dropped, **note})
 
 
-def _check_fit(job: Job, generator: Source, judged: ItemSet, items: ItemSet) -> None:
+def _check_fit(config: EvaluationConfig, generator: Source, judged: ItemSet, items: ItemSet) -> None:
     """What no repeat could judge is refused before anything is made or written.
 
     Raises:
@@ -133,61 +133,63 @@ def _check_fit(job: Job, generator: Source, judged: ItemSet, items: ItemSet) -> 
             f"{judged.name} has joints of {judged.codec.skeleton.name!r}, and {items.name} of "
             f"{items.codec.skeleton.name!r}; a folder of motions is judged by HumanML3D's evaluators alone"
         )
-    few = job.items is not None and judged is items and len(items) >= job.protocol.group
-    if few and items.labels and (kinds := len(set(items.labels))) < job.protocol.group:
+    few = config.items is not None and judged is items and len(items) >= config.protocol.group
+    if few and items.labels and (kinds := len(set(items.labels))) < config.protocol.group:
         raise InputError(
-            f"R-precision needs groups of {job.protocol.group} items of different labels, and the {len(items)} drawn "
-            f"at random have {kinds} distinct ones; raise --items, or leave it out for all of them"
+            f"R-precision needs groups of {config.protocol.group} items of different labels, and the {len(items)} "
+            f"drawn at random have {kinds} distinct ones; raise --items, or leave it out for all of them"
         )
-    if job.protocol.split == "rollout" and (isinstance(generator, Reconstruction) or judged is not items):
+    if config.protocol.split == "rollout" and (isinstance(generator, Reconstruction) or judged is not items):
         raise InputError(f"{generator.slug} cannot be rolled out; evaluate a model that makes motion, or real motion")
 
 
-def open_set(job: Job) -> ItemSet:
-    """The real motion that a job judges by, no more items of it than were asked for.
+def open_set(config: EvaluationConfig) -> ItemSet:
+    """The real motion that models are judged by, no more items of it than were asked for.
 
     Raises:
         InputError: there is none of this split, or a number of items below 1.
         FormatError: damaged data.
     """
-    if job.items is not None and job.items < 1:
-        raise InputError(f"{job.items} items are fewer than 1; leave --items out for all of them")
-    long = job.protocol.split == "rollout"
-    of = cast(Split, "test" if long else job.protocol.split)
-    items = open_items(job.data, of, long=long, composed=job.composed, mirrored=job.mirrored)
-    return items if job.items is None else items.limited(job.items)
+    if config.items is not None and config.items < 1:
+        raise InputError(f"{config.items} items are fewer than 1; leave --items out for all of them")
+    long = config.protocol.split == "rollout"
+    of = cast(Split, "test" if long else config.protocol.split)
+    items = open_items(config.data, of, long=long, composed=config.composed, mirrored=config.mirrored)
+    return items if config.items is None else items.limited(config.items)
 
 
-def open_generator(job: Job) -> Source:
-    """What a job judges.
+def open_generator(config: EvaluationConfig) -> Source:
+    """What is judged.
 
     Raises:
         InputError: no such model, network, steps or setting.
         FormatError: a damaged folder.
     """
-    if job.motions is not None:
+    if config.motions is not None:
         from moveset.evaluation.folder import folder_motions
 
-        given = folder_motions(job.motions, job.prompts, job.motions_fps)
+        given = folder_motions(config.motions, config.prompts, config.motions_fps)
         # A folder that happens to be called so must not be taken for the data's own motion.
         return Given(f"{REAL}-motions" if given.name == REAL else given.name, given)
-    model, network = SHORT.get(job.model, (job.model, None))
-    network = job.network or network
-    settings = dict(job.settings)
+    model, network = SHORT.get(config.model, (config.model, None))
+    network = config.network or network
+    settings = dict(config.settings)
     if model == REAL:
         return Given(REAL)
     folder = find_folder(model)
     if (task := task_of(folder)) == STREAM:
-        return _stream(job, folder, network, settings)
+        return _stream(config, folder, network, settings)
     if task == BASELINE:
-        return _baseline(job, folder, network, settings)
+        return _baseline(config, folder, network, settings)
     bundle = Bundle(folder)
     if unknown := set(settings) - {"guidance"}:
         raise InputError(f"--{sorted(unknown)[0]} is a setting of streams, and {bundle.config.name!r} makes clips")
     if network == "vae":
-        return Reconstruction(bundle, device=job.device, batch=job.batch)
-    method = clip_method(bundle, network, job.steps, cast(float | None, settings.get("guidance")))
-    return Generated(ClipGenerator(bundle, method, device=job.device, batch=job.batch, foot_lock=job.foot_lock))
+        return Reconstruction(bundle, device=config.device, batch=config.batch)
+    method = clip_method(bundle, network, config.steps, cast(float | None, settings.get("guidance")))
+    return Generated(
+        ClipGenerator(bundle, method, device=config.device, batch=config.batch, foot_lock=config.foot_lock)
+    )
 
 
 def clip_method(bundle: Bundle, network: str | None, steps: int | None, guidance: float | None) -> Method:
@@ -215,7 +217,7 @@ def clip_method(bundle: Bundle, network: str | None, steps: int | None, guidance
     return check_method(bundle.config, solver, int(count) if count else steps, guidance)
 
 
-def _stream(job: Job, folder: Path, network: str | None, settings: dict[str, Any]) -> Source:
+def _stream(config: EvaluationConfig, folder: Path, network: str | None, settings: dict[str, Any]) -> Source:
     from moveset.evaluation.streams import Streams
     from moveset.pipelines.stream_settings import check_stream
 
@@ -225,19 +227,21 @@ def _stream(job: Job, folder: Path, network: str | None, settings: dict[str, Any
         raise InputError(
             f"unknown setting {sorted(unknown)[0]!r}; there are guidance, start, lag, past_lag, eta, shape and stages"
         )
-    request = check_stream(bundle.config, network=network, steps=job.steps, foot_lock=job.foot_lock, **settings)
+    request = check_stream(bundle.config, network=network, steps=config.steps, foot_lock=config.foot_lock, **settings)
     if shape != "parallelogram" and request.settings.network != "rdm":
         raise InputError(
             f"network {request.settings.network!r} makes one segment after the other, so there is no {shape}; "
             "leave --shape out or choose --network rdm"
         )
-    extras = [f"{job.steps}-steps"] if job.steps and not request.settings.network.startswith("pcm-") else []
+    extras = [f"{config.steps}-steps"] if config.steps and not request.settings.network.startswith("pcm-") else []
     extras += settings_slug({**settings, **({} if shape == "parallelogram" else {"shape": shape})})
-    extras += [] if job.foot_lock else ["raw"]
-    return Streams(bundle, request.settings, shape=shape, extras=extras, device=job.device, batch=max(job.batch, 1))
+    extras += [] if config.foot_lock else ["raw"]
+    return Streams(
+        bundle, request.settings, shape=shape, extras=extras, device=config.device, batch=max(config.batch, 1)
+    )
 
 
-def _baseline(job: Job, folder: Path, network: str | None, settings: dict[str, Any]) -> Source:
+def _baseline(config: EvaluationConfig, folder: Path, network: str | None, settings: dict[str, Any]) -> Source:
     from moveset.pipelines.baseline import Baseline
     from moveset.pipelines.baseline_bundle import DENOISER, BaselineBundle
 
@@ -248,29 +252,34 @@ def _baseline(job: Job, folder: Path, network: str | None, settings: dict[str, A
         raise InputError(f"--{sorted(unknown)[0]} is a setting of streams, and {bundle.config.name!r} is none")
     w = cast(float | None, settings.get("guidance"))
     made = Baseline(
-        bundle, steps=job.steps, guidance=w, foot_lock=job.foot_lock, device=job.device, batch=max(job.batch, 1)
+        bundle,
+        steps=config.steps,
+        guidance=w,
+        foot_lock=config.foot_lock,
+        device=config.device,
+        batch=max(config.batch, 1),
     )
     return Generated(made)
 
 
-def run(
-    job: Job,
+def evaluate(
+    config: EvaluationConfig,
     out: Path,
     *,
     share: tuple[int, int] = (0, 1),
     processes: int | None = None,
     again: bool = False,
-    watch: Watch = lambda done, count, stage: None,
+    progress: Progress = lambda done, count, stage: None,
 ) -> tuple[dict[str, Any] | None, Path]:
     """Evaluate; the result (None if other processes of torchrun are still at work) and the path of its file.
 
     Args:
-        job: what.
+        config: what.
         out: the folder of results.
         share: rank and number of the processes of torchrun, each of which makes its share of the repeats.
         processes: that share the repeats on this machine otherwise; None for as many as there are cores.
         again: make every repeat anew, although it is there; not with other processes of torchrun.
-        watch: told of progress: repeats done, repeats in all, and what is being done.
+        progress: told of progress: repeats done, repeats in all, and what is being done.
 
     Raises:
         InputError: something does not exist, does not fit, or cannot be judged.
@@ -282,15 +291,15 @@ def run(
     if again and share[1] > 1:
         # Whoever is first done would take what another has still to delete for new.
         raise InputError("several processes cannot make everything anew together; give a fresh --out instead")
-    session, on_cpu = open_session(job), pick_device(job.device).type == "cpu"
-    results, (rank, world) = Results(session, out, job.name), share
+    session, on_cpu = open_session(config), pick_device(config.device).type == "cpu"
+    results, (rank, world) = Results(session, out, config.name), share
     if again:
         results.forget()
     # Small networks gain little by more threads, and so sums come out the same however the work is shared.
     with _threads(1 if on_cpu else torch.get_num_threads()):
         if world == 1 and (processes or on_cpu):
             world = max(1, min(processes or cores(), len(results.missing())))
-        helpers = [_start(job, out, k, world) for k in range(1, world)] if share[1] == 1 else []
+        helpers = [_start(config, out, k, world) for k in range(1, world)] if share[1] == 1 else []
         try:
 
             def attend(done: int, count: int, stage: str) -> None:
@@ -300,7 +309,7 @@ def run(
                         raise MovesetError(
                             f"process {number} of {world} ended with code {helper.exitcode}; run again to resume"
                         )
-                watch(done, count, stage)
+                progress(done, count, stage)
 
             work(session, results, rank, world, attend)
             for helper in helpers:
@@ -315,25 +324,25 @@ def run(
     return results.finish(), results.path
 
 
-def work(session: Session, results: Results, rank: int, world: int, watch: Watch) -> None:
+def work(session: Session, results: Results, rank: int, world: int, progress: Progress) -> None:
     """The repeats of one process of several that are not there yet; raises what ``make`` does."""
     for number in results.missing(rank, world):
-        results.add(make(session, results, number, watch))
-        watch(len(results.done), results.repeats, str(number))
+        results.add(make(session, results, number, progress))
+        progress(len(results.done), results.repeats, str(number))
 
 
-def make(session: Session, results: Results, number: int, watch: Watch) -> dict[str, Any]:
+def make(session: Session, results: Results, number: int, progress: Progress) -> dict[str, Any]:
     """One repeat.
 
     Raises:
         MovesetError: something that cannot be judged, or that nobody has thought of, in which repeat.
     """
 
-    def say(stage: str, done: int, count: int) -> None:
-        watch(len(results.done), results.repeats, f"{number}: {stage} {done}/{count}")
+    def tell(stage: str, done: int, count: int) -> None:
+        progress(len(results.done), results.repeats, f"{number}: {stage} {done}/{count}")
 
     try:
-        return (run_rollout if session.protocol.split == "rollout" else run_repeat)(session, number, say)
+        return (run_rollout if session.protocol.split == "rollout" else run_repeat)(session, number, tell)
     except MovesetError:
         raise
     except Exception as error:
@@ -358,19 +367,19 @@ def cores() -> int:
     return min(usable, MAX_PROCESSES)
 
 
-def _start(job: Job, out: Path, rank: int, world: int) -> "SpawnProcess":
-    process = multiprocessing.get_context("spawn").Process(target=_help, args=(job, out, rank, world), daemon=True)
+def _start(config: EvaluationConfig, out: Path, rank: int, world: int) -> "SpawnProcess":
+    process = multiprocessing.get_context("spawn").Process(target=_help, args=(config, out, rank, world), daemon=True)
     process.start()
     return process
 
 
-def _help(job: Job, out: Path, rank: int, world: int) -> None:
+def _help(config: EvaluationConfig, out: Path, rank: int, world: int) -> None:
     """What a process that was started does; what goes wrong is said in one line."""
     end_with_parent()
     torch.set_num_threads(1)
     try:
-        session = open_session(job)
-        work(session, Results(session, out, job.name), rank, world, lambda done, count, stage: None)
+        session = open_session(config)
+        work(session, Results(session, out, config.name), rank, world, lambda done, count, stage: None)
     except MovesetError as error:
         if os.environ.get("MOVESET_DEBUG"):
             traceback.print_exc()
