@@ -72,7 +72,9 @@ def read_nodes(glb: Glb) -> Nodes:
             queue.append(child)
     if len(queue) < count:
         glb.fail("its nodes form a cycle; it is damaged")
-    names = [str(entry.get("name", ""))[:256] or f"node_{k}" for k, entry in enumerate(entries)]
+    # Half a surrogate pair, which JSON may spell, is no letter that a file could be written with.
+    names = [str(entry.get("name", ""))[:256].encode("utf-8", "replace").decode() for entry in entries]
+    names = [name or f"node_{k}" for k, name in enumerate(names)]
     translation, rotation, scale = torch.zeros(count, 3), rotations.identity(count), torch.ones(count)
     translation, rotation, scale = translation.double(), rotation.double(), scale.double()
     for k, entry in enumerate(entries):

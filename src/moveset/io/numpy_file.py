@@ -136,6 +136,10 @@ def parse_array(file: IO[bytes], size: int, where: str, kinds: str, *, finite: b
     if len(raw) != math.prod(shape) * dtype.itemsize:
         raise FormatError(f"{where}: {len(raw)} bytes for shape {shape} of {dtype}; it is truncated")
     values = np.frombuffer(raw, dtype=dtype).reshape(shape, order="F" if fortran else "C")
+    if dtype.kind == "U":
+        codes = values.astype(dtype.newbyteorder("=")).reshape(-1).view(np.uint32)
+        if codes.size and (codes.max() > 0x10FFFF or ((codes >= 0xD800) & (codes < 0xE000)).any()):
+            raise FormatError(f"{where}: its text has letters that do not exist; it is damaged")
     # The limit itself would be infinite in float16.
     if finite and dtype.kind == "f" and not (np.abs(values) <= np.float64(MAX_NUMBER)).all():
         raise FormatError(f"{where}: it holds numbers that are not finite (NaN, infinite) or absurd; save it again")
