@@ -5,6 +5,7 @@ import os
 import shutil
 
 import pytest
+import torch
 
 from moveset import load
 from moveset.cli.__main__ import main
@@ -44,6 +45,27 @@ def test_convert_retargets_and_resamples(clip, tmp_path, capsys):
     assert main(["convert", str(clip), str(target), "--skeleton", "vrm", "--fps", "30"]) == 0
     assert "on vrm" in capsys.readouterr().out
     assert load(target).fps == 30
+
+
+def test_convert_shows_and_is_told_which_joint_is_which(clip, tmp_path, capsys):
+    assert main(["convert", str(clip), "--show-map"]) == 0
+    assert "left_wrist      left_wrist" in capsys.readouterr().out
+    table = tmp_path / "map.json"
+    table.write_text('{"left_wrist": "left_elbow", "left_elbow": null}')
+    assert main(["convert", str(clip), "--map", str(table), "--show-map"]) == 0
+    assert "left_wrist      left_elbow                       as given" in capsys.readouterr().out
+    for text, message in (("[]", "no object of parts"), ("{", "is not JSON"), ('{"tail": "x"}', "no part 'tail'")):
+        table.write_text(text)
+        assert main(["convert", str(clip), str(tmp_path / "a.glb"), "--map", str(table)]) == 2
+        assert message in capsys.readouterr().err
+
+
+def test_convert_is_told_axes_and_unit(clip, tmp_path):
+    target = tmp_path / "clip.npz"
+    before = load(clip)
+    assert main(["convert", str(clip), str(target), "--up", "z", "--facing=-y", "--scale", "0.02"]) == 0
+    assert torch.allclose(load(target).root[:, 1], 2 * before.root[:, 2], atol=1e-4)
+    assert main(["convert", str(clip), str(target), "--scale", "-1"]) == 2
 
 
 @pytest.mark.parametrize(("suffix", "kept", "frames"), [(".gif", 20, 20), (".mp4", 30, 29), (".bvh", 60, 58)])

@@ -19,6 +19,7 @@ import json
 import os
 import warnings
 from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -27,9 +28,28 @@ from moveset.errors import FormatError, InputError
 if TYPE_CHECKING:
     from moveset.motion.clip import Motion
 
+
+@dataclass(frozen=True)
+class Body:
+    """What is known of the body in a file; what is None is guessed.
+
+    Args:
+        unit: metres per unit of length of the file.
+        up: axis that points up in it ("x", "y", "z", "-x", …).
+        facing: axis along which its rest pose looks; the motion is turned so that this becomes +Z.
+        joints: role -> name of the joint that plays it, "" for none; others are recognised.
+    """
+
+    unit: float | None = None
+    up: str | None = None
+    facing: str | None = None
+    joints: Mapping[str, str] = field(default_factory=dict)
+
+
 _GLTF = (".gltf", ".vrma", ".glb")
 READABLE = (".gltf", ".vrma", ".bvh", ".glb", ".npz", ".npy", ".html")
 WRITABLE = (*READABLE, ".mp4", ".gif", ".png")
+_BODIES = (".bvh", *_GLTF)  # may have any axes, any unit and any names
 _OF_BLENDER = (".fbx", ".dae", ".usd", ".usda", ".usdc", ".usdz", ".blend", ".abc")
 _THROUGH_BLENDER = (
     ": open it in Blender and export it as glTF 2.0 (.glb) or BVH",
@@ -42,15 +62,21 @@ _LONGEST = 255  # bytes of a file's name, on the file systems in use
 
 
 def load(
-    path: str | Path, *, fps: float | None = None, source_fps: float | None = None, animation: str | None = None
+    path: str | Path,
+    *,
+    fps: float | None = None,
+    source_fps: float | None = None,
+    animation: str | None = None,
+    body: Body | None = None,
 ) -> "Motion":
-    """Read a motion.
+    """Read a motion, Y up and facing +Z at rest.
 
     Args:
         path: the file; its extension says how it is read.
         fps: rate at which curves are sampled (glTF); other files keep the rate of their frames.
         source_fps: frames per second of the file, whatever it says.
         animation: name of one of a glTF file's animations, or number of one of an array's motions.
+        body: what is known of the body in a .bvh or glTF file, where it should not be guessed.
 
     Raises:
         InputError: an unknown extension, or a file that cannot be read.
@@ -63,8 +89,10 @@ def load(
         raise InputError(f"{path}: {suffix} files hold one motion; leave --animation out")
     if source_fps is not None and not 0.01 <= source_fps <= 1000:
         raise InputError(f"a source of {source_fps:g} frames a second is not in 0.01 to 1000; give one such as 30")
+    if body is not None and suffix not in _BODIES:
+        raise InputError(f"{path}: unit, axes and joints of {suffix} files are known; leave what says them out")
     if suffix == ".bvh":
-        motion = _load_bvh(path, source_fps)
+        motion = _load_bvh(path, source_fps, body)
     elif suffix in _GLTF:
         from moveset.io.gltf_reader import read_glb
 
@@ -81,6 +109,11 @@ def load(
         from moveset.io.joint_arrays import read_npy
 
         motion = read_npy(path, fps=source_fps, sample=animation, notes=_notes_beside(Path(path)))
+    if suffix in _BODIES:
+        placed = _placed(motion, body or Body(), in_metres=suffix == ".bvh")
+        # Our own glTF files are as they are meant to be; a BVH file that once was ours has been through other hands.
+        ours = suffix in _GLTF and body is None and placed is not motion and read_metadata(path)
+        motion = motion if ours else placed
     motion = motion if source_fps is None else replace(motion, fps=source_fps)
     if len(motion) > 1 and not _USUAL[0] <= motion.fps <= _USUAL[1]:
         meant = f", {1000 * motion.fps:.4g} for milliseconds" if _USUAL[0] <= 1000 * motion.fps <= _USUAL[1] else ""
@@ -237,7 +270,22 @@ def _beside(path: Path) -> Path:
     return path.with_name(path.name + ".json")
 
 
-def _load_bvh(path: str | Path, fps: float | None) -> "Motion":
+def _placed(motion: "Motion", body: Body, *, in_metres: bool) -> "Motion":
+    """In metres, Y up, with the joints as they were named."""
+    from dataclasses import replace
+
+    from moveset.motion.reference import upright
+    from moveset.motion.rigs import with_roles
+    from moveset.motion.units import resized, unit_of
+
+    if body.joints:
+        motion = replace(motion, skeleton=with_roles(motion.skeleton, body.joints))
+    if not in_metres and (unit := body.unit or unit_of(motion)) != 1.0:
+        motion = resized(motion, unit)
+    return upright(motion, up=body.up, facing=body.facing)
+
+
+def _load_bvh(path: str | Path, fps: float | None, body: Body | None) -> "Motion":
     from dataclasses import replace
 
     from moveset.io.bvh import bvh_motion, likely_scale
@@ -245,7 +293,7 @@ def _load_bvh(path: str | Path, fps: float | None) -> "Motion":
     from moveset.motion.rigs import as_skeleton, name_after
 
     bvh = read_bvh(path, fps=fps)
-    motion = bvh_motion(bvh, scale=likely_scale(bvh))
+    motion = bvh_motion(bvh, scale=(body.unit if body else None) or likely_scale(bvh))
     found, name = motion.skeleton, name_after(Path(path))
     return replace(motion, skeleton=as_skeleton(name, found.joints, found.parents, found.offsets))
 

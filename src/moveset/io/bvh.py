@@ -16,11 +16,11 @@ from moveset.io.limits import MAX_DEPTH, MAX_FRAMES, MAX_JOINTS, MAX_POSES, atom
 from moveset.motion import rotations
 from moveset.motion.clip import Motion
 from moveset.motion.skeleton import HML22, Skeleton
+from moveset.motion.units import bone_reach, likely_unit
 
 __all__ = ["BvhFile", "BvhText", "LocalFrames", "bvh_motion", "likely_scale", "local_frames", "read_bvh", "write_bvh"]
 
 CENTIMETRES = 0.01
-_REACH = 2.0
 _TIP = 0.1
 _TIP_ROUNDING = 1e-3  # of a tip: digits of a short bone tell its direction no better
 _UNITS = (1.0, 0.01, 0.001)
@@ -98,13 +98,11 @@ def local_frames(bvh: BvhFile, *, root: str | None = None) -> LocalFrames:
 
 
 def likely_scale(bvh: BvhFile) -> float:
-    """Metres per unit: 1, 0.01 or 0.001. Files of ``write_bvh`` say it by their End Sites, each 10 cm along its bone;
-    of others it is guessed: whichever makes the longest way along the bones nearest to the two metres that a human body
-    has from hand to foot."""
+    """Metres per unit. Files of ``write_bvh`` say it by their End Sites, each 10 cm along its bone; of others it is
+    guessed by the size of the body (``motion.units``)."""
     if (scale := _scale_of_tips(bvh)) is not None:
         return scale
-    reach = bone_reach(bvh.parents, _local(bvh)[1].mean(dim=0))
-    return min(_UNITS, key=lambda scale: abs(np.log(max(reach, 1e-9) * scale / _REACH)))
+    return likely_unit(Skeleton("bvh", bvh.joints, bvh.parents, _local(bvh)[1].mean(dim=0)))
 
 
 def _scale_of_tips(bvh: BvhFile) -> float | None:
@@ -314,19 +312,6 @@ def _descendants(parents: tuple[int, ...], joint: int) -> Iterator[int]:
         if p in inside:
             inside.add(j)
             yield j
-
-
-def bone_reach(parents: tuple[int, ...], offsets: Tensor) -> float:
-    """The longest way along the bones from one joint to another, not counting the bone of the root itself."""
-    lengths = offsets.norm(dim=-1).tolist()
-    below = [0.0] * len(parents)
-    best = 0.0
-    for j in range(len(parents) - 1, 0, -1):
-        way = below[j] + lengths[j]
-        # The way down this branch joined to the longest one seen in another branch of the same parent.
-        best = max(best, way + below[parents[j]])
-        below[parents[j]] = max(below[parents[j]], way)
-    return best
 
 
 def _local(bvh: BvhFile) -> tuple[Tensor, Tensor]:

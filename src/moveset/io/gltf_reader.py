@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from moveset.errors import InputError
-from moveset.io.bvh import ROUNDING, STRETCH, bone_reach, warn_of_stretch
+from moveset.io.bvh import ROUNDING, STRETCH, warn_of_stretch
 from moveset.io.glb import Glb
 from moveset.io.gltf_clip import Clip, read_clip
 from moveset.io.gltf_nodes import Nodes, read_nodes, turn_and_size
@@ -18,6 +18,7 @@ from moveset.motion import rotations
 from moveset.motion.clip import Motion
 from moveset.motion.rigs import as_skeleton, name_after, roles
 from moveset.motion.skeleton import Skeleton
+from moveset.motion.units import bone_reach
 
 _FRAMES = 11.5  # keys a second on a grid: as many, or more, are frames, of 12 a second in drawn films
 _SPARSE = 30.0  # frames a second where keys are no frames

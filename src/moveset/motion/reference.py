@@ -47,7 +47,7 @@ _FRAMES = 400  # looked at, evenly spaced
 _NEAR = 1e-6
 _SURE = 0.7  # mean body axis along an axis of the world
 _Y = torch.tensor((0.0, 1.0, 0.0), dtype=torch.float64)
-_STEP = (0.09, 0.5)  # of a leg: soles that much off the floor are so on purpose
+_SOLE, _FAR = 0.09, 0.5  # of a leg
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,24 +99,31 @@ def find_reference(motion: Motion, *, up: str | None = None, facing: str | None 
     skeleton = motion.skeleton
     if up is None and facing is None and any(skeleton is rig for rig in RIGS.values()):
         return _still(len(skeleton))
-    found, rest = roles(skeleton), _of_rest(skeleton)
-    if facing is not None and rest is None:
-        raise InputError(
-            f"skeleton {skeleton.name!r} does not stand at rest, so that no facing can be given; leave it out"
-        )
-    few = motion[:: max(1, -(-len(motion) // _FRAMES))]
+    found, few = roles(skeleton), motion[:: max(1, -(-len(motion) // _FRAMES))]
+    rest, upward = _world(few, up, facing)
     turned, placed = few.global_rotations.double(), few.joints.double()
-    upward = _world_up(rest, placed, found) if up is None else _turn_up(axis_vector(up))
-    if facing is not None and rest is not None:
-        # Where the rest pose looks is to be ahead: the whole world is turned.
-        upward = _turn_up(rotations.rotate(rotations.inv(upward), _Y), axis_vector(facing))
-        return replace(rest, up=upward, turns=upward.expand(len(skeleton), 4))
     placed, turned = rotations.rotate(upward, placed), rotations.mul(upward, turned)
     if rest is not None:
         return Reference(by_hinges(rest.turns, skeleton, found, turned, placed), upward, "rest pose")
     if (turns := _t_pose(turned, placed, found)) is not None:
         return Reference(by_hinges(turns, skeleton, found, turned, placed), upward, "T-pose")
     return Reference(derived_pose(skeleton, found, turned, placed), upward, "derived")
+
+
+def _world(few: Motion, up: str | None, facing: str | None) -> tuple[Reference | None, Tensor]:
+    """The reference by the rest pose, if that is a standing one, and (4,) the turn that makes the world Y up."""
+    skeleton = few.skeleton
+    rest = _of_rest(skeleton)
+    upward = _world_up(rest, few.joints.double(), roles(skeleton)) if up is None else _turn_up(axis_vector(up))
+    if facing is None:
+        return (None, upward) if rest is None else (replace(rest, up=upward), upward)
+    if rest is None:
+        raise InputError(
+            f"skeleton {skeleton.name!r} does not stand at rest, so that no facing can be given; leave it out"
+        )
+    # Where the rest pose looks is to be ahead: the whole world is turned.
+    upward = _turn_up(rotations.rotate(rotations.inv(upward), _Y), axis_vector(facing))
+    return replace(rest, up=upward, turns=upward.expand(len(skeleton), 4)), upward
 
 
 @lru_cache(maxsize=64)
@@ -171,34 +178,33 @@ def as_before(motion: Motion, skeleton: Skeleton, reference: Reference) -> Motio
 def upright(motion: Motion, *, up: str | None = None, facing: str | None = None) -> Motion:
     """A motion from a file whose world or rest pose has another up axis or facing, Y up and facing +Z at rest.
 
-    Where the rest pose is no standing one, the world is turned up alone; where no legs are recognised, only what
-    ``up`` says.
+    Where the rest pose is no standing one, the world alone is turned; where no legs are recognised, as ``up`` and
+    ``facing`` say.
 
     Raises:
         InputError: an unknown axis.
     """
+    skeleton = motion.skeleton
+    if up is None and facing is None and any(skeleton is rig for rig in RIGS.values()):
+        return motion
     try:
-        found = find_reference(motion, up=up, facing=facing)
+        rest, upward = _world(motion[:: max(1, -(-len(motion) // _FRAMES))], up, facing)
     except InputError:
         if up is None and facing is None:
             return motion
-        turn = _turn_up(axis_vector(up or "y"), None if facing is None else axis_vector(facing))
-        found = Reference(turn.expand(len(motion.skeleton), 4), turn, "rest pose")
-    if found.how != "rest pose":
-        found = replace(found, turns=_still(len(motion.skeleton)).turns)
-        if found.plain:
-            return motion
-        skeleton = motion.skeleton
-        turned = motion.transformed(found.up, torch.zeros(3))
-        return replace(turned, skeleton=skeleton)
-    return standing(motion, found)
+        upward = _turn_up(axis_vector(up or "y"), None if facing is None else axis_vector(facing))
+        rest = Reference(upward.expand(len(skeleton), 4), upward, "rest pose")
+    if rest is not None:
+        return standing(motion, rest)
+    return motion if bool((upward[:3].abs() < _NEAR).all()) else motion.transformed(upward, torch.zeros(3))
 
 
 def on_floor(motion: Motion) -> Motion:
-    """Raised or lowered so that the soles touch the floor: by a little, as thick as soles are, or by much, as where a
-    file's root stands at height zero. In between they may well be off the floor: on steps, or in the air.
+    """Lowered by a little where all the time the toe joints stay above the floor as high as soles are thick, and set
+    on the floor where the body is far from it, as where a file's root stands at height zero. In between it may well be
+    off the floor: on steps, or in the air.
 
-    Soles are below the toe joints and ankles of a body that rests Y up; the lowest 1 % of frames say where.
+    The lowest 1 % of frames say where toe joints, and what is as far below the ankles, are; the body rests Y up.
     """
     skeleton, found = motion.skeleton, roles(motion.skeleton)
     if any(skeleton is rig for rig in RIGS.values()):
@@ -208,7 +214,7 @@ def on_floor(motion: Motion) -> Motion:
     soles = [placed[:, found[f"{side}_ankle"]] - ankle_height(skeleton, found) for side in ("left", "right")]
     soles += [placed[:, found[role]] for role in ("left_foot", "right_foot") if role in found]
     low = torch.stack(soles).amin(dim=0).quantile(0.01)
-    if _STEP[0] * leg < float(low.abs()) < _STEP[1] * leg:
+    if not 0.0 < float(low) < _SOLE * leg and float(low.abs()) < _FAR * leg:
         return motion
     return replace(motion, root=motion.root - torch.stack((low * 0.0, low, low * 0.0)))
 

@@ -22,7 +22,7 @@ from torch import Tensor
 from moveset.errors import InputError
 from moveset.motion import rotations
 from moveset.motion.body_shape import body_shape
-from moveset.motion.joint_names import Recognition, recognise
+from moveset.motion.joint_names import NEEDED, Recognition, recognise
 from moveset.motion.skeleton import HML22, KIT21, Skeleton
 
 
@@ -97,6 +97,27 @@ def recognised(skeleton: Skeleton) -> Recognition:
             f"one of {', '.join(RIGS)} does, or say which joint is which"
         )
     return found
+
+
+def with_roles(skeleton: Skeleton, joints: Mapping[str, str]) -> Skeleton:
+    """The skeleton with roles as somebody says, the others as they are recognised.
+
+    Args:
+        skeleton: any.
+        joints: role -> name of the joint that plays it, or "" where none does.
+
+    Raises:
+        InputError: a role or a joint that is not there, or a body without recognisable legs.
+    """
+    if unknown := sorted(set(joints) - set(HML22.joints)):
+        raise InputError(f"there is no part {unknown[0]!r} of a body; give one of {', '.join(HML22.joints)}")
+    given = {role: skeleton.index(name) for role, name in joints.items() if name}
+    known = recognise(skeleton.joints, skeleton.parents).roles if len(given) < len(HML22) else {}
+    taken = set(given.values())
+    found = {role: j for role, j in known.items() if role not in joints and j not in taken} | given
+    if missing := [role for role in NEEDED if role not in found]:
+        raise InputError(f"skeleton {skeleton.name!r} has no joint for {', '.join(missing)}; say which joint is which")
+    return replace(skeleton, roles=tuple(sorted(found.items())), feet=feet_by_role(found))
 
 
 def pairs_by_name(joints: tuple[str, ...]) -> tuple[tuple[int, int], ...]:
