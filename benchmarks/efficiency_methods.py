@@ -10,7 +10,7 @@ import time
 from collections import Counter
 from collections.abc import Callable
 from contextlib import nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, cached_property
 
 import torch
@@ -19,6 +19,7 @@ from torch import Tensor, nn
 from efficiency_tally import Meter, Tally
 from moveset.diffusion.guidance import cfg
 from moveset.diffusion.schedule import cosine, linear
+from moveset.models.condition import Condition, PastSegment
 from moveset.models.dip_decoder import DipDecoderConfig
 from moveset.models.flow import CouplingFlow, FlowConfig
 from moveset.models.segment_denoiser import SegmentDenoiser, SegmentDenoiserConfig, TextStates
@@ -27,6 +28,7 @@ from moveset.rdm.sampler import Denoiser, Settings, sample
 from moveset.rdm.sequential import Solver, idle_prefix, rollout_chunks
 from moveset.rdm.staircase import Staircase, levels
 from moveset.rdm.transport import Transport
+from moveset.text.encoder import TextEmbedding
 
 HORIZON = 196
 _SCHEDULE = linear()
@@ -241,7 +243,7 @@ class Methods:
         def denoiser(x_BnD: Tensor, t_B: Tensor, prefix_BPD: Tensor, number: int) -> Tensor:
             tally.wave(rows)
             x, prefix = x_BnD.repeat(copies, 1, 1), prefix_BPD.repeat(copies, 1, 1)
-            made = network(x, t_B.repeat(copies), prefix, tokens, mask)
+            made = network(x, t_B.repeat(copies), Condition(_embedding(tokens, mask), past=PastSegment.clean(prefix)))
             return made if copies == 1 else cfg(*made.chunk(2), 6.5)
 
         prefix = idle_prefix(torch.zeros(network.config.features), tally.batch)
@@ -296,17 +298,25 @@ def _awake(config: SegmentTransformerConfig | SegmentDenoiserConfig | DipDecoder
 
 def _bound(network: nn.Module, tokens_BLC: Tensor, mask_BL: Tensor, tally: Tally, *, once: bool) -> Denoiser:
     """A segment denoiser with its prompt; ``once``: the left neighbour is the same for all steps of a segment."""
+
+    def condition(copies: int, prev: Tensor, prev_t: Tensor, index: Tensor) -> Condition:
+        text = _embedding(tokens_BLC.repeat(copies, 1, 1), mask_BL.repeat(copies, 1))
+        return Condition(text, past=PastSegment(prev, prev_t, index))
+
     if isinstance(network, SegmentDenoiser):
-        text = network.read(tokens_BLC, mask_BL)
+        text = network.prepare(Condition(_embedding(tokens_BLC, mask_BL)))
 
         @cache
-        def told(copies: int) -> TextStates:
+        def repeated(copies: int) -> TextStates:
             mask = None if text.mask is None else text.mask.repeat(copies, 1)
-            return TextStates(text.states.repeat(copies, 1, 1), mask, text.summary.repeat(copies, 1))
+            return replace(
+                text, states=text.states.repeat(copies, 1, 1), mask=mask, summary=text.summary.repeat(copies, 1)
+            )
 
         def apart(x: Tensor, t: Tensor, prev: Tensor, prev_t: Tensor, index: Tensor, rows: object) -> Tensor:
             tally.wave(len(x))
-            return network.denoise(x, t, prev, prev_t, index, told(len(x) // tally.batch))
+            copies = len(x) // tally.batch
+            return network(x, t, replace(repeated(copies), condition=condition(copies, prev, prev_t, index)))
 
         return apart
     held: dict[int, object] = {}
@@ -315,11 +325,14 @@ def _bound(network: nn.Module, tokens_BLC: Tensor, mask_BL: Tensor, tally: Tally
         tally.wave(len(x))
         context = held.get(rows[0]) if once else None
         if context is None:
-            copies = len(x) // tally.batch
             with tally.part("context", len(x)):
-                context = network.read(tokens_BLC.repeat(copies, 1, 1), mask_BL.repeat(copies, 1), prev, prev_t, index)
+                context = network.prepare(condition(len(x) // tally.batch, prev, prev_t, index))
             held.clear()
             held[rows[0]] = context
-        return network.denoise(x, t, context)
+        return network(x, t, context)
 
     return denoiser
+
+
+def _embedding(tokens_BLC: Tensor, mask_BL: Tensor) -> TextEmbedding:
+    return TextEmbedding(tokens_BLC, mask_BL, tokens_BLC.mean(1))

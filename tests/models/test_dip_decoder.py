@@ -9,8 +9,10 @@ from torch import nn
 from torch.utils.flop_counter import FlopCounterMode
 
 from moveset.errors import FormatError, InputError
+from moveset.models.condition import PastSegment
 from moveset.models.dip_decoder import DipDecoderConfig
 from moveset.models.registry import build_model, describe
+from tests.conditions import condition_of
 
 TINY = DipDecoderConfig(features=5, prefix=3, frames=6, text_dim=7, width=12, layers=2, heads=2, feed_forward=16)
 
@@ -19,6 +21,10 @@ TINY = DipDecoderConfig(features=5, prefix=3, frames=6, text_dim=7, width=12, la
 def model():
     torch.manual_seed(0)
     return TINY.build().eval()
+
+
+def dip(network, x, t, prefix, tokens, mask, mask_Bn=None):
+    return network(x, t, condition_of(tokens, mask, past=PastSegment.clean(prefix), valid=mask_Bn))
 
 
 @pytest.fixture
@@ -33,7 +39,7 @@ def test_published_size_shape_and_cost():
         model = DipDecoderConfig().build().eval()
         x, prefix, tokens = torch.empty(1, 40, 263), torch.empty(1, 20, 263), torch.empty(1, 20, 768)
         with FlopCounterMode(display=False) as counter:
-            out = model(x, torch.ones(1, dtype=torch.long), prefix, tokens, torch.ones(1, 20, dtype=torch.bool))
+            out = dip(model, x, torch.ones(1, dtype=torch.long), prefix, tokens, torch.ones(1, 20, dtype=torch.bool))
     assert out.shape == x.shape
     a_layer = 2 * 4 * 513 * 512 + 513 * 1024 + 1025 * 512 + 3 * 1024
     whole = 8 * a_layer + 264 * 512 + 513 * 263 + 769 * 512 + 2 * 513 * 512
@@ -72,12 +78,12 @@ def test_it_is_torch_s_decoder_on_prefix_and_frames(model, inputs):
     memory = torch.cat((model.time(table(t.float()))[:, None], model.text_in(tokens)), dim=1)
     away = torch.cat((torch.zeros(3, 1).bool(), ~mask), dim=1)
     expected = model.out(stock(frames, memory, memory_key_padding_mask=away)[:, 3:])
-    torch.testing.assert_close(model(*inputs), expected)
+    torch.testing.assert_close(dip(model, *inputs), expected)
 
 
 def test_gradients_reach_all_parameters(model, inputs):
     model.zero_grad()
-    model(*inputs).square().mean().backward()
+    dip(model, *inputs).square().mean().backward()
     silent = [name for name, p in model.named_parameters() if p.grad is None or p.grad.abs().max() == 0]
     model.zero_grad()
     assert silent == []
@@ -86,41 +92,41 @@ def test_gradients_reach_all_parameters(model, inputs):
 def test_padded_text_does_not_matter_and_a_prompt_may_be_empty(model, inputs):
     *start, tokens, mask = inputs
     mask[2] = False
-    expected = model(*start, tokens, mask)
+    expected = dip(model, *start, tokens, mask)
     assert torch.isfinite(expected).all()
-    assert torch.equal(model(*start, tokens.masked_fill(~mask[..., None], float("nan")), mask), expected)
-    cut = model(*(part[1:2] for part in start), tokens[1:2, :2], mask[1:2, :2])
+    assert torch.equal(dip(model, *start, tokens.masked_fill(~mask[..., None], float("nan")), mask), expected)
+    cut = dip(model, *(part[1:2] for part in start), tokens[1:2, :2], mask[1:2, :2])
     torch.testing.assert_close(cut, expected[1:2])
 
 
 def test_padded_frames_do_not_matter(model, inputs):
     x, *rest = inputs
     mask = torch.arange(6) < torch.tensor([6, 4, 1])[:, None]
-    expected = model(x, *rest, mask_Bn=mask)
-    torn = model(x.masked_fill(~mask[..., None], float("nan")), *rest, mask_Bn=mask)
+    expected = dip(model, x, *rest, mask_Bn=mask)
+    torn = dip(model, x.masked_fill(~mask[..., None], float("nan")), *rest, mask_Bn=mask)
     torch.testing.assert_close(torn[mask], expected[mask])
-    torch.testing.assert_close(expected[0], model(x, *rest)[0])
-    assert not torch.allclose(expected[1, :4], model(x, *rest)[1, :4], atol=1e-4)
+    torch.testing.assert_close(expected[0], dip(model, x, *rest)[0])
+    assert not torch.allclose(expected[1, :4], dip(model, x, *rest)[1, :4], atol=1e-4)
 
 
 def test_every_frame_sees_prefix_time_and_text(model, inputs):
     x, t, prefix, tokens, mask = inputs
-    base = model(*inputs)
+    base = dip(model, *inputs)
     for changed in [
         (x + torch.eye(6)[5][:, None], t, prefix, tokens, mask),
         (x, t + 3, prefix, tokens, mask),
         (x, t, prefix + torch.eye(3)[0][:, None], tokens, mask),
         (x, t, prefix, -tokens, mask),
     ]:
-        assert ((model(*changed) - base).abs().amax(dim=-1) > 0).all()
+        assert ((dip(model, *changed) - base).abs().amax(dim=-1) > 0).all()
 
 
 def test_other_lengths_are_one_sentence(model, inputs):
     x, t, prefix, *text = inputs
     with pytest.raises(InputError, match="prefix of 2 frames does not fit this model; give it 3"):
-        model(x, t, prefix[:, :2], *text)
+        dip(model, x, t, prefix[:, :2], *text)
     with pytest.raises(InputError, match="prediction of 5 frames"):
-        model(x[:, :5], t, prefix, *text)
+        dip(model, x[:, :5], t, prefix, *text)
 
 
 def test_rebuilt_from_its_description(model, inputs):
@@ -128,7 +134,7 @@ def test_rebuilt_from_its_description(model, inputs):
     twin = build_model(kind, json.loads(json.dumps(stored))).eval()
     assert (kind, twin.config) == ("dip_decoder", TINY)
     twin.load_state_dict(model.state_dict())
-    assert torch.equal(twin(*inputs), model(*inputs))
+    assert torch.equal(dip(twin, *inputs), dip(model, *inputs))
 
 
 @pytest.mark.parametrize(

@@ -10,8 +10,10 @@ import torch
 from torch.utils.flop_counter import FlopCounterMode
 
 from moveset.errors import FormatError, InputError
+from moveset.models.condition import PastSegment
 from moveset.models.registry import build_model, describe
 from moveset.models.segment_denoiser import SegmentDenoiserConfig, linear_attention
+from tests.conditions import call, condition_of
 
 TINY = SegmentDenoiserConfig(
     features=5,
@@ -93,9 +95,14 @@ def flops(config, frames, text_tokens=77):
     model = on_meta(replace(config, frames=frames, text_layers=0))
     with torch.device("meta"):
         x, number = torch.empty(1, frames, config.features), torch.zeros(1, dtype=torch.long)
-        text = model.read(torch.empty(1, text_tokens, 512), torch.ones(1, text_tokens, dtype=torch.bool))
+        text = condition_of(
+            torch.empty(1, text_tokens, 512),
+            torch.ones(1, text_tokens, dtype=torch.bool),
+            past=PastSegment(x, number, number),
+        )
+        prepared = model.prepare(text)
         with FlopCounterMode(display=False) as counter:
-            model.denoise(x, number, x, number, number, text)
+            model(x, number, prepared)
     return counter.get_total_flops()
 
 
@@ -132,7 +139,7 @@ def test_paper_sized_shapes(features):
     with torch.device("meta"):
         x, number = torch.empty(2, 196, features), torch.zeros(2, dtype=torch.long)
         tokens, mask = torch.empty(2, 77, 512), torch.ones(2, 77, dtype=torch.bool)
-        assert model(x, number, x[:, :28], number, number, tokens, mask, taps=taps).shape == x.shape
+        assert call(model, x, number, x[:, :28], number, number, tokens, mask, taps=taps).shape == x.shape
     assert [tuple(tap.shape) for tap in taps] == [(2, 196, 512)]
 
 
@@ -165,7 +172,7 @@ def test_linear_attention_is_its_formula():
 @pytest.mark.parametrize("config", EVERY)
 def test_shapes_taps_and_gradients_of_all_parameters(config, inputs):
     model, taps = awake(config), []
-    out = model(*inputs, taps=taps)
+    out = call(model, *inputs, taps=taps)
     assert out.shape == inputs[0].shape
     assert [tuple(tap.shape) for tap in taps] == [(4, 8, 16)] * 2
     torch.testing.assert_close(model.out(taps[-1]), out)
@@ -178,7 +185,7 @@ def test_shapes_taps_and_gradients_of_all_parameters(config, inputs):
 
 def test_a_fresh_network_is_zero_and_its_layers_are_the_identity(inputs):
     model, taps = RECURRENT.build(), []
-    assert model(*inputs, taps=taps).abs().max() == 0
+    assert call(model, *inputs, taps=taps).abs().max() == 0
     assert torch.equal(taps[0], taps[1])
 
 
@@ -187,13 +194,15 @@ def test_padded_frames_do_not_matter(config, inputs):
     x, t, prev, *rest = inputs
     model = awake(config)
     mask = torch.arange(8) < torch.tensor([8, 5, 1, 6])[:, None]
-    expected = model(x, t, prev, *rest, mask_Bn=mask)
-    torn = model(x.masked_fill(~mask[..., None], float("nan")), t, prev, *rest, mask_Bn=mask)
+    expected = call(model, x, t, prev, *rest, mask_Bn=mask)
+    torn = call(model, x.masked_fill(~mask[..., None], float("nan")), t, prev, *rest, mask_Bn=mask)
     torch.testing.assert_close(torn[mask], expected[mask])
     # A clip of five frames is the same alone, without any padding ("channel" pairs frames, so prev is cut there).
     row = [part[1:2] for part in (x[:, :5], t, prev[:, :5] if config.prev == "channel" else prev, *rest)]
-    torch.testing.assert_close(model(*row), expected[1:2, :5])
-    torch.testing.assert_close(model(x, t, prev, *rest, mask_Bn=torch.ones_like(mask)), model(x, t, prev, *rest))
+    torch.testing.assert_close(call(model, *row), expected[1:2, :5])
+    torch.testing.assert_close(
+        call(model, x, t, prev, *rest, mask_Bn=torch.ones_like(mask)), call(model, x, t, prev, *rest)
+    )
 
 
 @pytest.mark.parametrize("config", [TINY, RECURRENT, replace(RECURRENT, attention="softmax")])
@@ -201,20 +210,20 @@ def test_padded_text_does_not_matter(config, inputs):
     *start, tokens, mask = inputs
     model = awake(config)
     mask[3] = False  # a prompt without any token
-    expected = model(*start, tokens, mask)
+    expected = call(model, *start, tokens, mask)
     assert torch.isfinite(expected).all()
-    torch.testing.assert_close(model(*start, tokens.masked_fill(~mask[..., None], float("nan")), mask), expected)
+    torch.testing.assert_close(call(model, *start, tokens.masked_fill(~mask[..., None], float("nan")), mask), expected)
     row = [part[1:2] for part in (*start, tokens[:, :4], mask[:, :4])]
-    torch.testing.assert_close(model(*row), expected[1:2])
+    torch.testing.assert_close(call(model, *row), expected[1:2])
     # ... and the text does.
-    assert not torch.allclose(model(*start, tokens.roll(1, 0), mask)[0], expected[0], atol=1e-4)
+    assert not torch.allclose(call(model, *start, tokens.roll(1, 0), mask)[0], expected[0], atol=1e-4)
 
 
 def test_padded_text_is_read_on_demand(inputs):
     *start, tokens, mask = inputs
     model = awake(replace(TINY, read_padding=True))
-    expected = model(*start, tokens, mask)
-    moved = model(*start, tokens + 1.0 * ~mask[..., None], mask)
+    expected = call(model, *start, tokens, mask)
+    moved = call(model, *start, tokens + 1.0 * ~mask[..., None], mask)
     assert torch.allclose(moved[0], expected[0])  # this prompt has no padding
     assert not torch.allclose(moved[1], expected[1], atol=1e-4)
 
@@ -222,7 +231,7 @@ def test_padded_text_is_read_on_demand(inputs):
 def test_the_summary_is_the_last_real_token(inputs):
     *_, tokens, mask = inputs
     model = awake(TINY)
-    states = model.read(tokens, mask)
+    states = model.prepare(condition_of(tokens, mask))
     for row, last in enumerate([6, 3, 0, 4]):
         torch.testing.assert_close(states.summary[row], model.text_summary(states.states[row, last]))
 
@@ -231,49 +240,50 @@ def test_the_summary_is_the_last_real_token(inputs):
 def test_the_first_segment_has_no_previous_one(config, inputs):
     x, t, prev, prev_t, index, *text = inputs
     model = awake(config)
-    expected = model(x, t, prev, prev_t, index, *text)
-    other = model(x, t, prev + 1, prev_t + 1, index, *text)
+    expected = call(model, x, t, prev, prev_t, index, *text)
+    other = call(model, x, t, prev + 1, prev_t + 1, index, *text)
     assert torch.equal(other[:2], expected[:2])
     assert not torch.allclose(other[2], expected[2], atol=1e-4)
-    torn = model(x, t, prev.masked_fill((index == 0)[:, None, None], float("nan")), prev_t, index, *text)
+    torn = call(model, x, t, prev.masked_fill((index == 0)[:, None, None], float("nan")), prev_t, index, *text)
     assert torch.equal(torn, expected)
     # Level and content are two inputs.
-    assert not torch.allclose(model(x, t, prev, prev_t + 300, index, *text)[3], expected[3], atol=1e-4)
-    assert not torch.allclose(model(x, t, prev + 1, prev_t, index, *text)[3], expected[3], atol=1e-4)
+    assert not torch.allclose(call(model, x, t, prev, prev_t + 300, index, *text)[3], expected[3], atol=1e-4)
+    assert not torch.allclose(call(model, x, t, prev + 1, prev_t, index, *text)[3], expected[3], atol=1e-4)
 
 
 def test_the_last_frames_reach_the_network_twice(inputs):
     x, t, prev, *rest = inputs
     model = awake(RECURRENT)
-    expected = model(x, t, prev, *rest)
+    expected = call(model, x, t, prev, *rest)
     model.previous.boundary_in.weight.data.mul_(2)
-    assert not torch.allclose(model(x, t, prev, *rest)[2:], expected[2:], atol=1e-4)
-    one_frame = model(x, t, prev[:, -1:], *rest)  # less than the boundary
+    assert not torch.allclose(call(model, x, t, prev, *rest)[2:], expected[2:], atol=1e-4)
+    one_frame = call(model, x, t, prev[:, -1:], *rest)  # less than the boundary
     assert one_frame.shape == x.shape
 
 
 def test_segment_numbers_saturate(inputs):
     x, t, prev, prev_t, _, *text = inputs
     model = awake(RECURRENT)
-    one, two, many = (model(x, t, prev, prev_t, torch.full((4,), i), *text) for i in (1, 2, 10**6))
+    one, two, many = (call(model, x, t, prev, prev_t, torch.full((4,), i), *text) for i in (1, 2, 10**6))
     assert torch.equal(two, many)
     assert not torch.allclose(one, two, atol=1e-4)
     volume = awake(TINY)
     assert torch.equal(
-        volume(x, t, prev, prev_t, torch.zeros(4).long(), *text), volume(x, t, 1 - prev, t, torch.ones(4).long(), *text)
+        call(volume, x, t, prev, prev_t, torch.zeros(4).long(), *text),
+        call(volume, x, t, 1 - prev, t, torch.ones(4).long(), *text),
     )
 
 
 def test_time_matters(inputs):
     x, t, *rest = inputs
     model = awake(TINY)
-    assert not torch.allclose(model(x, t + 100, *rest), model(x, t, *rest), atol=1e-4)
+    assert not torch.allclose(call(model, x, t + 100, *rest), call(model, x, t, *rest), atol=1e-4)
 
 
 def test_text_read_once_serves_many_calls(inputs):
     *start, tokens, mask = inputs
     model = awake(RECURRENT)
-    assert torch.equal(model.denoise(*start, model.read(tokens, mask)), model(*inputs))
+    assert torch.equal(call(model, *start, tokens, mask, prepare=True), call(model, *inputs))
 
 
 def test_a_fresh_student_is_its_teacher_for_every_guidance(inputs):
@@ -281,24 +291,26 @@ def test_a_fresh_student_is_its_teacher_for_every_guidance(inputs):
     student = teacher.student()
     assert not student.training
     for w in (0.0, 7.5):
-        assert torch.equal(student(*inputs, torch.full((4,), w)), teacher(*inputs))
+        assert torch.equal(call(student, *inputs, torch.full((4,), w)), call(teacher, *inputs))
     torch.nn.init.normal_(student.time.guidance.weight)
-    assert not torch.allclose(student(*inputs, torch.full((4,), 1.0)), student(*inputs, torch.full((4,), 2.0)))
+    assert not torch.allclose(
+        call(student, *inputs, torch.full((4,), 1.0)), call(student, *inputs, torch.full((4,), 2.0))
+    )
     with pytest.raises(InputError, match="does not take"):
-        teacher(*inputs, torch.ones(4))
+        call(teacher, *inputs, torch.ones(4))
     with pytest.raises(InputError, match="needs"):
-        student(*inputs)
+        call(student, *inputs)
 
 
 def test_lengths_that_do_not_fit_are_one_sentence(inputs):
     x, t, prev, *rest = inputs
     model = RECURRENT.build()
     with pytest.raises(InputError, match="segment of 16 frames exceeds"):
-        model(torch.cat((x, x), dim=1), t, prev, *rest)
+        call(model, torch.cat((x, x), dim=1), t, prev, *rest)
     with pytest.raises(InputError, match="previous segment of 16 frames exceeds"):
-        model(x, t, torch.cat((prev, prev), dim=1), *rest)
+        call(model, x, t, torch.cat((prev, prev), dim=1), *rest)
     with pytest.raises(InputError, match="pairs frames"):
-        WAYS[1].build()(x, t, prev[:, :7], *rest)
+        call(WAYS[1].build(), x, t, prev[:, :7], *rest)
 
 
 @pytest.mark.parametrize("config", EVERY)
@@ -308,7 +320,7 @@ def test_rebuilt_from_its_description(config, inputs):
     twin = build_model(kind, json.loads(json.dumps(stored))).eval()
     assert (kind, twin.config) == ("segment_denoiser", config)
     twin.load_state_dict(model.state_dict())
-    assert torch.equal(twin(*inputs), model(*inputs))
+    assert torch.equal(call(twin, *inputs), call(model, *inputs))
 
 
 @pytest.mark.parametrize(

@@ -10,6 +10,7 @@ from moveset.diffusion.schedule import linear
 from moveset.errors import FormatError
 from moveset.models.registry import build_model, describe
 from moveset.models.segment_transformer import SegmentTransformerConfig
+from tests.conditions import call
 
 CONFIG = SegmentTransformerConfig(features=5, frames=6, text_dim=7, width=16, heads=2, hidden=24, blocks=2)
 ROWS = 4
@@ -50,8 +51,8 @@ def gap(one, other):
 
 
 def test_a_first_segment_has_no_previous_one(model, inputs):
-    before = model(**inputs)
-    after = model(**{**inputs, "prev_BnD": 1e3 * torch.randn(ROWS, 6, 5)})
+    before = call(model, **inputs)
+    after = call(model, **{**inputs, "prev_BnD": 1e3 * torch.randn(ROWS, 6, 5)})
     moved = gap(before, after)
     assert float(moved[0]) == 0
     assert float(moved[1:].min()) > 1e-3
@@ -61,11 +62,10 @@ def test_who_is_alone_takes_every_segment_for_a_first_one(model, inputs):
     alone = replace(CONFIG, alone=True).build().eval()
     alone.load_state_dict(model.state_dict())
     nothing = {name: torch.zeros_like(inputs[name]) for name in ("prev_BnD", "prev_t_B", "index_B")}
-    made = alone(**inputs)
-    assert torch.equal(made, model(**{**inputs, **nothing}))
-    assert float(gap(made, model(**inputs))[1:].min()) > 1e-3
-    told = [inputs[name] for name in ("tokens_BLC", "mask_BL", "prev_BnD", "prev_t_B", "index_B")]
-    assert torch.equal(alone.denoise(inputs["x_BnD"], inputs["t_B"], alone.read(*told)), made)
+    made = call(alone, **inputs)
+    assert torch.equal(made, call(model, **{**inputs, **nothing}))
+    assert float(gap(made, call(model, **inputs))[1:].min()) > 1e-3
+    assert torch.equal(call(alone, **inputs, prepare=True), made)
 
 
 def test_a_place_in_the_time_of_the_sentence_is_read_where_it_is_known(model, inputs):
@@ -75,19 +75,18 @@ def test_a_place_in_the_time_of_the_sentence_is_read_where_it_is_known(model, in
     assert placed.learned_later["place.weight"] == "placed"
     place = torch.tensor([[0.0, 98.0], [28.0, 70.0], [-1.0, -1.0], [28.0, 28.0]])
     # Fresh, it changes nothing; nor does it ever where nothing is told.
-    assert torch.equal(placed(**inputs, place_B2=place), model(**inputs))
+    assert torch.equal(call(placed, **inputs, place_B2=place), call(model, **inputs))
     placed = awake(placed.config)
-    untold, told = placed(**inputs), placed(**inputs, place_B2=place)
-    assert torch.equal(placed(**inputs, place_B2=torch.full((ROWS, 2), -1.0)), untold)
+    untold, told = call(placed, **inputs), call(placed, **inputs, place_B2=place)
+    assert torch.equal(call(placed, **inputs, place_B2=torch.full((ROWS, 2), -1.0)), untold)
     moved = gap(told, untold)
     assert float(moved[2]) == 0
     assert float(moved[[0, 1, 3]].min()) > 1e-3
-    assert torch.equal(placed(**inputs, place_B2=torch.tensor([[0.0, 197.0]]).expand(ROWS, 2)), untold)
+    assert torch.equal(call(placed, **inputs, place_B2=torch.tensor([[0.0, 197.0]]).expand(ROWS, 2)), untold)
     # Behind it is not ahead of it.
-    assert float(gap(placed(**inputs, place_B2=place.flip(1)), told)[:2].min()) > 1e-3
-    read = [inputs[name] for name in ("tokens_BLC", "mask_BL", "prev_BnD", "prev_t_B", "index_B")]
-    assert torch.equal(placed.denoise(inputs["x_BnD"], inputs["t_B"], placed.read(*read, place)), told)
-    assert torch.equal(model(**inputs, place_B2=place), model(**inputs))
+    assert float(gap(call(placed, **inputs, place_B2=place.flip(1)), told)[:2].min()) > 1e-3
+    assert torch.equal(call(placed, **inputs, place_B2=place, prepare=True), told)
+    assert torch.equal(call(model, **inputs, place_B2=place), call(model, **inputs))
 
 
 def test_how_far_a_way_has_turned_is_read_where_it_is_known(model, inputs):
@@ -95,61 +94,53 @@ def test_how_far_a_way_has_turned_is_read_where_it_is_known(model, inputs):
     assert coursed.load_state_dict(model.state_dict(), strict=False).missing_keys == ["course.weight"]
     assert coursed.learned_later["course.weight"] == "coursed"
     turned = torch.tensor([0.0, 1.5, float("nan"), -1.5])
-    assert torch.equal(coursed(**inputs, turned_B=turned), model(**inputs))
+    assert torch.equal(call(coursed, **inputs, turned_B=turned), call(model, **inputs))
     coursed = awake(coursed.config)
-    untold, told = coursed(**inputs), coursed(**inputs, turned_B=turned)
+    untold, told = call(coursed, **inputs), call(coursed, **inputs, turned_B=turned)
     moved = gap(told, untold)
     assert float(moved[2]) == 0
     # Not to have turned is something to know, too.
     assert float(moved[[0, 1, 3]].min()) > 1e-3
-    assert float(gap(coursed(**inputs, turned_B=-turned), told)[[1, 3]].min()) > 1e-3
-    assert torch.equal(coursed(**inputs, turned_B=torch.full((ROWS,), 6.3)), untold)  # more than a turn
-    read = [inputs[name] for name in ("tokens_BLC", "mask_BL", "prev_BnD", "prev_t_B", "index_B")]
-    context = coursed.read(*read, None, turned)
-    assert torch.equal(coursed.denoise(inputs["x_BnD"], inputs["t_B"], context), told)
-    assert torch.equal(model(**inputs, turned_B=turned), model(**inputs))
+    assert float(gap(call(coursed, **inputs, turned_B=-turned), told)[[1, 3]].min()) > 1e-3
+    assert torch.equal(call(coursed, **inputs, turned_B=torch.full((ROWS,), 6.3)), untold)  # more than a turn
+    assert torch.equal(call(coursed, **inputs, turned_B=turned, prepare=True), told)
+    assert torch.equal(call(model, **inputs, turned_B=turned), call(model, **inputs))
 
 
 def test_the_level_of_the_previous_segment_is_read(model, inputs):
-    after = model(**{**inputs, "prev_t_B": torch.tensor([0, 400, 400, 400])})
-    assert float(gap(model(**inputs), after)[1:].min()) > 1e-3
+    after = call(model, **{**inputs, "prev_t_B": torch.tensor([0, 400, 400, 400])})
+    assert float(gap(call(model, **inputs), after)[1:].min()) > 1e-3
 
 
-def test_reading_first_changes_nothing(model, inputs):
-    x, t = inputs.pop("x_BnD"), inputs.pop("t_B")
-    context = model.read(
-        inputs["tokens_BLC"], inputs["mask_BL"], inputs["prev_BnD"], inputs["prev_t_B"], inputs["index_B"]
-    )
-    assert torch.equal(model.denoise(x, t, context), model(x, t, **inputs))
-    # One context serves any number of levels.
-    assert torch.equal(model.denoise(2 * x, t - 1, context), model(2 * x, t - 1, **inputs))
+def test_preparing_changes_nothing(model, inputs):
+    assert torch.equal(call(model, **inputs, prepare=True), call(model, **inputs))
 
 
 def test_padding_of_the_text_does_not_matter(model, inputs):
-    before = model(**inputs)
+    before = call(model, **inputs)
     tokens, mask = inputs["tokens_BLC"], inputs["mask_BL"]
     wild = torch.where(mask[..., None], tokens, 50.0)
-    torch.testing.assert_close(model(**{**inputs, "tokens_BLC": wild}), before, rtol=1e-5, atol=1e-5)
+    torch.testing.assert_close(call(model, **{**inputs, "tokens_BLC": wild}), before, rtol=1e-5, atol=1e-5)
     one = {name: value[1:2] for name, value in inputs.items()}
-    alone = model(**{**one, "tokens_BLC": tokens[1:2, :3], "mask_BL": mask[1:2, :3]})
+    alone = call(model, **{**one, "tokens_BLC": tokens[1:2, :3], "mask_BL": mask[1:2, :3]})
     torch.testing.assert_close(alone, before[1:2], rtol=1e-4, atol=1e-5)
 
 
 def test_frames_beyond_the_end_do_not_matter(model, inputs):
     valid = torch.arange(6) < torch.tensor([6, 4, 2, 1])[:, None]
-    before = model(**inputs, mask_Bn=valid)
+    before = call(model, **inputs, mask_Bn=valid)
     wild = torch.where(valid[..., None], inputs["x_BnD"], 50.0)
-    after = model(**{**inputs, "x_BnD": wild}, mask_Bn=valid)
+    after = call(model, **{**inputs, "x_BnD": wild}, mask_Bn=valid)
     torch.testing.assert_close(after[valid], before[valid], rtol=1e-5, atol=1e-5)
-    assert float(gap(model(**inputs), before)[1:].min()) > 1e-3
+    assert float(gap(call(model, **inputs), before)[1:].min()) > 1e-3
     full = torch.ones_like(valid)
-    torch.testing.assert_close(model(**inputs, mask_Bn=full), model(**inputs), rtol=1e-6, atol=1e-6)
+    torch.testing.assert_close(call(model, **inputs, mask_Bn=full), call(model, **inputs), rtol=1e-6, atol=1e-6)
 
 
 def test_rows_do_not_know_of_each_other(model, inputs):
-    whole = model(**inputs)
+    whole = call(model, **inputs)
     for row in range(ROWS):
-        alone = model(**{name: value[row : row + 1] for name, value in inputs.items()})
+        alone = call(model, **{name: value[row : row + 1] for name, value in inputs.items()})
         torch.testing.assert_close(alone, whole[row : row + 1], rtol=1e-4, atol=1e-5)
 
 
@@ -159,7 +150,7 @@ def test_the_index_saturates(inputs):
         for number, same in ((largest, True), (largest - 1, False)):
             index = torch.tensor([0, number, number, number])
             beyond = torch.tensor([0, 50, 60, 70])
-            moved = gap(model(**{**inputs, "index_B": index}), model(**{**inputs, "index_B": beyond}))
+            moved = gap(call(model, **{**inputs, "index_B": index}), call(model, **{**inputs, "index_B": beyond}))
             assert float(moved[0]) == 0
             assert (float(moved[1:].max()) < 1e-6) == same
 
@@ -168,17 +159,17 @@ def test_a_fresh_student_is_its_teacher_whatever_the_guidance(model, inputs):
     student = model.student()
     assert student.config == replace(CONFIG, guided=True)
     for w in (-1.0, 0.0, 2.5, 15.0):
-        assert torch.equal(student(**inputs, w_B=torch.full((ROWS,), w)), model(**inputs))
+        assert torch.equal(call(student, **inputs, w_B=torch.full((ROWS,), w)), call(model, **inputs))
     with torch.no_grad():
         student.guidance.weight.normal_()
-    low, high = (student(**inputs, w_B=torch.full((ROWS,), w)) for w in (0.0, 2.0))
+    low, high = (call(student, **inputs, w_B=torch.full((ROWS,), w)) for w in (0.0, 2.0))
     assert float(gap(low, high).min()) > 1e-3
     assert student.position.data_ptr() != model.position.data_ptr()
 
 
 def test_gradients_reach_every_parameter(inputs):
     student = awake(replace(CONFIG, guided=True)).train()
-    made = student(**inputs, w_B=torch.arange(4.0), mask_Bn=torch.ones(ROWS, 6, dtype=torch.bool))
+    made = call(student, **inputs, w_B=torch.arange(4.0), mask_Bn=torch.ones(ROWS, 6, dtype=torch.bool))
     made.square().mean().backward()
     silent = [name for name, p in student.named_parameters() if p.grad is None or not p.grad.any()]
     assert silent == []
@@ -186,7 +177,7 @@ def test_gradients_reach_every_parameter(inputs):
 
 def test_a_fresh_network_says_the_mean(inputs):
     """Zero in normalised features: neither noise nor the segment before gets through before anything is learned."""
-    assert not CONFIG.build()(**inputs).any()
+    assert not call(CONFIG.build(), **inputs).any()
 
 
 def test_a_forecast_goes_on_from_what_is_clean(inputs):
@@ -195,7 +186,7 @@ def test_a_forecast_goes_on_from_what_is_clean(inputs):
     with torch.no_grad():
         model.forecast[0].fill_(1.0)
         model.forecast[1].copy_(torch.arange(1.0, 7)[:, None].expand(6, 5))
-    made = model(**inputs)
+    made = call(model, **inputs)
     prev = inputs["prev_BnD"]
     last, step = prev[:, -1:], prev[:, -1:] - prev[:, -2:-1]
     line = last + step * torch.arange(1.0, 7)[None, :, None]
@@ -206,8 +197,8 @@ def test_a_forecast_goes_on_from_what_is_clean(inputs):
 
 def test_the_discriminator_sees_every_block(model, inputs):
     taps = []
-    made = model(**inputs, taps=taps)
-    assert torch.equal(made, model(**inputs))
+    made = call(model, **inputs, taps=taps)
+    assert torch.equal(made, call(model, **inputs))
     assert [tap.shape for tap in taps] == [(ROWS, 6, 16)] * 2
     assert not torch.equal(*taps)
 

@@ -11,6 +11,7 @@ import torch
 
 import moveset
 from moveset.errors import FormatError, InputError
+from moveset.models.condition import Condition, PastSegment
 from moveset.motion import rotations
 from moveset.motion.clip import Motion
 from moveset.motion.features import get_codec
@@ -73,13 +74,16 @@ def test_the_first_segments_worked_out_by_hand(opened, encoder):
     made = plain(opened, prompt="a person turns left", network="pcm-1", seed=5, guidance=2.0)
     network, flow = made.bundle.module("pcm-1").network, made.bundle.module("flow")
     text, mirrored = encoder.encode(["a person turns left"]), encoder.encode(["a person turns right"])
-    w, level, clean = torch.tensor([2.0]), torch.tensor([999]), torch.tensor([0])
+    level, clean = torch.tensor([999]), torch.tensor([0])
     n, (order, signs) = made.bundle.normalizer, get_codec("native").mirror()
 
+    def said(sentence, prev, index, turned):
+        return Condition(sentence, past=PastSegment(prev, clean, index, None, turned), scale=torch.tensor([2.0]))
+
     def even(x, prev, index, turned):
-        one = network(x, level, prev, clean, index, text.tokens, text.mask, w, turned_B=turned)
+        one = network(x, level, said(text, prev, index, turned))
         x, prev = x[..., order] * signs, prev[..., order] * signs
-        other = network(x, level, prev, clean, index, mirrored.tokens, mirrored.mask, w, turned_B=-turned)
+        other = network(x, level, said(mirrored, prev, index, -turned))
         return one + 0.5 * ((other[..., order] * signs).mean(dim=1) - one.mean(dim=1))
 
     with torch.no_grad():
@@ -102,7 +106,7 @@ def test_guidance_without_a_student_is_two_evaluations(opened, encoder):
     with torch.no_grad():
         noise = network.colour(segment_noise(0, 0, START, (FRAMES, 269))[None])
         told, untold = (
-            network(noise, torch.tensor([1000]), torch.zeros_like(noise), clean, clean, e.tokens, e.mask)
+            network(noise, torch.tensor([1000]), Condition(e, past=PastSegment(torch.zeros_like(noise), clean, clean)))
             for e in (text, empty)
         )
     features = (told + 2.0 * (told - untold))[0] * n["feature_std"] + n["feature_mean"]
@@ -285,15 +289,15 @@ def test_a_seed_motion_is_told_clean_and_is_no_first_segment(opened, monkeypatch
     read, seen = [], []
     network = made.bundle.module("rdm")
 
-    def reads(tokens, mask, prev, prev_t, index, real=network.read, **told):
-        read.append((prev_t.tolist(), index.tolist()))
-        return real(tokens, mask, prev, prev_t, index, **told)
+    def reads(condition, real=network.prepare):
+        read.append((condition.past.level.tolist(), condition.past.index.tolist()))
+        return real(condition)
 
     def denoises(x, t, *more, real=network.denoise):
         seen.extend(zip(t.tolist(), *read[-1], strict=True))
         return real(x, t, *more)
 
-    monkeypatch.setattr(network, "read", reads)
+    monkeypatch.setattr(network, "prepare", reads)
     monkeypatch.setattr(network, "denoise", denoises)
     take(made, 2)
     assert all(index > 0 for _, _, index in seen)

@@ -151,15 +151,15 @@ def test_a_course_is_learned_from_a_bent_past(folder, tmp_path):
     task, _ = trained(folder, "md-7", tmp_path / "run", "heading=2.0", "bent=0.2", validate_every=3)
     log = [json.loads(line) for line in (tmp_path / "run" / "metrics.jsonl").read_text().splitlines()]
     assert all(line["heading"] > 0 for line in log)
-    spy, batch, loss, _ = loss_of(task, lambda asked: asked[0])
+    spy, batch, loss, _ = loss_of(task, lambda x, t: x)
     yaw, later = task.data.codec.groups["root_yaw"], batch.index > 0
-    told, real = spy.asked[2][later].clone(), batch.previous[later].clone()
+    told, real = spy.condition.past.frames[later].clone(), batch.previous[later].clone()
     assert len(told) > 5
     assert (told[..., yaw] != real[..., yaw]).all()
     told[..., yaw] = real[..., yaw] = 0.0
     torch.testing.assert_close(told, real)
     plain, _ = trained(folder, "md-7", tmp_path / "plain", "bent=0.2")
-    assert loss > loss_of(plain, lambda asked: asked[0])[2]
+    assert loss > loss_of(plain, lambda x, t: x)[2]
 
 
 def test_settings_of_the_printed_algorithm_train(folder, tmp_path):
@@ -220,11 +220,11 @@ class Spy(torch.nn.Module):
 
     def __init__(self, says):
         super().__init__()
-        self.says, self.asked = says, None
+        self.says = says
 
-    def forward(self, *asked):
-        self.asked = asked
-        return self.says(asked)
+    def forward(self, x, t, condition):
+        self.x, self.t, self.condition = x, t, condition
+        return self.says(x, t)
 
 
 def loss_of(task, says, seed=0):
@@ -238,16 +238,15 @@ def test_who_says_the_noise_is_judged_by_the_noise(folder, tmp_path):
     task, _ = trained(folder, "motiondiffuse", tmp_path / "run", steps=1)
     schedule, clean = linear(), task.data.train.batch(32, 0, 0).clean
 
-    def noise(asked):
-        x, t = asked[0], asked[1]
+    def noise(x, t):
         alpha, sigma = (f(t)[:, None, None] for f in (schedule.alpha, schedule.sigma))
         return (x - alpha * clean) / sigma
 
     spy, _, loss, parts = loss_of(task, noise)
     assert loss == pytest.approx(0, abs=1e-4)
     assert float(parts["error"]) == pytest.approx(0, abs=1e-4)
-    assert not spy.asked[4].any()  # one segment, the whole clip
-    _, _, silent, _ = loss_of(task, lambda asked: torch.zeros_like(asked[0]))
+    assert not spy.condition.past.index.any()  # one segment, the whole clip
+    _, _, silent, _ = loss_of(task, lambda x, t: torch.zeros_like(x))
     assert silent == pytest.approx(1, rel=0.1)
 
 
@@ -255,14 +254,15 @@ def test_what_an_autoregressive_baseline_is_told(folder, tmp_path):
     told, _ = trained(folder, "md-7", tmp_path / "told", steps=1)
     alone, _ = trained(folder, "md-7", tmp_path / "alone", "md_condition=none", steps=1)
     for task, later in ((told, True), (alone, False)):
-        spy, batch, _, _ = loss_of(task, lambda asked: asked[0])
+        spy, batch, _, _ = loss_of(task, lambda x, t: x)
         assert batch.index.any()
-        assert not spy.asked[3].any()  # the level of the segment before: clean
-        torch.testing.assert_close(spy.asked[2], batch.previous)
-        assert bool(spy.asked[4].any()) == later
+        past = spy.condition.past
+        assert not past.level.any()
+        torch.testing.assert_close(past.frames, batch.previous)
+        assert bool(past.index.any()) == later
         assert task.denoiser.config.alone != later  # and so it is in use
         if later:
-            assert torch.equal(spy.asked[4], batch.index)
+            assert torch.equal(past.index, batch.index)
 
 
 def test_networks_of_every_kind_can_be_told_nothing(folder, tmp_path):
@@ -277,12 +277,12 @@ def test_networks_of_every_kind_can_be_told_nothing(folder, tmp_path):
 def test_saying_the_clean_segment_costs_nothing(rdm7):
     task, _ = rdm7
     batch = task.data.train.batch(32, 0, 0)
-    spy, _, loss, _ = loss_of(task, lambda asked: batch.clean)
+    spy, _, loss, _ = loss_of(task, lambda x, t: batch.clean)
     assert loss == 0
-    assert torch.equal(spy.asked[8], batch.valid)
-    assert bool((spy.asked[3] < spy.asked[1]).all())  # t' < t
+    assert torch.equal(spy.condition.valid, batch.valid)
+    assert bool((spy.condition.past.level < spy.t).all())  # t' < t
     # Words are dropped for guidance by the training step alone, never here.
-    assert spy.asked[6].any(dim=1).all()
+    assert spy.condition.text.mask.any(dim=1).all()
 
 
 def test_settings_that_contradict_each_other_are_refused(folder, tmp_path):
@@ -330,10 +330,10 @@ def test_dip_says_clean_frames_on_its_own_schedule(folder, tmp_path):
     assert torch.equal(task.schedule.alpha_bar, cosine(10).alpha_bar)
     batch = task.data.train.batch(64, 0, 0)
     text = task.data.read(batch.captions)
-    spy = Spy(lambda asked: batch.clean)
+    spy = Spy(lambda x, t: batch.clean)
     loss, error = task._loss(spy, batch, text, torch.Generator().manual_seed(0))
     assert float(loss) == float(error) == 0
-    noisy, t, prefix = spy.asked[:3]
+    noisy, t, prefix = spy.x, spy.t, spy.condition.past.frames
     assert sorted(t.unique().tolist()) == list(range(1, 11))
     assert torch.equal(prefix, batch.prefix)
     noise = (noisy - task.schedule.alpha(t)[:, None, None] * batch.clean) / task.schedule.sigma(t)[:, None, None]

@@ -56,8 +56,8 @@ def test_streams_are_judged_without_their_past(folder, rdm7, tmp_path, monkeypat
 
 
 def test_a_teacher_may_be_told_a_noisy_past(folder, rdm7, tmp_path, monkeypatch):
-    told, tell = [], BoundSegments._told
-    monkeypatch.setattr(BoundSegments, "_told", lambda *given: told.append((given, tell(*given))) or told[-1][1])
+    told, tell = [], BoundSegments._past_at
+    monkeypatch.setattr(BoundSegments, "_past_at", lambda *given: told.append((given, tell(*given))) or told[-1][1])
     trained(
         folder,
         "rdm-student",
@@ -81,8 +81,8 @@ def test_a_teacher_may_be_told_a_noisy_past(folder, rdm7, tmp_path, monkeypatch)
 
 
 def test_a_teacher_may_be_told_a_noisy_past_of_streams_alone(folder, rdm7, tmp_path, monkeypatch):
-    told, tell = [], BoundSegments._told
-    monkeypatch.setattr(BoundSegments, "_told", lambda *given: told.append((given, tell(*given))) or told[-1][1])
+    told, tell = [], BoundSegments._past_at
+    monkeypatch.setattr(BoundSegments, "_past_at", lambda *given: told.append((given, tell(*given))) or told[-1][1])
     settings = ("noisy_own=true", "rehearsed=3", "own_past=0.5", "cutting.first_share=0")
     task, _ = trained(folder, "rdm-student", tmp_path / "run", *settings)
     streams = set(task.own.rows.tolist())
@@ -135,7 +135,7 @@ def test_a_noisy_past_of_streams_asks_for_streams(folder, rdm7, tmp_path):
 def test_lower_phases_meet_what_the_student_landed_at(folder, rdm7, tmp_path, monkeypatch):
     met, target = [], rdm_student.clean_target
     monkeypatch.setattr(
-        rdm_student, "clean_target", lambda *given: met.append((given[-2], given[-3])) or target(*given)
+        rdm_student, "clean_target", lambda *given: met.append((given[-1], given[-2])) or target(*given)
     )
     landed, land = [], BoundSegments.land
     monkeypatch.setattr(BoundSegments, "land", lambda *given: landed.append(land(*given)) or landed[-1])
@@ -199,11 +199,11 @@ def test_places_are_learned_later_by_teacher_and_student(folder, rdm7, tmp_path,
 
     (copied := tmp_path / "folder").mkdir()
     shutil.copytree(tmp_path / "teacher", copied / "rdm-7")
-    told, read = [], bound_segments.told_of
+    told, bind = [], bound_segments.guided
     monkeypatch.setattr(
         bound_segments,
-        "told_of",
-        lambda network, place, turned: told.append((network, place, turned)) or read(network, place, turned),
+        "guided",
+        lambda network, condition, *more: told.append((network, condition.past)) or bind(network, condition, *more),
     )
     corpus = folder / "corpus.safetensors"
     task, result = trained(
@@ -222,13 +222,14 @@ def test_places_are_learned_later_by_teacher_and_student(folder, rdm7, tmp_path,
     config = load_trained(result.checkpoint, "student_ema").module.config
     assert config.placed
     assert config.coursed
-    places, turns = zip(*[(place, turned) for network, place, turned in told if network is task.student], strict=True)
+    pasts = [past for network, past in told if network is task.student]
+    places, turns = [past.timing for past in pasts], [past.heading_change for past in pasts]
     for known in ((torch.cat(places) >= 0).all(dim=1), ~torch.cat(turns).isnan()):
         assert 0.1 < float(known.float().mean()) < 0.9
     told.clear()
     unplaced, _ = trained(copied, "rdm-student", tmp_path / "unplaced", "own_past=0.5", corpus=corpus, steps=2)
     assert told
-    assert all((place < 0).all() and turned.isnan().all() for _, place, turned in told)
+    assert all((past.timing < 0).all() and past.heading_change.isnan().all() for _, past in told)
     assert (unplaced.own.state()["place"] < 0).all()
     assert unplaced.own.state()["turned"].isnan().all()
 

@@ -19,18 +19,55 @@ Prediction = Callable[[Tensor, Tensor], Tensor]
 
 
 @dataclass(frozen=True, eq=False)
+class PastSegment:
+    """What a segment goes on from.
+
+    Args:
+        frames: (B, m, D) the segment before it; of no meaning in rows of index 0.
+        level: (B,) its noise level, 0 for clean.
+        index: (B,) number of the segment that is conditioned; 0 is the first, which has none before it.
+        timing: (B, 2) frames from where the sentence begins to where the segment does, and from there to where the
+            sentence ends; negative where that is not known.
+        heading_change: (B,) radians by which the heading has changed since the sentence began, as the features' yaw
+            steps have them; NaN where that is not known.
+    """
+
+    frames: Tensor
+    level: Tensor
+    index: Tensor
+    timing: Tensor | None = None
+    heading_change: Tensor | None = None
+
+    @classmethod
+    def clean(cls, frames: Tensor) -> "PastSegment":
+        """Finished frames (B, m, D), for every row."""
+        zeros = torch.zeros(len(frames), dtype=torch.long, device=frames.device)
+        return cls(frames, zeros, zeros + 1)
+
+    def joined(self, other: "PastSegment") -> "PastSegment":
+        """The rows of both, in order."""
+        return PastSegment(**{f.name: _joined(getattr(self, f.name), getattr(other, f.name)) for f in fields(self)})
+
+
+@dataclass(frozen=True, eq=False)
 class Condition:
-    """A condition of B rows.
+    """A condition of B rows. Networks read what they know of it.
 
     Args:
         text: B sentences; "" is the unconditional input.
-        length: (B,) frames of a clip, for networks that read it.
+        length: (B,) frames of a clip.
+        past: what segments go on from; None for networks of whole clips.
         scale: (B,) guidance scale w, for few-step students only.
+        valid: (B, n) bool, True at frames of the clip; None means all.
+        mirror_text: what the sentences say of the mirror image, for networks averaged with theirs.
     """
 
     text: TextEmbedding
     length: Tensor | None = None
+    past: PastSegment | None = None
     scale: Tensor | None = None
+    valid: Tensor | None = None
+    mirror_text: TextEmbedding | None = None
 
     def __len__(self) -> int:
         return len(self.text)
@@ -45,8 +82,7 @@ class Condition:
 
     def joined(self, other: "Condition") -> "Condition":
         """The rows of both, in order; both must have the same parts."""
-        parts = {f.name: _cat(getattr(self, f.name), getattr(other, f.name)) for f in fields(self) if f.name != "text"}
-        return Condition(stack([self.text, other.text]), **parts)
+        return Condition(**{f.name: _joined(getattr(self, f.name), getattr(other, f.name)) for f in fields(self)})
 
 
 class Denoiser(nn.Module):
@@ -123,5 +159,10 @@ def guided(
     return predict
 
 
-def _cat(one: Tensor | None, other: Tensor | None) -> Tensor | None:
-    return None if one is None or other is None else torch.cat((one, other))
+def _joined(one: Any, other: Any) -> Any:
+    """Two like parts of a condition as one; None where there is none."""
+    if one is None:
+        return None
+    if isinstance(one, TextEmbedding):
+        return stack([one, other])
+    return one.joined(other) if isinstance(one, PastSegment) else torch.cat((one, other))

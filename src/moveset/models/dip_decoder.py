@@ -14,6 +14,7 @@ from torch import Tensor, nn
 from torch.nn import functional as fn
 
 from moveset.errors import InputError
+from moveset.models.condition import Condition, Denoiser
 from moveset.models.layers import Attention
 from moveset.models.registry import register, require_range
 from moveset.models.sinusoids import sinusoids
@@ -57,8 +58,12 @@ class DipDecoderConfig:
         return DipDecoder(self)
 
 
-class DipDecoder(nn.Module):
-    """Predicts the clean frames after a clean prefix from their noisy version, its level and the text."""
+class DipDecoder(Denoiser):
+    """Predicts the clean frames (B, n, D) after a clean prefix from their noisy version, its level and the text.
+
+    The prefix is the condition's past; a row without any real token is the empty prompt, for guidance. Frames that are
+    not valid do not matter, and their output means nothing.
+    """
 
     def __init__(self, config: DipDecoderConfig) -> None:
         super().__init__()
@@ -70,28 +75,16 @@ class DipDecoder(nn.Module):
         self.layers = nn.ModuleList(Layer(c) for _ in range(c.layers))
         self.out = nn.Linear(c.width, c.features)
 
-    def forward(
-        self,
-        x_BnD: Tensor,
-        t_B: Tensor,
-        prefix_BmD: Tensor,
-        tokens_BLC: Tensor,
-        mask_BL: Tensor,
-        mask_Bn: Tensor | None = None,
-    ) -> Tensor:
-        """The predicted frames (B, n, D), normalised features.
-
-        Args:
-            x_BnD: noisy frames.
-            t_B: (B,) their noise level.
-            prefix_BmD: the clean frames before them.
-            tokens_BLC: text token states.
-            mask_BL: True at real tokens; a row without any is the empty prompt, for guidance.
-            mask_Bn: True at frames of the clip; the others do not matter and their output means nothing. None: all.
+    def denoise(self, x_BnD: Tensor, t_B: Tensor, condition: Condition, taps: list[Tensor] | None) -> Tensor:
+        """See ``Denoiser.forward``.
 
         Raises:
-            InputError: another number of frames than the network is made for.
+            InputError: another number of frames than the network is made for, or no prefix.
         """
+        if condition.past is None:
+            raise InputError("DiP goes on from a prefix; give it as the condition's past")
+        prefix_BmD, mask_Bn = condition.past.frames, condition.valid
+        tokens_BLC, mask_BL = condition.text.tokens, condition.text.mask
         c = self.config
         for what, found, made in (("prefix", prefix_BmD.shape[1], c.prefix), ("prediction", x_BnD.shape[1], c.frames)):
             if found != made:

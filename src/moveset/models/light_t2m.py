@@ -1,7 +1,6 @@
 """Light-T2M's denoiser: 4.48 M parameters, convolutions for what is near, a state space over patches for what is far.
 
-It denoises a whole clip (one segment: with it as the denoiser, RDM is Light-RDM-1). Its signature is that of the
-segment denoisers; a previous segment is not an input.
+It denoises a whole clip (one segment: with it as the denoiser, RDM is Light-RDM-1); a previous segment is not an input.
 
 Shapes: B batch, n frames, D features, L text tokens, C text channels, W width, P patches of eight frames.
 Source: Light-T2M (Zeng et al., AAAI 2025). One difference: padded frames take no part, neither in the
@@ -16,6 +15,7 @@ from torch import Tensor, nn
 from torch.nn import functional as fn
 
 from moveset.errors import InputError
+from moveset.models.condition import Condition, Denoiser
 from moveset.models.layers import time_embedding
 from moveset.models.registry import register, require_range
 from moveset.models.selective_scan import Mamba
@@ -74,8 +74,12 @@ class LightT2MConfig:
         return LightT2M(self)
 
 
-class LightT2M(nn.Module):
-    """Predicts a clip from a noisy one, its noise level and one text vector."""
+class LightT2M(Denoiser):
+    """Predicts a clip (B, n, D) from a noisy one, its noise level and one text vector.
+
+    A row without any real token is the empty prompt; valid frames are a clip's first ones. There is no distilled
+    student of this network. ``taps`` collect every stage's output (B, n, W).
+    """
 
     def __init__(self, config: LightT2MConfig) -> None:
         super().__init__()
@@ -87,46 +91,25 @@ class LightT2M(nn.Module):
         self.stages = nn.ModuleList(Stage(c) for _ in range(c.stages))
         self.out = nn.Linear(c.width, c.features)
 
-    def forward(
-        self,
-        x_BnD: Tensor,
-        t_B: Tensor,
-        prev_BmD: Tensor,
-        prev_t_B: Tensor,
-        index_B: Tensor,
-        tokens_BLC: Tensor,
-        mask_BL: Tensor,
-        w_B: Tensor | None = None,
-        mask_Bn: Tensor | None = None,
-        taps: list[Tensor] | None = None,
-    ) -> Tensor:
-        """The predicted clip (B, n, D), normalised features.
-
-        Args:
-            x_BnD: noisy clip.
-            t_B: (B,) its noise level.
-            prev_BmD, prev_t_B: not read; there is one segment.
-            index_B: (B,) zeros.
-            tokens_BLC: text token states.
-            mask_BL: True at real tokens; a row without any is the empty prompt.
-            w_B: None; there is no distilled student of this network.
-            mask_Bn: True at frames of the clip, which are its first ones. None: all.
-            taps: a list that receives every stage's output (B, n, W).
+    def denoise(self, x_BnD: Tensor, t_B: Tensor, condition: Condition, taps: list[Tensor] | None) -> Tensor:
+        """See ``Denoiser.forward``.
 
         Raises:
             InputError: a later segment than the first, a clip longer than ``frames``, or a guidance scale.
         """
+        text, past, mask_Bn = condition.text, condition.past, condition.valid
         c, n = self.config, x_BnD.shape[1]
-        if bool((index_B > 0).any()):
+        if past is not None and bool((past.index > 0).any()):
             raise InputError(
-                f"light_t2m denoises whole clips, but segment {int(index_B.max())} was asked for; use segment_denoiser"
+                f"light_t2m denoises whole clips, but segment {int(past.index.max())} was asked for; "
+                "use segment_denoiser"
             )
-        if w_B is not None:
+        if condition.scale is not None:
             raise InputError("light_t2m does not take a guidance scale: it is a teacher, only distilled students do")
         if n > c.frames:
             raise InputError(f"a clip of {n} frames exceeds the model's {c.frames}; shorten it")
         mask = torch.ones(x_BnD.shape[:2], dtype=torch.bool, device=x_BnD.device) if mask_Bn is None else mask_Bn
-        text = self.text_in(self.pooled(tokens_BLC, mask_BL))[:, None]
+        text_B1W = self.text_in(self.pooled(text.tokens, text.mask))[:, None]
         frames = self.frames_in(x_BnD.masked_fill(~mask[..., None], 0.0))
         time = self.time(time_embedding(t_B, c.width).to(frames.dtype))[:, None]
         x = torch.cat((time, frames), dim=1)
@@ -134,7 +117,7 @@ class LightT2M(nn.Module):
         x = self.dropout(x + places.to(x.dtype))
         mask = torch.cat((mask.new_ones(len(mask), 1), mask), dim=1)
         for stage in self.stages:
-            x = stage(x, mask, text)
+            x = stage(x, mask, text_B1W)
             if taps is not None:
                 taps.append(x[:, 1:])
         return self.out(x[:, 1:])

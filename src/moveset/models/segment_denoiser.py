@@ -19,6 +19,7 @@ from torch.nn import functional as fn
 
 from moveset.diffusion.guidance import guidance_embedding
 from moveset.errors import InputError
+from moveset.models.condition import Condition, Denoiser
 from moveset.models.layers import Block, TimeEmbedding
 from moveset.models.registry import register, require_range
 
@@ -101,15 +102,22 @@ class SegmentDenoiserConfig:
 
 @dataclass(frozen=True, eq=False)
 class TextStates:
-    """A prompt after the text layers: states (B, L, C'), mask (B, L) or None to read all, summary (B, E)."""
+    """A prompt after the text layers: states (B, L, C'), mask (B, L) or None to read all, summary (B, E); and the
+    condition that it is of."""
 
     states: Tensor
     mask: Tensor | None
     summary: Tensor
+    condition: Condition
 
 
-class SegmentDenoiser(nn.Module):
-    """Predicts a segment from a noisy one, the text, its number and the segment before it."""
+class SegmentDenoiser(Denoiser):
+    """Predicts a segment (B, n, D) from a noisy one at level 0 … 1000, the text, its number and the segment before it.
+
+    The segment before is read in full, by networks with a ``prev`` and not in rows of index 0. The text's summary is
+    taken at the last real token: for CLIP that is the end-of-text token, whose state is CLIP's own summary. Frames that
+    are not valid do not matter, and their output means nothing. ``taps`` collect every layer's output (B, n, W).
+    """
 
     def __init__(self, config: SegmentDenoiserConfig) -> None:
         super().__init__()
@@ -130,14 +138,12 @@ class SegmentDenoiser(nn.Module):
         self.layers = nn.ModuleList(Layer(c) for _ in range(c.layers))
         self.out = zeroed(nn.Linear(c.width, c.features))
 
-    def read(self, tokens_BLC: Tensor, mask_BL: Tensor) -> TextStates:
+    def prepare(self, condition: Condition) -> TextStates:
         """The text layers: they depend on neither time nor noise, so a prompt needs them once.
 
-        Args:
-            tokens_BLC: token states of a frozen text encoder.
-            mask_BL: True at real tokens. The summary is taken at the last True position: for CLIP that is the
-                end-of-text token, whose state is CLIP's own summary. A row without any True reads one zero token.
+        A row without any real token reads one zero token.
         """
+        tokens_BLC, mask_BL = condition.text.tokens, condition.text.mask
         length = mask_BL.shape[1]
         last_B = (mask_BL * torch.arange(length, device=mask_BL.device)).amax(dim=1)
         mask = None
@@ -149,69 +155,33 @@ class SegmentDenoiser(nn.Module):
         for block in self.text_blocks:
             x = block(x, mask, None)
         x = self.text_norm(x)
-        return TextStates(x, mask, self.text_summary(x[torch.arange(len(x), device=x.device), last_B]))
+        summary = self.text_summary(x[torch.arange(len(x), device=x.device), last_B])
+        return TextStates(x, mask, summary, condition)
 
-    def forward(
-        self,
-        x_BnD: Tensor,
-        t_B: Tensor,
-        prev_BmD: Tensor,
-        prev_t_B: Tensor,
-        index_B: Tensor,
-        tokens_BLC: Tensor,
-        mask_BL: Tensor,
-        w_B: Tensor | None = None,
-        mask_Bn: Tensor | None = None,
-        taps: list[Tensor] | None = None,
-    ) -> Tensor:
-        """The predicted segment (B, n, D), normalised features.
-
-        Args:
-            x_BnD: noisy segment.
-            t_B: (B,) its noise level, 0 (clean) to 1000.
-            prev_BmD: the previous segment, in full; ignored without a ``prev`` and in rows of index 0.
-            prev_t_B: (B,) its noise level.
-            index_B: (B,) segment number from 0.
-            tokens_BLC: text token states.
-            mask_BL: True at real tokens, see ``read``.
-            w_B: (B,) guidance scale, for students (``guided``) and only for them.
-            mask_Bn: True at frames of the clip; the others do not matter and their output means nothing. None: all.
-            taps: a list that receives every layer's output (B, n, W).
+    def denoise(self, x_BnD: Tensor, t_B: Tensor, text: TextStates, taps: list[Tensor] | None) -> Tensor:
+        """See ``Denoiser.forward``.
 
         Raises:
-            InputError: a segment longer than ``frames``, a previous one of unfit length, or a guidance scale where
-                none belongs (or the reverse).
+            InputError: a segment longer than ``frames``, a previous one of unfit length or none, or a guidance scale
+                where none belongs (or the reverse).
         """
-        text = self.read(tokens_BLC, mask_BL)
-        return self.denoise(x_BnD, t_B, prev_BmD, prev_t_B, index_B, text, w_B, mask_Bn, taps)
-
-    def denoise(
-        self,
-        x_BnD: Tensor,
-        t_B: Tensor,
-        prev_BmD: Tensor,
-        prev_t_B: Tensor,
-        index_B: Tensor,
-        text: TextStates,
-        w_B: Tensor | None = None,
-        mask_Bn: Tensor | None = None,
-        taps: list[Tensor] | None = None,
-    ) -> Tensor:
-        """As ``forward``, for text that was read before."""
+        past, w_B, mask_Bn = text.condition.past, text.condition.scale, text.condition.valid
+        if past is None and (self.index is not None or self.previous is not None):
+            raise InputError("this segment denoiser reads a past; give one of zeros and index 0 to a first segment")
         c, n = self.config, x_BnD.shape[1]
         require_length("segment", n, c.frames)
         w_BG = None if w_B is None else guidance_embedding(w_B, c.guidance_waves)
         condition = self.time(t_B, w_BG) + text.summary
-        if self.index is not None:
-            condition = condition + self.index(index_B.clamp(max=c.max_index), None)
+        if self.index is not None and past is not None:
+            condition = condition + self.index(past.index.clamp(max=c.max_index), None)
         condition = fn.silu(condition)
 
         if mask_Bn is not None:
             x_BnD = x_BnD.masked_fill(~mask_Bn[..., None], 0.0)
         x = self.frames_in(x_BnD) + self.position[:n]
         mask, before = mask_Bn, None
-        if self.previous is not None:
-            before = self.previous(prev_BmD, prev_t_B, index_B == 0)
+        if self.previous is not None and past is not None:
+            before = self.previous(past.frames, past.level, past.index == 0)
         if before is not None and c.prev == "channel":
             if before.shape[1] != n:
                 raise InputError(

@@ -24,6 +24,8 @@ from torch.nn import functional as fn
 
 from moveset.diffusion.coloured import colour, dct_matrix
 from moveset.diffusion.schedule import linear
+from moveset.errors import InputError
+from moveset.models.condition import Condition, Denoiser
 from moveset.models.latent_denoiser import Block, waves
 from moveset.models.registry import register, require_range
 
@@ -84,18 +86,25 @@ class Context:
     """What a segment depends on besides itself.
 
     Keys and values for every block, additive mask, modulation (B, W), the last frame before (B, 1, W), and the segment
-    that is to be expected from the last two frames (B, n, D).
+    that is to be expected from the last two frames (B, n, D); guidance scale (B,) and valid frames (B, n) as they are.
     """
 
     pairs: tuple[tuple[Tensor, Tensor], ...]
     bias: Tensor | None
-    condition: Tensor
+    modulation: Tensor
     last: Tensor
     expected: Tensor
+    scale: Tensor | None
+    valid: Tensor | None
 
 
-class SegmentTransformer(nn.Module):
-    """``denoiser(x, t, prev, prev_t, index, tokens, mask, w, valid, taps, place, turned) -> x0``."""
+class SegmentTransformer(Denoiser):
+    """Predicts the clean segment (B, n, D) of a noisy one at level 0 … 1000, from text and what it goes on from.
+
+    Segment numbers beyond ``max_index`` are all alike. Only networks with ``placed`` read the timing, and none of a
+    sentence that is longer than ``LONGEST``; only those with ``coursed`` read the change of heading, and none of more
+    than a turn. ``taps`` collect every block's output (B, n, W).
+    """
 
     learned_later: ClassVar = {"place.weight": "placed", "course.weight": "coursed"}
     """What a training may add to a network that was trained without it, and which setting says that it is there."""
@@ -149,17 +158,13 @@ class SegmentTransformer(nn.Module):
         """Standard normal noise (B, n, D) as this network was trained on it."""
         return colour(noise_BnD, cast(Tensor, self.spectrum))
 
-    def read(
-        self,
-        tokens_BLC: Tensor,
-        mask_BL: Tensor,
-        prev_BnD: Tensor,
-        prev_t_B: Tensor,
-        index_B: Tensor,
-        place_B2: Tensor | None = None,
-        turned_B: Tensor | None = None,
-    ) -> Context:
+    def prepare(self, condition: Condition) -> Context:
         """Text and previous segment, for any number of calls in which neither they nor their level change."""
+        past = condition.past
+        if past is None:
+            raise InputError("a segment transformer needs a past; give one of zeros and index 0 to a first segment")
+        tokens_BLC, mask_BL = condition.text.tokens, condition.text.mask
+        prev_BnD, prev_t_B, index_B = past.frames, past.level, past.index
         if self.config.alone:
             prev_t_B, index_B = torch.zeros_like(prev_t_B), torch.zeros_like(index_B)
         length = tokens_BLC.shape[1]
@@ -177,13 +182,14 @@ class SegmentTransformer(nn.Module):
         if not bool(mask_BL.all()):
             bias = torch.zeros(context.shape[:2], dtype=torch.float32, device=context.device)
             bias[:, :length].masked_fill_(~mask_BL, -1e4)
-        condition = pooled + self.index(index_B.clamp(max=self.config.max_index)) + level
-        if self.config.placed and place_B2 is not None:
-            condition = condition + self.place(place_waves(place_B2))
-        if self.config.coursed and turned_B is not None:
-            condition = condition + self.course(course_waves(turned_B))
+        modulation = pooled + self.index(index_B.clamp(max=self.config.max_index)) + level
+        if self.config.placed and past.timing is not None:
+            modulation = modulation + self.place(place_waves(past.timing))
+        if self.config.coursed and past.heading_change is not None:
+            modulation = modulation + self.course(course_waves(past.heading_change))
         pairs = tuple(cast(Block, block).read(context) for block in self.blocks)
-        return Context(pairs, bias, condition, last, self._expected(prev_BnD, prev_t_B, index_B))
+        expected = self._expected(prev_BnD, prev_t_B, index_B)
+        return Context(pairs, bias, modulation, last, expected, condition.scale, condition.valid)
 
     def _expected(self, prev_BnD: Tensor, prev_t_B: Tensor, index_B: Tensor) -> Tensor:
         """The linear forecast (B, n, D), fading with the noise in what it is made from; zero for first segments."""
@@ -192,57 +198,14 @@ class SegmentTransformer(nn.Module):
         forecast = self.forecast[0] * last_BD[:, None] + self.forecast[1] * step_BD[:, None]
         return forecast * clean_B[:, None, None]
 
-    def forward(
-        self,
-        x_BnD: Tensor,
-        t_B: Tensor,
-        prev_BnD: Tensor,
-        prev_t_B: Tensor,
-        index_B: Tensor,
-        tokens_BLC: Tensor,
-        mask_BL: Tensor,
-        w_B: Tensor | None = None,
-        mask_Bn: Tensor | None = None,
-        taps: list[Tensor] | None = None,
-        place_B2: Tensor | None = None,
-        turned_B: Tensor | None = None,
-    ) -> Tensor:
-        """The clean segment (B, n, D).
-
-        Args:
-            x_BnD: noisy segment at level ``t_B``, int64 in 0 … 1000.
-            prev_BnD: the segment before it, at level ``prev_t_B``; rows with index 0 have none and ignore it.
-            index_B: number of the segment; beyond ``max_index`` all are alike.
-            tokens_BLC: text token states; mask_BL True at real tokens.
-            w_B: guidance scale, for students (``guided``) only.
-            mask_Bn: True at valid frames; None means all.
-            taps: a list that receives every block's output (B, n, W), for the discriminator.
-            place_B2: frames from where the sentence begins to where the segment does, and from there to where the
-                sentence ends; negative where that is not known. Only networks with ``placed`` read it, and none of
-                a sentence that is longer than ``LONGEST``.
-            turned_B: radians by which the heading has changed since the sentence began, as the features' yaw steps have
-                them; NaN where that is not known. Only networks with ``coursed`` read it, and none of more than a turn.
-        """
-        context = self.read(tokens_BLC, mask_BL, prev_BnD, prev_t_B, index_B, place_B2, turned_B)
-        return self.denoise(x_BnD, t_B, context, w_B, mask_Bn, taps)
-
-    def denoise(
-        self,
-        x_BnD: Tensor,
-        t_B: Tensor,
-        context: Context,
-        w_B: Tensor | None = None,
-        mask_Bn: Tensor | None = None,
-        taps: list[Tensor] | None = None,
-    ) -> Tensor:
-        """As ``forward``, for a context that was read before."""
-        condition = context.condition + self.time(waves(t_B))
-        if w_B is not None:
-            condition = condition + self.guidance(waves(w_B * 100.0))
+    def denoise(self, x_BnD: Tensor, t_B: Tensor, context: Context, taps: list[Tensor] | None) -> Tensor:
+        condition = context.modulation + self.time(waves(t_B))
+        if context.scale is not None:
+            condition = condition + self.guidance(waves(context.scale * 100.0))
         condition = fn.silu(condition)
         modulation = self.modulate(condition)[:, None]
         x = self.frame_in(x_BnD) + self.position + context.last
-        bias = self._bias(context, mask_Bn, x)
+        bias = self._bias(context, x)
         for block, pair in zip(self.blocks, context.pairs, strict=True):
             x = block(x, modulation, pair, bias)
             if taps is not None:
@@ -272,8 +235,9 @@ class SegmentTransformer(nn.Module):
         return out.train(self.training)
 
     @staticmethod
-    def _bias(context: Context, mask_Bn: Tensor | None, x: Tensor) -> Tensor | None:
+    def _bias(context: Context, x: Tensor) -> Tensor | None:
         """Additive mask (B, 1, 1, n + L + n) over own frames and context, or None where everything may be seen."""
+        mask_Bn = context.valid
         if context.bias is None and (mask_Bn is None or bool(mask_Bn.all())):
             return None
         own = x.new_zeros(x.shape[:2])
@@ -282,13 +246,6 @@ class SegmentTransformer(nn.Module):
         keys = context.pairs[0][0].shape[2]
         told = x.new_zeros(len(x), keys) if context.bias is None else context.bias.to(x.dtype)
         return torch.cat((own, told), dim=1)[:, None, None, :]
-
-
-def told_of(network: nn.Module, place_B2: Tensor, turned_B: Tensor) -> dict[str, Tensor]:
-    """The keywords by which a denoiser is told places and turns (``SegmentTransformer.forward``), as far as it reads
-    them."""
-    told = {"place_B2": (place_B2, "placed"), "turned_B": (turned_B, "coursed")}
-    return {name: value for name, (value, reads) in told.items() if getattr(network.config, reads, False)}
 
 
 def place_waves(place_B2: Tensor) -> Tensor:

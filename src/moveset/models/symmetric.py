@@ -5,13 +5,17 @@ that up: a walk that bends by 4 degrees a second goes in circles.
 Shapes: B rows, n frames of a segment, D features, L text tokens, C text width.
 """
 
+from dataclasses import replace
 from typing import Any
 
 import torch
 from torch import Tensor, nn
 
+from moveset.errors import InputError
+from moveset.models.condition import Condition, Denoiser, PastSegment
 
-class Symmetric(nn.Module):
+
+class Symmetric(Denoiser):
     """A network whose segments are on average over their frames as the network has them left to right and mirrored.
 
     Both rows are one batch. Only the means are shared: averaged frame by frame, two slightly different strides would
@@ -31,32 +35,22 @@ class Symmetric(nn.Module):
         self.config = network.config
         self.colour = getattr(network, "colour", None)
 
-    def read(
-        self, tokens_BLC: Tensor, mask_BL: Tensor, prev_BnD: Tensor, prev_t_B: Tensor, index_B: Tensor,
-        place_B2: Tensor | None = None, turned_B: Tensor | None = None,
-    ) -> object:  # fmt: skip
-        """As the network's own, with 2 B rows of text: the sentences, and below them their mirror images."""
-        prev_BnD = torch.cat((prev_BnD, self.flipped(prev_BnD)))
-        told = {} if place_B2 is None else {"place_B2": place_B2.repeat(2, 1)}
-        if turned_B is not None:
-            told["turned_B"] = torch.cat((turned_B, -turned_B))
-        return self.network.read(tokens_BLC, mask_BL, prev_BnD, prev_t_B.repeat(2), index_B.repeat(2), **told)
+    def prepare(self, condition: Condition) -> Any:
+        """As the network's own, of 2 B rows: the segments, and below them their mirror images."""
+        past = condition.past
+        if past is None or condition.mirror_text is None:
+            raise InputError("a network averaged with its mirror image needs a past and what the mirror image is told")
+        heading = past.heading_change
+        image = PastSegment(
+            self.flipped(past.frames), past.level, past.index, past.timing, None if heading is None else -heading
+        )
+        mirrored = replace(condition, text=condition.mirror_text, past=image, mirror_text=None)
+        return self.network.prepare(replace(condition, mirror_text=None).joined(mirrored))
 
-    def denoise(self, x_BnD: Tensor, t_B: Tensor, context: object, w_B: Tensor | None) -> Tensor:
+    def denoise(self, x_BnD: Tensor, t_B: Tensor, prepared: Any, taps: list[Tensor] | None) -> Tensor:
         """Clean segments (B, n, D)."""
-        scale = None if w_B is None else w_B.repeat(2)
-        made, mirrored = self.network.denoise(
-            torch.cat((x_BnD, self.flipped(x_BnD))), t_B.repeat(2), context, scale
-        ).chunk(2)
+        made, mirrored = self.network(torch.cat((x_BnD, self.flipped(x_BnD))), t_B.repeat(2), prepared, taps).chunk(2)
         return made + 0.5 * (self.flipped(mirrored) - made).mean(dim=1, keepdim=True)
-
-    def forward(
-        self, x_BnD: Tensor, t_B: Tensor, prev_BnD: Tensor, prev_t_B: Tensor, index_B: Tensor, tokens_BLC: Tensor,
-        mask_BL: Tensor, w_B: Tensor | None = None, *, place_B2: Tensor | None = None, turned_B: Tensor | None = None,
-    ) -> Tensor:  # fmt: skip
-        """Clean segments (B, n, D), with 2 B rows of text as in ``read``."""
-        context = self.read(tokens_BLC, mask_BL, prev_BnD, prev_t_B, index_B, place_B2, turned_B)
-        return self.denoise(x_BnD, t_B, context, w_B)
 
     def flipped(self, x_BnD: Tensor) -> Tensor:
         """The mirror images of segments."""

@@ -5,13 +5,13 @@ B clips, n frames of a clip or chunk, P frames of a prefix, D features, L text t
 
 from collections.abc import Callable, Sequence
 from itertools import accumulate
-from typing import Any
+from typing import Any, cast
 
 import torch
 from torch import Tensor
 
-from moveset.diffusion.guidance import cfg
 from moveset.errors import InputError
+from moveset.models.condition import Condition, Denoiser, PastSegment, Prediction, guided
 from moveset.motion.clip import Motion
 from moveset.motion.foot_lock import FootLock
 from moveset.motion.hold_root import hold_root
@@ -101,58 +101,39 @@ class Baseline:
 
     def _volumes(self, clips: Sequence[Request]) -> Tensor:
         """(B, n, D) of whole clips; the network sees how long each is, up to its longest."""
-        config, network = self._bundle.config, self._bundle.module(DENOISER, self._device)
-        said = [" then ".join(clip.prompts) for clip in clips]
-        text = self._read(said)
-        size = (len(text.tokens), config.frames, self._codec.dim)
-        valid_Bn = (
-            torch.arange(config.frames) < torch.tensor([clip.total for clip in clips]).clamp(max=config.frames)[:, None]
-        )
-        valid_Bn = valid_Bn.to(self._device).repeat(size[0] // len(clips), 1)
-        nothing, zero = torch.zeros(size, device=self._device), torch.zeros(size[:1], dtype=torch.long)
-        zero = zero.to(self._device)
-
-        def predicted(x_BnD: Tensor, t_B: Tensor) -> Tensor:
-            made: Tensor = network(x_BnD, t_B, nothing, zero, zero, text.tokens, text.mask, None, valid_Bn)
-            return made
-
-        clean = clean_from_noise(self._schedule, predicted) if config.predict == "eps" else predicted
+        config = self._bundle.config
+        text = self._encoded([" then ".join(clip.prompts) for clip in clips])
+        seeds, size = [clip.seed for clip in clips], (len(clips), config.frames, self._codec.dim)
+        totals_B = torch.tensor([clip.total for clip in clips]).clamp(max=config.frames)
+        valid_Bn = (torch.arange(config.frames) < totals_B[:, None]).to(self._device)
+        nothing = torch.zeros(size, device=self._device)
+        zero = torch.zeros(len(clips), dtype=torch.long, device=self._device)
+        predict = self._guided(Condition(text, past=PastSegment(nothing, zero, zero), valid=valid_Bn))
+        clean = clean_from_noise(self._schedule, predict) if config.predict == "eps" else predict
         solver = Solver(schedule=self._schedule, levels=levels(self.steps, config.timesteps), eta=config.eta)
-        guided, seeds = self._guided(clean), [clip.seed for clip in clips]
-        return sample_segment(lambda x, t, *_: guided(x, t), solver, seeds, [0] * len(seeds), nothing[: len(seeds)])
+        return sample_segment(lambda x, t, *_: clean(x, t), solver, seeds, [0] * len(seeds), nothing)
 
     def _chunks(self, clips: Sequence[Request]) -> Tensor:
         """(B, n, D) chunk by chunk, from a person who stands."""
-        config, network = self._bundle.config, self._bundle.module(DENOISER, self._device)
+        config = self._bundle.config
         pose_D = self._bundle.normalizer[IDLE].to(self._device)
         prefix = idle_prefix(pose_D, len(clips), config.prefix)
 
         def denoise(x_BnD: Tensor, t_B: Tensor, prefix_BPD: Tensor, number: int) -> Tensor:
-            text = self._read([_prompt_at(clip, number * config.frames) for clip in clips])
-
-            def clean(x: Tensor, t: Tensor) -> Tensor:
-                before = prefix_BPD.repeat(len(x) // len(prefix_BPD), 1, 1)
-                made: Tensor = network(x, t, before, text.tokens, text.mask)
-                return made
-
-            return self._guided(clean)(x_BnD, t_B)
+            text = self._encoded([_prompt_at(clip, number * config.frames) for clip in clips])
+            return self._guided(Condition(text, past=PastSegment.clean(prefix_BPD)))(x_BnD, t_B)
 
         seeds = [clip.seed for clip in clips]
         return rollout_chunks(
             denoise, self._schedule, prefix, max(clip.total for clip in clips), seeds, chunk=config.frames
         )
 
-    def _guided(self, clean: Callable[[Tensor, Tensor], Tensor]) -> Callable[[Tensor, Tensor], Tensor]:
-        """The same under classifier-free guidance, by one batch of both."""
-        if not self._w:
-            return clean
-        return lambda x_BnD, t_B: cfg(*clean(x_BnD.repeat(2, 1, 1), t_B.repeat(2)).chunk(2), self._w)
+    def _guided(self, condition: Condition) -> Prediction:
+        network = cast(Denoiser, self._bundle.module(DENOISER, self._device))
+        return guided(network, condition, self._w or None, self._encoded([""]))
 
-    def _read(self, said: Sequence[str]) -> TextEmbedding:
-        """Of these sentences, with the empty one below each if there is guidance."""
-        found = [self._text.encode([sentence]) for sentence in said]
-        empty = [self._text.encode([""])] * len(said) if self._w else []
-        return stack(found + empty).to(self._device)
+    def _encoded(self, sentences: Sequence[str]) -> TextEmbedding:
+        return stack([self._text.encode([sentence]) for sentence in sentences]).to(self._device)
 
     def _motion(self, features: Tensor) -> Motion:
         if not self._foot_lock:

@@ -15,6 +15,7 @@ import torch
 from torch import Tensor
 
 from moveset.errors import InputError
+from moveset.models.condition import Denoiser
 from moveset.models.flow import CouplingFlow
 from moveset.motion.clip import Motion
 from moveset.motion.stream_decoder import StreamDecoder
@@ -129,9 +130,8 @@ class StreamModel:
         self.encoder = encoder or get_text_encoder(config.text_encoder, device=self.device)
         self.texts = CachedEncoder(self.encoder, remembered)
         self.mean, self.std = (bundle.normalizer[name].to(self.device) for name in ("feature_mean", "feature_std"))
-        network = bundle.module(settings.network, self.device)
-        guided = bool(config.models[settings.network].config.get("guided"))
-        self.conditioning = Conditioning(network, self.texts, guided=guided, frames=config.segment, device=self.device)
+        network = cast(Denoiser, bundle.module(settings.network, self.device))
+        self.conditioning = Conditioning(network, self.texts, frames=config.segment, device=self.device)
         flow = cast(CouplingFlow, bundle.module(FLOW, self.device)) if config.flows(settings.network) else None
         self.transport = Transport(flow, max(config.depth_cap, 1))
         self.solver = settings.solver(config, network)

@@ -9,8 +9,8 @@ x0, not noise, and
 so that hitting a target F* is hitting the clean segment that F* implies, up to the factor c. The loss is taken there,
 in x: no gradient has to pass the flow.
 
-Callables have text, previous segment and segment number bound inside: ``teacher(x, t, w)``, ``student(x, t, w)`` and
-``ema`` give the clean segment x0 of x_t.
+Callables have condition and guidance bound inside (``models.condition.guided``): ``teacher(x, t)``, ``student(x, t)``
+and ``ema`` give the clean segment x0 of x_t.
 
 Shapes: B rows, n frames, D features; ``point`` is the index i of the solver point t_i (``diffusion.phases``).
 Source: MotionPCM (arXiv 2501.19083), Eq. 8-12; RDM (arXiv 2406.07169), Eq. 9-10.
@@ -25,7 +25,7 @@ from moveset.diffusion.phases import PhaseGrid, down_to_edge
 from moveset.diffusion.schedule import Schedule
 from moveset.diffusion.steps import denoise_step, over
 
-Clean = Callable[[Tensor, Tensor, Tensor], Tensor]
+Clean = Callable[[Tensor, Tensor], Tensor]
 Carry = Callable[[Tensor], Tensor]
 
 
@@ -54,7 +54,6 @@ def clean_target(
     pull: Carry,
     z_BnD: Tensor,
     point_B: Tensor,
-    w_B: Tensor,
 ) -> tuple[Tensor, Tensor]:
     """What the student should say at z_{t_i}: the clean segment x0, and the weight c (B,) of its error.
 
@@ -66,10 +65,10 @@ def clean_target(
         z_BnD: noisy segments at t_i, in y.
     """
     t_B, next_B, edge_B = grid.time(point_B), grid.previous(point_B), grid.lower(point_B)
-    stepped = denoise_step(schedule, z_BnD, pull(teacher(push(z_BnD), t_B, w_B)), t_B, next_B)
+    stepped = denoise_step(schedule, z_BnD, pull(teacher(push(z_BnD), t_B)), t_B, next_B)
     at_edge_B = next_B == edge_B
     # A jump of no length has no noise to divide by where it starts clean; its rows are replaced below.
-    jumped = denoise_step(schedule, stepped, pull(ema(push(stepped), next_B, w_B)), next_B.clamp(min=1), edge_B)
+    jumped = denoise_step(schedule, stepped, pull(ema(push(stepped), next_B)), next_B.clamp(min=1), edge_B)
     landed = torch.where(over(at_edge_B, z_BnD), stepped, jumped)
     return push(implied_clean(schedule, z_BnD, landed, t_B, edge_B)), share_of_clean(schedule, t_B, edge_B)
 
@@ -83,7 +82,6 @@ def whole_target(
     pull: Carry,
     z_BnD: Tensor,
     point_B: Tensor,
-    w_B: Tensor,
 ) -> Tensor:
     """The clean segment that all of the teacher's guided steps from t_i to the phase's lower edge come to.
 
@@ -93,7 +91,7 @@ def whole_target(
 
     def step(z: Tensor, i: Tensor) -> Tensor:
         t_B = grid.time(i)
-        return denoise_step(schedule, z, pull(teacher(push(z), t_B, w_B)), t_B, grid.previous(i))
+        return denoise_step(schedule, z, pull(teacher(push(z), t_B)), t_B, grid.previous(i))
 
     landed = down_to_edge(grid, step, z_BnD, point_B)
     return push(implied_clean(schedule, z_BnD, landed, grid.time(point_B), grid.lower(point_B)))

@@ -3,24 +3,22 @@
 Shapes: B rows, n frames of a segment, D features, C text width.
 """
 
-from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from moveset.data.segments import SegmentBatch
-from moveset.diffusion.guidance import cfg
 from moveset.diffusion.steps import add_noise, denoise_step
-from moveset.models.segment_transformer import UNKNOWN, told_of
+from moveset.models.condition import Condition, Denoiser, PastSegment, Prediction, guided
+from moveset.models.segment_transformer import UNKNOWN
 from moveset.rdm.transport import Transport
-from moveset.text.encoder import TextEmbedding, stack
+from moveset.text.encoder import TextEmbedding
 from moveset.training.rdm import SCHEDULE
 
 NEARER = 0.75
 """Share of the level at which the teacher is asked that a noisy past is told at."""
-_Call = Callable[[Tensor, Tensor, Tensor], Tensor]
 
 
 class BoundSegments:
@@ -33,7 +31,7 @@ class BoundSegments:
     """
 
     def __init__(
-        self, batch: SegmentBatch, text: TextEmbedding, empty: TextEmbedding, transport: Transport, teacher: nn.Module,
+        self, batch: SegmentBatch, text: TextEmbedding, empty: TextEmbedding, transport: Transport, teacher: Denoiser,
         past: tuple[Tensor, Tensor, Tensor] | None = None,
     ) -> None:  # fmt: skip
         self.batch, self.text, self.empty, self.transport, self.teacher = batch, text, empty, transport, teacher
@@ -43,7 +41,6 @@ class BoundSegments:
             before_B = (batch.index - 1).clamp_min(0)
             # Carried back once: the teacher is asked at many levels.
             self.past = (transport.pull(batch.previous, before_B, pooled), noise, before_B, pooled, noisy_B)
-        self.both = stack([text, empty])
         self.clean_level = torch.zeros_like(batch.index)
 
     def misread(self) -> "BoundSegments":
@@ -67,19 +64,34 @@ class BoundSegments:
         """y of x."""
         return self.transport.pull(x, self.batch.index, self.text.pooled)
 
-    def guided(self, x: Tensor, t_B: Tensor, w_B: Tensor) -> Tensor:
-        """The teacher's clean segment under classifier-free guidance, by one batch of both."""
-        b = self.batch
-        previous, level_B = self._told(t_B)
-        told = (previous.repeat(2, 1, 1), level_B.repeat(2), b.index.repeat(2))
-        made = self.teacher(
-            x.repeat(2, 1, 1), t_B.repeat(2), *told, self.both.tokens, self.both.mask, None, b.valid.repeat(2, 1),
-            **told_of(self.teacher, b.place.repeat(2, 1), b.turned.repeat(2)),
-        )  # fmt: skip
-        told, untold = made.float().chunk(2)
-        return cfg(told, untold, w_B)
+    def guided(self, w_B: Tensor) -> Prediction:
+        """The teacher's clean segment under classifier-free guidance."""
 
-    def _told(self, t_B: Tensor) -> tuple[Tensor, Tensor]:
+        def predict(x: Tensor, t_B: Tensor) -> Tensor:
+            condition = self._condition(self.text, *self._past_at(t_B))
+            return guided(self.teacher, condition, w_B, self.empty)(x, t_B)
+
+        return predict
+
+    def by(self, network: Denoiser, w_B: Tensor, text: TextEmbedding | None = None) -> Prediction:
+        """A student, given another reading of the captions if there is one."""
+        return guided(network, self._condition(self.text if text is None else text), w_B)
+
+    def features(self, x: Tensor, t_B: Tensor) -> list[Tensor]:
+        """What the frozen teacher's blocks make of x."""
+        taps: list[Tensor] = []
+        self.teacher(x, t_B, self._condition(self.text), taps)
+        return taps
+
+    def _condition(
+        self, text: TextEmbedding, previous: Tensor | None = None, level_B: Tensor | None = None
+    ) -> Condition:
+        """Of a clean past, unless another is given."""
+        b = self.batch
+        previous, level_B = (b.previous, self.clean_level) if previous is None else (previous, level_B)
+        return Condition(text, past=PastSegment(previous, level_B, b.index, b.place, b.turned), valid=b.valid)
+
+    def _past_at(self, t_B: Tensor) -> tuple[Tensor, Tensor]:
         """The previous segments as the teacher is told them when it is asked at these levels, and their levels."""
         if self.past is None:
             return self.batch.previous, self.clean_level
@@ -87,36 +99,12 @@ class BoundSegments:
         level_B = (NEARER * t_B).long() * noisy_B
         return self.transport.push(add_noise(SCHEDULE, y, noise, level_B), before_B, pooled), level_B
 
-    def by(self, network: nn.Module, text: TextEmbedding | None = None) -> _Call:
-        """A student, told another reading of the captions if given one."""
-        text = self.text if text is None else text
-
-        def call(x: Tensor, t_B: Tensor, w_B: Tensor) -> Tensor:
-            b = self.batch
-            made: Tensor = network(
-                x, t_B, b.previous, self.clean_level, b.index, text.tokens, text.mask, w_B, b.valid,
-                **told_of(network, b.place, b.turned),
-            )  # fmt: skip
-            return made.float()
-
-        return call
-
-    def features(self, x: Tensor, t_B: Tensor) -> list[Tensor]:
-        """What the frozen teacher's blocks make of x."""
-        taps: list[Tensor] = []
-        b, text = self.batch, self.text
-        self.teacher(
-            x, t_B, b.previous, self.clean_level, b.index, text.tokens, text.mask, None, b.valid, taps,
-            **told_of(self.teacher, b.place, b.turned),
-        )  # fmt: skip
-        return taps
-
-    def sample(self, network: _Call, noise: Tensor, times: tuple[int, ...], w_B: Tensor) -> Tensor:
+    def sample(self, network: Prediction, noise: Tensor, times: tuple[int, ...]) -> Tensor:
         """Clean segments from noise, deterministically over these levels."""
         y = noise
         for t, s in pairwise(times):
             t_B, s_B = (torch.full((len(y),), at, device=y.device) for at in (t, s))
-            y = self.land(y, network(self.push(y), t_B, w_B), t_B, s_B)
+            y = self.land(y, network(self.push(y), t_B), t_B, s_B)
         return self.push(y)
 
     def land(self, z: Tensor, made: Tensor, t_B: Tensor, s_B: Tensor) -> Tensor:

@@ -19,6 +19,7 @@ from moveset.data.splits import Split
 from moveset.diffusion.schedule import cosine
 from moveset.diffusion.steps import add_noise
 from moveset.errors import InputError
+from moveset.models.condition import Condition, PastSegment
 from moveset.models.dip_decoder import DipDecoderConfig
 from moveset.models.registry import describe
 from moveset.motion.features import FeatureCodec
@@ -225,7 +226,7 @@ class DiPTask(Task):
         noise = torch.randn(batch.clean.shape, generator=generator).to(batch.clean)
         t_B = t_B.to(batch.clean.device)
         noisy = add_noise(self.schedule, batch.clean, noise, t_B)
-        made = denoiser(noisy, t_B, batch.prefix, text.tokens, text.mask).float()
+        made = denoiser(noisy, t_B, Condition(text, past=PastSegment.clean(batch.prefix))).float()
         valid = torch.ones(batch.clean.shape[:2], device=batch.clean.device)
         loss = masked_mse(made * self.scale, batch.clean * self.scale, valid)
         return loss, masked_mse(made.detach(), batch.clean, valid)

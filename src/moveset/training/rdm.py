@@ -15,6 +15,7 @@ from moveset.data.disturbance import Disturbance
 from moveset.data.segments import CuttingConfig, SegmentBatch
 from moveset.diffusion.schedule import linear
 from moveset.errors import InputError
+from moveset.models.condition import Condition, PastSegment
 from moveset.models.flow import CouplingFlow, FlowConfig
 from moveset.models.light_t2m import LightT2MConfig
 from moveset.models.registry import describe
@@ -267,13 +268,10 @@ class RDMTask(Task):
         if config.bent:
             previous = bend(previous, batch.index, config.bent, self.data.codec, self.normalizer, generator)
         cell = corrupt(config.grid, SCHEDULE, transport, clean, previous, first, batch.index, said, before, draws)
-        told = {"place_B2": told_place(batch.place, config.placed, generator)} if config.placed else {}
-        if config.coursed:
-            told["turned_B"] = told_turn(turned_B, config.coursed, generator)
-        made = denoiser(
-            cell.x_BnD, cell.t_B, cell.prev_BnD, cell.prev_t_B, batch.index, text.tokens, text.mask, None, batch.valid,
-            **told,
-        ).float()  # fmt: skip
+        timing_B2 = told_place(batch.place, config.placed, generator) if config.placed else None
+        heading_B = told_turn(turned_B, config.coursed, generator) if config.coursed else None
+        past = PastSegment(cell.prev_BnD, cell.prev_t_B, batch.index, timing_B2, heading_B)
+        made = denoiser(cell.x_BnD, cell.t_B, Condition(text, past=past, valid=batch.valid)).float()
         scale = self.feature_weight.sqrt()
         weight_B = _level_weight(config.weight, cell.t_B)
         root_B = weight_B.sqrt()[:, None, None] * scale
@@ -291,8 +289,8 @@ class RDMTask(Task):
             loss = loss + config.feet * (feet_B * seen_B).mean()
         if config.heading:
             turn_B = heading_error(made, clean, batch.valid, self.data.codec, self.normalizer)
-            if config.coursed:  # in any noise: who knows how far the way has turned knows what is left of the turn
-                seen_B = torch.where(told["turned_B"].isnan(), seen_B, 1.0)
+            if heading_B is not None:  # in any noise: who knows how far the way has turned knows what is left of it
+                seen_B = torch.where(heading_B.isnan(), seen_B, 1.0)
             loss = loss + config.heading * (turn_B * seen_B).mean()
         seen = {"error": masked_mse(made.detach(), target, batch.valid), "noisy_std": cell.x_BnD.std()}
         if config.heading:

@@ -6,7 +6,7 @@ discriminator are as in ``training.distill``; the mathematics is in ``rdm.distil
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, cast
 
 import torch
 from torch import Tensor, nn
@@ -16,6 +16,7 @@ from moveset.data.segments import CuttingConfig, SegmentBatch
 from moveset.diffusion.phases import PhaseGrid
 from moveset.diffusion.steps import add_noise, over, predict_eps, renoise
 from moveset.errors import InputError
+from moveset.models.condition import Denoiser
 from moveset.models.discriminator import DiscriminatorConfig
 from moveset.models.registry import describe, require_range
 from moveset.models.segment_transformer import SegmentTransformerConfig
@@ -209,14 +210,14 @@ class RDMStudentTask(Task):
         z = self.own.enter(add_noise(SCHEDULE, bound.pull(batch.clean), draws.noise_BND, t_B))
         if step <= config.judge_alone:
             with torch.no_grad():
-                made = bound.by(self.student, rough)(bound.push(z), t_B, draws.w_B)
+                made = bound.by(self.student, draws.w_B, rough)(bound.push(z), t_B)
             self._go_on(bound, z, made, t_B, edge_B)
             return self._judge(bound, batch, draws, z, made, t_B, edge_B, loop)[1]
         target, share_B = clean_target(
-            SCHEDULE, self.grid, bound.guided, bound.by(self.ema.module), bound.push, bound.pull, z, draws.point_B,
-            draws.w_B,
+            SCHEDULE, self.grid, bound.guided(draws.w_B), bound.by(self.ema.module, draws.w_B), bound.push, bound.pull,
+            z, draws.point_B,
         )  # fmt: skip
-        made = bound.by(self.student, rough)(bound.push(z), t_B, draws.w_B)
+        made = bound.by(self.student, draws.w_B, rough)(bound.push(z), t_B)
         loss = _distance(made, target, over(share_B, made) * self.scale, batch.valid, config.huber)
         report = {"consistency": loss.detach()}
         if config.heading:
@@ -252,10 +253,9 @@ class RDMStudentTask(Task):
         point_B = torch.where(running_B, draws.point_B[:count], self.grid.highest_of(phase_B))
         noisy = add_noise(SCHEDULE, bound.pull(batch.clean), draws.noise_BND[:count], self.grid.time(point_B))
         z = torch.where(over(running_B, noisy), z[:count], noisy)
-        target = whole_target(SCHEDULE, self.grid, bound.guided, bound.push, bound.pull, z, point_B, w_B)
-        made = bound.by(self.student, self.data.read(batch.captions, self.draws))(
-            bound.push(z), self.grid.time(point_B), w_B
-        )
+        target = whole_target(SCHEDULE, self.grid, bound.guided(w_B), bound.push, bound.pull, z, point_B)
+        rough = self.data.read(batch.captions, self.draws)
+        made = bound.by(self.student, w_B, rough)(bound.push(z), self.grid.time(point_B))
         loss = _distance(made, target, self.scale, batch.valid, self.config.huber)
         if self.config.heading:
             turn_B = heading_error(made, target, batch.valid, self.data.codec, self.normalizer)
@@ -270,12 +270,12 @@ class RDMStudentTask(Task):
         bound = self._bound(batch, text, self._past_noise(noise, self.config.noisy_past))
         noise = self.teacher.colour(noise)
         if self._reference is None:
-            self._reference = bound.sample(bound.guided, noise, levels(25), w)
+            self._reference = bound.sample(bound.guided(w), noise, levels(25))
         edges = self.grid.edges[::-1]
         valid = batch.valid[..., None]
         report = {}
         for name, network in (("student", self.student), ("ema", self.ema.module)):
-            made = bound.sample(bound.by(network), noise, edges, w)
+            made = bound.sample(bound.by(cast(Denoiser, network), w), noise, edges)
             report[f"{name}_gap"] = float(
                 ((made - self._reference).square() * valid).sum() / valid.sum() / made.shape[-1]
             )
@@ -292,7 +292,7 @@ class RDMStudentTask(Task):
         return noise
 
     def _bound(self, batch: SegmentBatch, text: TextEmbedding, past_noise: Tensor | None) -> BoundSegments:
-        empty = self.data.read([""] * len(batch.index))
+        empty = self.data.read([""])
         past = None
         if past_noise is not None:
             # A rehearsal's rows are the first of a batch; those of a validation are more, and takes.
