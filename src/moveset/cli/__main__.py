@@ -47,6 +47,7 @@ VERBS = {
     "stream": Verb("moveset.cli.stream", "stream", "Turn text into motion that never ends.", "prepare"),
     "serve": Verb("moveset.cli.serve", "serve", "Open the studio in a browser, and serve other programs."),
     "convert": Verb("moveset.cli.convert", "convert", "Convert a motion file; retarget or resample it on the way."),
+    "inspect": Verb("moveset.cli.inspect", "inspect", "Tell what is in a motion file and what convert makes of it."),
     "models": Verb("moveset.cli.models", "models", "List the models that come with this installation."),
     "doctor": Verb("moveset.cli.doctor", "doctor", "Check this installation and time a short self-test."),
     "data": Verb("moveset.cli.data", "COMMANDS", "Build and inspect training data."),

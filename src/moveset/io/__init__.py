@@ -46,10 +46,10 @@ class Body:
     joints: Mapping[str, str] = field(default_factory=dict)
 
 
-_GLTF = (".gltf", ".vrma", ".glb")
+GLTF = (".gltf", ".vrma", ".glb")
 READABLE = (".gltf", ".vrma", ".bvh", ".glb", ".npz", ".npy", ".html")
 WRITABLE = (*READABLE, ".mp4", ".gif", ".png")
-_BODIES = (".bvh", *_GLTF)  # may have any axes, any unit and any names
+_BODIES = (".bvh", *GLTF)  # may have any axes, any unit and any names
 _OF_BLENDER = (".fbx", ".dae", ".usd", ".usda", ".usdc", ".usdz", ".blend", ".abc")
 _THROUGH_BLENDER = (
     ": open it in Blender and export it as glTF 2.0 (.glb) or BVH",
@@ -82,10 +82,34 @@ def load(
         InputError: an unknown extension, or a file that cannot be read.
         FormatError: a file that is damaged, absurd or not what its extension says.
     """
+    motion = plain_load(path, fps=fps, source_fps=source_fps, animation=animation, body=body)
+    if (suffix := Path(path).suffix.lower()) in _BODIES:
+        placed = _placed(motion, body or Body(), in_metres=suffix == ".bvh")
+        # Our own glTF files are as they are meant to be; a BVH file that once was ours has been through other hands.
+        ours = suffix in GLTF and body is None and placed is not motion and read_metadata(path)
+        motion = motion if ours else placed
+    if len(motion) > 1 and not _USUAL[0] <= motion.fps <= _USUAL[1]:
+        meant = f", {1000 * motion.fps:.4g} for milliseconds" if _USUAL[0] <= 1000 * motion.fps <= _USUAL[1] else ""
+        warnings.warn(
+            f"{path}: {motion.fps:.3g} frames a second are unusual; if they are not meant, give --source-fps{meant}",
+            stacklevel=2,
+        )
+    return motion
+
+
+def plain_load(
+    path: str | Path,
+    *,
+    fps: float | None = None,
+    source_fps: float | None = None,
+    animation: str | None = None,
+    body: Body | None = None,
+) -> "Motion":
+    """As ``load``, but with the body standing as it does in the file, whatever its axes."""
     from dataclasses import replace
 
     suffix = _suffix(path, READABLE, "read")
-    if animation is not None and suffix not in (*_GLTF, ".npy"):
+    if animation is not None and suffix not in (*GLTF, ".npy"):
         raise InputError(f"{path}: {suffix} files hold one motion; leave --animation out")
     if source_fps is not None and not 0.01 <= source_fps <= 1000:
         raise InputError(f"a source of {source_fps:g} frames a second is not in 0.01 to 1000; give one such as 30")
@@ -93,7 +117,7 @@ def load(
         raise InputError(f"{path}: unit, axes and joints of {suffix} files are known; leave what says them out")
     if suffix == ".bvh":
         motion = _load_bvh(path, source_fps, body)
-    elif suffix in _GLTF:
+    elif suffix in GLTF:
         from moveset.io.gltf_reader import read_glb
 
         motion = read_glb(path, fps=fps, animation=animation)
@@ -109,19 +133,7 @@ def load(
         from moveset.io.joint_arrays import read_npy
 
         motion = read_npy(path, fps=source_fps, sample=animation, notes=_notes_beside(Path(path)))
-    if suffix in _BODIES:
-        placed = _placed(motion, body or Body(), in_metres=suffix == ".bvh")
-        # Our own glTF files are as they are meant to be; a BVH file that once was ours has been through other hands.
-        ours = suffix in _GLTF and body is None and placed is not motion and read_metadata(path)
-        motion = motion if ours else placed
-    motion = motion if source_fps is None else replace(motion, fps=source_fps)
-    if len(motion) > 1 and not _USUAL[0] <= motion.fps <= _USUAL[1]:
-        meant = f", {1000 * motion.fps:.4g} for milliseconds" if _USUAL[0] <= 1000 * motion.fps <= _USUAL[1] else ""
-        warnings.warn(
-            f"{path}: {motion.fps:.3g} frames a second are unusual; if they are not meant, give --source-fps{meant}",
-            stacklevel=2,
-        )
-    return motion
+    return motion if source_fps is None else replace(motion, fps=source_fps)
 
 
 def save(motion: "Motion", path: str | Path, *, metadata: Mapping[str, str | int | float | None] | None = None) -> Path:
@@ -142,7 +154,7 @@ def save(motion: "Motion", path: str | Path, *, metadata: Mapping[str, str | int
         from moveset.io.bvh import write_bvh
 
         write_bvh(motion, path)
-    elif suffix in _GLTF:
+    elif suffix in GLTF:
         from moveset.io import gltf
 
         write = {".glb": gltf.write_glb, ".gltf": gltf.write_gltf, ".vrma": gltf.write_vrma}[suffix]
@@ -204,7 +216,7 @@ def read_metadata(path: str | Path) -> dict[str, Any]:
         FormatError: a damaged file.
     """
     suffix = _suffix(path, (*READABLE, ".png"), "read metadata of")
-    if suffix in _GLTF:
+    if suffix in GLTF:
         from moveset.io.gltf_reader import glb_metadata
 
         return glb_metadata(path)
