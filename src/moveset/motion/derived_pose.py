@@ -14,21 +14,23 @@ from moveset.motion.skeleton import HML22, Skeleton
 _X, _Y, _Z = torch.eye(3, dtype=torch.float64)
 _UPRIGHT = 0.94  # cosine, 20 degrees: trunk of somebody who stands
 _STRETCHED = 0.88  # of a leg: how far the lower foot is below the hips
+_CALM = 2.0  # legs a second: faster is running
 _BENT = 0.2  # of a hinge that shows: sine
 _CLEAR, _ENOUGH, _AGREED = 0.35, 10, 0.9  # sine of a clear bend, frames that show one, length of their mean axis
 _SLOW, _LOW = 0.25, 0.06  # legs a second, legs above the lowest: a foot on the floor
 _NOTHING = 1e-3
 
 
-def derived_pose(skeleton: Skeleton, roles: Roles, turned: Tensor, placed: Tensor) -> Tensor:
+def derived_pose(skeleton: Skeleton, roles: Roles, turned: Tensor, placed: Tensor, fps: float) -> Tensor:
     """(J, 4) world rotation of each joint's axes while the body stands Y up, facing +Z, arms level.
 
     Args:
         skeleton: its offsets are bones in their parents' axes.
         roles: which joint plays which part.
         turned, placed: (F, J, 4), (F, J, 3) world rotations and positions, Y up; F may be 0.
+        fps: frames per second.
     """
-    return _Body(skeleton, roles, turned, placed).pose()
+    return _Body(skeleton, roles, turned, placed, fps).pose()
 
 
 def by_hinges(turns: Tensor, skeleton: Skeleton, roles: Roles, turned: Tensor, placed: Tensor) -> Tensor:
@@ -70,10 +72,10 @@ def _mean(q: Tensor) -> Tensor:
 
 
 class _Body:
-    def __init__(self, skeleton: Skeleton, roles: Roles, turned: Tensor, placed: Tensor) -> None:
+    def __init__(self, skeleton: Skeleton, roles: Roles, turned: Tensor, placed: Tensor, fps: float) -> None:
         self.skeleton, self.roles, self.turned, self.placed = skeleton, roles, turned, placed
         self.rest = skeleton.offsets.double()
-        self.frames = len(placed)
+        self.frames, self.fps = len(placed), fps
         if self.frames:
             self.axes = body_frame(placed, roles)
             self.upright = self._standing()
@@ -88,7 +90,12 @@ class _Body:
             hip, knee, ankle = (self.placed[:, self.roles[f"{side}_{part}"]] for part in ("hip", "knee", "ankle"))
             drop = torch.maximum(drop, hip[:, 1] - ankle[:, 1])
             length = length + 0.5 * ((knee - hip).norm(dim=-1) + (ankle - knee).norm(dim=-1))
-        return good & (drop > _STRETCHED * length)
+        good &= drop > _STRETCHED * length
+        if self.frames > 1:
+            # Who runs leans.
+            speed = self.fps * (hips[1:, [0, 2]] - hips[:-1, [0, 2]]).norm(dim=-1)
+            good &= torch.cat((speed[:1], speed)) < _CALM * length
+        return good
 
     def mean(self, joint: int, v: Tensor, where: Tensor | None = None) -> Tensor:
         """(3,) a direction of the world (F, 3) as the joint sees it, on average; zero where it is never seen."""
@@ -269,7 +276,7 @@ class _Body:
             return low
         step = (place[1:] - place[:-1]).norm(dim=-1)
         step = torch.cat((step, step[-1:]))
-        return low & (step < torch.maximum(step.quantile(0.2), step.new_tensor(_SLOW * 0.02) * legs))
+        return low & (self.fps * step < torch.maximum(self.fps * step.quantile(0.2), _SLOW * legs))
 
     def _arm(self, side: str, sign: float) -> None:
         names = [self.roles.get(f"{side}_{part}") for part in ("shoulder", "elbow", "wrist")]

@@ -99,7 +99,7 @@ def find_reference(motion: Motion, *, up: str | None = None, facing: str | None 
     skeleton = motion.skeleton
     if up is None and facing is None and any(skeleton is rig for rig in RIGS.values()):
         return _still(len(skeleton))
-    found, few = roles(skeleton), motion[:: max(1, -(-len(motion) // _FRAMES))]
+    found, few = roles(skeleton), _few(motion)
     rest, upward = _world(few, up, facing)
     turned, placed = few.global_rotations.double(), few.joints.double()
     placed, turned = rotations.rotate(upward, placed), rotations.mul(upward, turned)
@@ -107,7 +107,13 @@ def find_reference(motion: Motion, *, up: str | None = None, facing: str | None 
         return Reference(by_hinges(rest.turns, skeleton, found, turned, placed), upward, "rest pose")
     if (turns := _t_pose(turned, placed, found)) is not None:
         return Reference(by_hinges(turns, skeleton, found, turned, placed), upward, "T-pose")
-    return Reference(derived_pose(skeleton, found, turned, placed), upward, "derived")
+    return Reference(derived_pose(skeleton, found, turned, placed, few.fps), upward, "derived")
+
+
+def _few(motion: Motion) -> Motion:
+    stride = max(1, -(-len(motion) // _FRAMES))
+    few = motion[::stride]
+    return replace(few, fps=max(motion.fps / stride, 0.01))
 
 
 def _world(few: Motion, up: str | None, facing: str | None) -> tuple[Reference | None, Tensor]:
@@ -138,7 +144,7 @@ def reference_at_rest(skeleton: Skeleton) -> Reference:
     if (rest := _of_rest(skeleton)) is not None:
         return rest
     nothing = torch.zeros(0, len(skeleton), 4, dtype=torch.float64)
-    return Reference(derived_pose(skeleton, roles(skeleton), nothing, nothing[..., :3]), _still(1).up, "derived")
+    return Reference(derived_pose(skeleton, roles(skeleton), nothing, nothing[..., :3], 1.0), _still(1).up, "derived")
 
 
 def standing(motion: Motion, reference: Reference) -> Motion:
@@ -188,7 +194,7 @@ def upright(motion: Motion, *, up: str | None = None, facing: str | None = None)
     if up is None and facing is None and any(skeleton is rig for rig in RIGS.values()):
         return motion
     try:
-        rest, upward = _world(motion[:: max(1, -(-len(motion) // _FRAMES))], up, facing)
+        rest, upward = _world(_few(motion), up, facing)
     except InputError:
         if up is None and facing is None:
             return motion
