@@ -119,7 +119,6 @@ def main(parent, folder, url):
         scene.frame_set(1)
         hero = character(f"Hero {name}", rig, 3, (2.0, -1.0, 0.0, 0.7), 1.3)
         activate(hero)
-        settings.preset = name
         attempt(f"onto {name}", bpy.ops.moveset.import_take, filepath=str(folder / "stream.mvst"))
         shown[f"onto {name}"] = heads(hero, rig.skeleton.joints, 1 + np.arange(60))
     sampled = sample_take(bpy.context, hero)
@@ -127,7 +126,6 @@ def main(parent, folder, url):
     rig = read_take(folder / "mixamo.npz")
     other = character("Other", rig, 4, (0.0, 0.0, 0.0, 0.0))
     activate(hero, other)
-    settings.preset = "AUTO"
     scene.frame_set(9)
     attempt("retarget", bpy.ops.moveset.retarget)
     shown["retarget"] = heads(other, rig.skeleton.joints, 1 + np.arange(60))
@@ -138,9 +136,6 @@ def main(parent, folder, url):
     # What goes wrong.
     activate(other)
     attempt("alone", bpy.ops.moveset.retarget)
-    settings.preset = "vrm"
-    attempt("other names", bpy.ops.moveset.import_take, filepath=str(folder / "stream.mvst"))
-    settings.preset = "AUTO"
     hero.scale = (0.01, 0.02, 0.01)
     activate(hero)
     attempt("uneven", bpy.ops.moveset.import_take, filepath=str(folder / "stream.mvst"))

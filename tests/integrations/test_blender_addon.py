@@ -129,7 +129,6 @@ def test_errors_say_what_to_do(blender):
     _, said = blender
     for name, sentence in {
         "alone": "select the armature that moves",
-        "other names": "Other has no bone leftUpperLeg",
         "uneven": r"Hero ue5 is scaled unevenly or mirrored; apply its scale",
         "stiff": "do not inherit rotation: mixamorig:RightArm",
         "no file": r"gone.mvst cannot be read",

@@ -12,13 +12,8 @@ from . import server
 from .armature import pose_same
 from .files import read_take
 from .retarget import retarget
-from .roles import PRESETS
 from .scene import key, leave_modes, make_armature, read_rig, sample_take, scene_fps, set_scene_fps
 from .take import MotionError, Take
-
-_RULES = [("AUTO", "By its names", "Whichever rig most bone names belong to")] + [
-    (name, name, f"The bone names of {name}") for name in PRESETS
-]
 
 
 class MovesetPrompt(bpy.types.PropertyGroup):
@@ -46,7 +41,6 @@ class MovesetSettings(bpy.types.PropertyGroup):
             ("ACTIVE", "Selected armature", "Retarget to the active armature"),
         ],
     )
-    preset: EnumProperty(name="Names", description="How the selected armature names its bones", items=_RULES)
     rate: EnumProperty(
         name="Keys",
         items=[
@@ -77,7 +71,7 @@ def place_take(context: bpy.types.Context, take: Take, shift: float = 0.0) -> tu
     leave_modes(context)
     if settings.target == "ACTIVE":
         rig = read_rig(context, armature)
-        pose = retarget(take, rig, None if settings.preset == "AUTO" else settings.preset)
+        pose = retarget(take, rig)
     else:
         armature = make_armature(context, take.skeleton, take.title[:40])
         rig = read_rig(context, armature)
@@ -208,10 +202,9 @@ class MOVESET_OT_retarget(bpy.types.Operator):
         if target is None or target.type != "ARMATURE" or len(others) != 1:
             raise MotionError("select the armature that moves, then Shift-click the one that shall move likewise")
         leave_modes(context)
-        preset = context.scene.moveset.preset
         take = sample_take(context, others[0])
         rig = read_rig(context, target)
-        pose = retarget(take, rig, None if preset == "AUTO" else preset)
+        pose = retarget(take, rig)
         before = context.scene.frame_current
         context.scene.frame_set(round(others[0].animation_data.action.frame_range[0]))
         try:

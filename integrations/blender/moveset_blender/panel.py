@@ -32,8 +32,6 @@ class MOVESET_PT_panel(bpy.types.Panel):
             column.prop(settings, "num")
         column.prop(settings, "rate")
         column.prop(settings, "target")
-        if settings.target == "ACTIVE":
-            column.prop(settings, "preset")
         big = layout.row()
         big.scale_y = 1.5
         big.operator("moveset.generate", icon="ARMATURE_DATA")

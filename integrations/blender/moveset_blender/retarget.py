@@ -27,18 +27,18 @@ _LIMBS = {
 }
 
 
-def retarget(take: Take, rig: Rig, preset: str | None = None) -> Pose:
+def retarget(take: Take, rig: Rig) -> Pose:
     """The pose of an armature that moves as the take does.
 
     Args:
         take: on a skeleton whose joints have known names.
         rig: the armature at rest, upright.
-        preset: whose names its bones have; None to find out.
 
     Raises:
         MotionError: bones are missing, or the armature does not stand upright at rest.
     """
-    theirs, ours = find_roles(take.skeleton.joints, None, "the take"), find_roles(rig.bones, preset, rig.name)
+    theirs = find_roles(take.skeleton.joints, take.skeleton.parents, "the take")
+    ours = find_roles(rig.bones, rig.parents, rig.name)
     source = to_blender(take.skeleton.rest_positions())
     turned, placed = take.world()
     turned, placed = turn_to_blender(turned), to_blender(placed)

@@ -115,7 +115,7 @@ def sample_take(context: bpy.types.Context, armature: bpy.types.Object) -> Take:
     if not (armature.animation_data and armature.animation_data.action):
         raise MotionError(f"{armature.name} has no action to take over; generate or import motion onto it first")
     rig = read_rig(context, armature)
-    found = find_roles(rig.bones, None, armature.name)
+    found = find_roles(rig.bones, rig.parents, armature.name)
     look = facing(rig, found)
     role_of = {bone: role for role, bone in found.items()}
     order = sorted(role_of, key=lambda bone: (bone != found["pelvis"], bone))

@@ -1,0 +1,1 @@
+../../../src/moveset/motion/joint_names.py
