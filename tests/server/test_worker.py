@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 
 from moveset.errors import InputError
-from moveset.pipelines.finish import Finish
+from moveset.pipelines.postprocess import Postprocess
 from moveset.pipelines.request import check_request
 from moveset.server.catalog import Catalog
 from moveset.server.failures import RequestError
@@ -70,7 +70,7 @@ class Bench:
     def job(self, prompts=1, variants=1, steps=1):
         t2m = self.catalog.clip(None)
         requests = check_request(t2m.bundle.config, [WALK] * prompts, 1.0, 0, variants)
-        job = Job(Order(t2m, requests, self.catalog.method(t2m, steps, None), "json", Finish()))
+        job = Job(Order(t2m, requests, self.catalog.method(t2m, steps, None), "json", Postprocess()))
         self.worker.submit(job)
         return job
 

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from moveset.cli.generate import progress, stage_times, warn
-from moveset.cli.output import Finish, plan_outputs, write
+from moveset.cli.output import Postprocess, plan_outputs, write
 from moveset.errors import FormatError, InputError
 from moveset.io.limits import MAX_BYTES, read_limited
 from moveset.pipelines.request import Method, Request, check_request
@@ -45,7 +45,7 @@ def bulk(
     method: Method,
     source: Path,
     outputs: Sequence[Path],
-    finish: Finish,
+    finish: Postprocess,
     *,
     num: int,
     batch: int,

@@ -47,13 +47,13 @@ def convert(
         loop: Blend the end into the beginning.
     """
     from moveset.cli.joint_map import joint_map_text
-    from moveset.cli.output import Finish, plan_outputs, write
+    from moveset.cli.output import Postprocess, plan_outputs, write
     from moveset.io import load
     from moveset.io.take_writer import recover_take
 
     if target is None and not show_map:
         raise InputError("there is no OUT to write to; name a file, such as walk.glb")
-    finish = Finish.check(fps=fps, skeleton=skeleton, in_place=in_place, loop=loop)
+    finish = Postprocess.check(fps=fps, skeleton=skeleton, in_place=in_place, loop=loop)
     [paths] = plan_outputs([target] if target else [], [""])
     if source.suffix == ".part":
         frames = recover_take(source)

@@ -63,11 +63,11 @@ def generate(
         device: auto, cpu, cuda or mps.
         json: Print one JSON object on stdout and nothing else.
     """
-    from moveset.cli.output import Finish, plan_outputs, write
+    from moveset.cli.output import Postprocess, plan_outputs, write
     from moveset.pipelines.request import check_method, check_request
     from moveset.pipelines.text_to_motion import TextToMotion
 
-    finish = Finish.check(fps=fps, skeleton=skeleton, in_place=in_place, loop=loop)
+    finish = Postprocess.check(fps=fps, skeleton=skeleton, in_place=in_place, loop=loop)
     t2m = TextToMotion.from_pretrained(model, device=device)
     method = check_method(t2m.bundle.config, solver, steps, guidance)
     outputs = output or (DEFAULT_OUTPUT,)

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from moveset.errors import InputError
-from moveset.pipelines.finish import Finish as Finish
+from moveset.pipelines.postprocess import Postprocess as Postprocess
 
 if TYPE_CHECKING:
     from moveset.motion.clip import Motion
@@ -43,7 +43,7 @@ def plan_outputs(outputs: Sequence[Path], names: Sequence[str]) -> list[list[Pat
 
 
 def write(
-    motion: "Motion", paths: Sequence[Path], finish: Finish, metadata: Mapping[str, str | int | float]
+    motion: "Motion", paths: Sequence[Path], finish: Postprocess, metadata: Mapping[str, str | int | float]
 ) -> tuple["Motion", float]:
     """Finish a motion and write it to every path; the motion as in the first of them and the milliseconds it took.
 

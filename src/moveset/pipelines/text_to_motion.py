@@ -17,14 +17,13 @@ from torch import Tensor, nn
 from moveset import __version__
 from moveset.errors import InputError
 from moveset.models.length import LengthPredictor
-from moveset.motion.cleanup import lock_feet
 from moveset.motion.clip import Motion
 from moveset.motion.features import get_codec
-from moveset.motion.join import join
 from moveset.pcm.sampler import item_noise
 from moveset.pipelines.bundle import DEFAULT_MODEL, Bundle
 from moveset.pipelines.denoise import Denoise
 from moveset.pipelines.device import Stopwatch, one_thread, pick_device
+from moveset.pipelines.postprocess import assembled
 from moveset.pipelines.request import Method, Request, check_method, check_request, check_whole
 from moveset.pipelines.warnings import too_long, unfamiliar
 from moveset.text.encoder import TextEmbedding, TextEncoder, get_text_encoder, stack
@@ -217,27 +216,24 @@ class TextToMotion:
         clock.lap("decode")
 
         takes = [[next(clips) for _ in request.prompts] for request in requests]
-        raw = [join([motion for motion, _ in take]) for take in takes]
-        planted = [torch.cat([contacts for _, contacts in take]) for take in takes]
-        # The model's own contacts: a foot that slides is not found planted by its speed, which is what is to be mended.
-        motions = [lock_feet(m, contacts=c) for m, c in zip(raw, planted, strict=True)] if foot_lock else raw
+        made = [assembled(take, foot_lock) for take in takes]
         clock.lap("finish")
         return tuple(
             Generation(
-                motions=(motions[k],),
-                raw=(raw[k],),
+                motions=(motion,),
+                raw=(raw,),
                 prompts=request.prompts,
                 model=self.bundle.config.name,
                 seed=request.seed,
                 steps=method.steps,
                 guidance=method.guidance,
-                seconds=motions[k].seconds,
+                seconds=motion.seconds,
                 network_evaluations=denoise.evaluations // len(prompts) * len(request.prompts),
                 timings_ms=clock.laps,
                 warnings=warnings[request.prompts],
                 starts=tuple(accumulate((len(motion) for motion, _ in takes[k][:-1]), initial=0)),
             )
-            for k, request in enumerate(requests)
+            for k, (request, (raw, motion)) in enumerate(zip(requests, made, strict=True))
         )
 
     @cached_property

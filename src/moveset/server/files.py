@@ -13,7 +13,7 @@ from moveset.errors import InputError
 from moveset.io import WRITABLE, save
 from moveset.motion.clip import Motion
 from moveset.motion.contacts import stances
-from moveset.pipelines.finish import Finish
+from moveset.pipelines.postprocess import Postprocess
 from moveset.server.jobs import Answer, Job
 from moveset.server.limits import Limits
 from moveset.server.wire import pack_packet, skeleton_json
@@ -67,7 +67,7 @@ def check_length(seconds: float, fps: float, format: str, limits: Limits) -> Non
         )
 
 
-def write_file(motion: Motion, format: str, finish: Finish, metadata: Mapping[str, str | int | float]) -> Answer:
+def write_file(motion: Motion, format: str, finish: Postprocess, metadata: Mapping[str, str | int | float]) -> Answer:
     """A motion, finished, as the bytes of a file. Its name is made here, not by the client.
 
     Raises:
@@ -115,7 +115,7 @@ def _headers(made: Any) -> dict[str, str]:
     return {SEED: str(made.seed), WARNINGS: json.dumps(told)}
 
 
-def _take(made: Any, finish: Finish) -> dict[str, Any]:
+def _take(made: Any, finish: Postprocess) -> dict[str, Any]:
     motion = finish(made.motion)
     # One frame has no speed, which says whether a foot is planted.
     planted = stances(motion.joints, motion.fps, motion.skeleton) if len(motion) > 1 else None

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-from moveset.pipelines.finish import Finish
+from moveset.pipelines.postprocess import Postprocess
 from moveset.pipelines.request import Method, Request
 from moveset.pipelines.text_to_motion import Generation, TextToMotion
 from moveset.server.failures import RequestError
@@ -42,7 +42,7 @@ class Order:
     requests: tuple[Request, ...]
     method: Method
     format: str
-    finish: Finish
+    finish: Postprocess
 
 
 @dataclass(eq=False)

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Depends, Query, Request, Response
 from fastapi.responses import JSONResponse
 
-from moveset.pipelines.finish import Finish
+from moveset.pipelines.postprocess import Postprocess
 from moveset.server.failures import RequestError
 from moveset.server.files import SEED, WARNINGS
 from moveset.server.jobs import Answer, Job
@@ -155,7 +155,7 @@ async def export(
     title: Annotated[str, Query(max_length=512)] = "",
 ) -> Response:
     """Packets of frames, as the server sends them, to BVH, GLB, npz or a picture."""
-    finish = Finish.check(fps=fps, skeleton=skeleton, in_place=in_place, loop=loop)
+    finish = Postprocess.check(fps=fps, skeleton=skeleton, in_place=in_place, loop=loop)
     try:
         said = plain(title) if title.strip() else ""
     except ValueError as error:

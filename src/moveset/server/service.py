@@ -13,7 +13,7 @@ import torch
 
 from moveset import __version__
 from moveset.errors import InputError, MovesetError
-from moveset.pipelines.finish import Finish
+from moveset.pipelines.postprocess import Postprocess
 from moveset.pipelines.request import check_request
 from moveset.server import files
 from moveset.server.catalog import Catalog
@@ -141,7 +141,7 @@ class Service:
             tuple(replace(request, frames=tuple(frames)) for request in requests),
             self.catalog.method(t2m, body.steps, body.guidance),
             body.format,
-            Finish.check(fps=body.fps, skeleton=body.skeleton, in_place=body.in_place, loop=body.loop),
+            Postprocess.check(fps=body.fps, skeleton=body.skeleton, in_place=body.in_place, loop=body.loop),
         )
 
     def submit(self, order: Order) -> Job:
@@ -163,7 +163,7 @@ class Service:
         if self.worker.cancel(job):
             job.end("cancelled", error=RequestError(409, "cancelled", "this job was cancelled; send it again"))
 
-    async def export(self, data: bytes, format: str, finish: Finish, title: str) -> Answer:
+    async def export(self, data: bytes, format: str, finish: Postprocess, title: str) -> Answer:
         """Packets as a file.
 
         Raises:
@@ -183,7 +183,7 @@ class Service:
         self._streams += 1
         return self._streams
 
-    def _exported(self, data: bytes, format: str, finish: Finish, title: str) -> Answer:
+    def _exported(self, data: bytes, format: str, finish: Postprocess, title: str) -> Answer:
         take = unpack_packets(data, max_bytes=self.limits.export, max_frames=self.limits.frames)
         files.check_length(take.motion.seconds, finish.fps or take.motion.fps, format, self.limits)
         notes = {"generator": f"moveset {__version__}", **({"prompt": title} if title else {})}

@@ -1,17 +1,37 @@
-"""Last touches of a motion before it is written: loop, in place, frame rate, skeleton."""
+"""What happens to motion after the networks, in order: joined, feet held, looped, in place, frame rate, skeleton."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from moveset.errors import InputError
 
 if TYPE_CHECKING:
+    from torch import Tensor
+
     from moveset.motion.clip import Motion
 
 
+def assembled(clips: "Sequence[tuple[Motion, Tensor]]", foot_lock: bool) -> "tuple[Motion, Motion]":
+    """One motion of clips that follow one another, before and after its feet are held.
+
+    Args:
+        clips: with the feet (F, 4) that each has planted by the model's own account: a foot that slides is not found
+            planted by its speed, which is what is to be mended.
+        foot_lock: whether they are held.
+    """
+    import torch
+
+    from moveset.motion.cleanup import lock_feet
+    from moveset.motion.join import join
+
+    raw = join([motion for motion, _ in clips])
+    return raw, lock_feet(raw, contacts=torch.cat([planted for _, planted in clips])) if foot_lock else raw
+
+
 @dataclass(frozen=True)
-class Finish:
-    """Last touches of a motion: loop, in place, frame rate, skeleton, in this order."""
+class Postprocess:
+    """What is done to a motion before it is written: loop, in place, frame rate, skeleton, in this order."""
 
     fps: float | None = None
     skeleton: str | None = None
@@ -21,7 +41,7 @@ class Finish:
     @classmethod
     def check(
         cls, fps: float | None = None, skeleton: str | None = None, in_place: bool = False, loop: bool = False
-    ) -> "Finish":
+    ) -> "Postprocess":
         """The same, checked.
 
         Raises:
