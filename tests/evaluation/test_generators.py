@@ -11,14 +11,14 @@ from moveset.errors import FormatError, InputError
 from moveset.evaluation.folder import folder_motions
 from moveset.evaluation.generators import Generated, Given, Reconstruction, Wanted, check_made, resampled
 from moveset.evaluation.items import open_items
-from moveset.evaluation.run import EvaluationConfig, clip_method, open_generator
-from moveset.evaluation.streams import Streams, timeline
+from moveset.evaluation.run import EvaluationConfig, open_source
 from moveset.motion.features import get_codec
 from moveset.pipelines.bundle import Bundle
-from moveset.pipelines.generator import ClipGenerator
+from moveset.pipelines.clip_generator import ClipGenerator, clip_method
 from moveset.pipelines.motion_stream import MotionStream
-from moveset.pipelines.request import check_method, check_request
+from moveset.pipelines.request import Request, check_method, check_request
 from moveset.pipelines.stream_bundle import StreamBundle
+from moveset.pipelines.stream_generator import StreamGenerator, timeline
 from moveset.pipelines.stream_settings import check_stream
 from moveset.pipelines.text_to_motion import TextToMotion
 from tests.bundles import tiny_bundle
@@ -185,7 +185,7 @@ def test_streams_in_batches_are_those_of_users(streams, network, options):
     """Noise is keyed and rows do not see each other, so a batch only differs in the last bits."""
     settings = check_stream(streams.config, network=network, **options).settings
     asked = [Wanted(((WALK, 70),), 5), Wanted(((BOW, 30),), 6), Wanted(((BOW, 84),), 7)]
-    made = Streams(streams, settings, device="cpu").generate(asked, 20.0)
+    made = Generated(StreamGenerator(streams, settings, device="cpu")).generate(asked, 20.0)
     assert [len(joints) for joints in made] == [70, 30, 84]
     # Items have a length, which networks may be told.
     request = check_stream(streams.config, BOW, 4.2, network=network, seed=7, **options)
@@ -197,26 +197,26 @@ def test_streams_in_batches_are_those_of_users(streams, network, options):
 def test_streams_of_guidance_and_shapes(streams):
     settings = check_stream(streams.config, network="rdm", guidance=2.0, start=2).settings
     asked = [Wanted(((WALK, 84),), 1)]
-    triangle = Streams(streams, settings, shape="triangle", device="cpu").generate(asked, 20.0)[0]
-    parallelogram = Streams(streams, settings, device="cpu").generate(asked, 20.0)[0]
+    triangle = Generated(StreamGenerator(streams, settings, shape="triangle", device="cpu")).generate(asked, 20.0)[0]
+    parallelogram = Generated(StreamGenerator(streams, settings, device="cpu")).generate(asked, 20.0)[0]
     assert torch.allclose(triangle[:28], parallelogram[:28], atol=1e-4)
     assert not torch.allclose(triangle[60:], parallelogram[60:], atol=1e-3)
 
 
 def test_prompts_change_at_the_nearest_segment():
-    said = timeline(Wanted(((WALK, 40), (BOW, 30), (WALK, 60)), 0), 20.0, 1.4)
+    said = timeline(Request((WALK, BOW, WALK), (40, 30, 60), 0), 28, 20.0)
     assert [said.at(k) for k in range(5)] == [WALK, BOW, WALK, WALK, WALK]  # 40 frames are 1.43, 70 are 2.5 segments
     assert [said.place(k)[0] for k in range(5)] == [0, 0, 0, 1, 2]
     assert [said.place(k)[1] for k in range(5)] == pytest.approx([1, 1, *(130 / 28 - k for k in (2, 3, 4))])
-    crowded = timeline(Wanted(((WALK, 5), (BOW, 5), (WALK, 60)), 0), 20.0, 1.4)
+    crowded = timeline(Request((WALK, BOW, WALK), (5, 5, 60), 0), 28, 20.0)
     assert [crowded.at(k) for k in range(3)] == [WALK, BOW, WALK]
 
 
 def test_stages_share_the_frames_of_their_prompt():
     both = "a person walks, then bows"
-    said = timeline(Wanted(((both, 112), (WALK, 28)), 0), 20.0, 1.4)
+    said = timeline(Request((both, WALK), (112, 28), 0), 28, 20.0)
     assert [said.at(k) for k in range(5)] == ["a person walks"] * 2 + ["a person bows"] * 2 + [WALK]
-    whole = timeline(Wanted(((both, 112), (WALK, 28)), 0), 20.0, 1.4, stages=False)
+    whole = timeline(Request((both, WALK), (112, 28), 0), 28, 20.0, stages=False)
     assert [whole.at(k) for k in range(5)] == [both] * 4 + [WALK]
 
 
@@ -337,7 +337,7 @@ def test_folders_that_are_none(tmp_path):
 
 def test_jobs_open_what_they_name(bundle, streams):
     def opened(**given):
-        return open_generator(EvaluationConfig(device="cpu", **given))
+        return open_source(EvaluationConfig(device="cpu", **given))
 
     folder, flow = str(bundle.path), str(streams.path)
     assert opened(model=folder).slug == "tiny-pcm-1"
@@ -355,6 +355,8 @@ def test_jobs_open_what_they_name(bundle, streams):
         opened(model="nothing")
     with pytest.raises(InputError, match="unknown network"):
         opened(model=flow, network="teacher")
+    with pytest.raises(InputError, match="a text-to-motion model is needed"):
+        opened(model=flow, network="vae")
     for network in ("pcm-1", "md"):
         with pytest.raises(InputError, match=f"network '{network}' makes one segment after the other.*no triangle"):
             opened(model=flow, network=network, settings=(("shape", "triangle"),))

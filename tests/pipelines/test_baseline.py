@@ -5,13 +5,13 @@ import torch
 from torch import nn
 
 from moveset.errors import FormatError, InputError
-from moveset.evaluation.run import EvaluationConfig, open_generator
 from moveset.models.condition import Denoiser
 from moveset.models.light_t2m import LightT2MConfig
 from moveset.motion.features import get_codec
 from moveset.pipelines.baseline import Baseline
 from moveset.pipelines.baseline_bundle import BaselineBundle, BaselineConfig, save_baseline
 from moveset.pipelines.bundle import Bundle
+from moveset.pipelines.generator import Sampler, open_generator
 from moveset.pipelines.request import Request
 from tests.baselines import SETTINGS, tiny_baseline
 from tests.bundles import CAPTIONS, standing_features, tiny_bundle
@@ -131,10 +131,8 @@ def test_a_clip_of_two_parts_is_told_both(folders):
     assert heard[0] == (f"{WALK} then {BOW}",)
 
 
-def test_a_job_opens_a_folder(folders):
-    made = open_generator(
-        EvaluationConfig(model=str(folders["light"]), steps=2, settings=(("guidance", 2.0),), device="cpu")
-    )
+def test_a_folder_is_opened_by_its_name(folders):
+    made = open_generator(folders["light"], sampler=Sampler(steps=2, guidance=2.0), device="cpu")
     assert (made.slug, made.steps, made.describe()["guidance"]) == ("light-2-steps-guidance2", 2, 2.0)
     assert set(made.weights()) == {"denoiser.safetensors", "normalizer.safetensors", "denoiser in config.json"}
 
@@ -142,16 +140,16 @@ def test_a_job_opens_a_folder(folders):
 @pytest.mark.parametrize(
     ("kind", "given", "message"),
     [
-        ("light", {"steps": 0}, "cannot take 0 steps"),
-        ("chunks", {"steps": 3}, "'chunks' cannot take 3 steps; its own choice is 4"),
+        ("light", {"sampler": Sampler(steps=0)}, "cannot take 0 steps"),
+        ("chunks", {"sampler": Sampler(steps=3)}, "'chunks' cannot take 3 steps; its own choice is 4"),
         ("light", {"network": "pcm-1"}, "has no network 'pcm-1'"),
-        ("light", {"settings": (("start", 3),)}, "--start is a setting of streams"),
-        ("light", {"settings": (("guidance", -1.0),)}, "guidance -1 is not in"),
+        ("light", {"sampler": Sampler(start=3)}, "--start is a setting of streams"),
+        ("light", {"sampler": Sampler(guidance=-1.0)}, "guidance -1 is not in"),
     ],
 )
 def test_what_a_baseline_cannot_do(folders, kind, given, message):
     with pytest.raises(InputError, match=message):
-        open_generator(EvaluationConfig(model=str(folders[kind]), device="cpu", **given))
+        open_generator(folders[kind], device="cpu", **given)
 
 
 def test_a_baseline_is_for_the_evaluation_only(folders, tmp_path):

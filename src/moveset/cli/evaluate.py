@@ -158,7 +158,7 @@ def _configs(models: Sequence[str], common: "EvaluationConfig") -> "list[Evaluat
     """One a model, each checked before any is evaluated."""
     from dataclasses import replace
 
-    from moveset.evaluation.run import open_generator
+    from moveset.evaluation.run import open_source
 
     if common.motions is not None:
         if models:
@@ -169,7 +169,7 @@ def _configs(models: Sequence[str], common: "EvaluationConfig") -> "list[Evaluat
     if not models:
         raise InputError("no model was given; give pcm, lcm, teacher, vae, rdm, md, rdm-pcm, real or a model folder")
     configs = [replace(common, model=model) for model in models]
-    opened = [open_generator(config) for config in configs]
+    opened = [open_source(config) for config in configs]
     # Beside a model that samples, real motion and an autoencoder may stand with what is meant for the model.
     if (common.steps is not None or common.settings) and not any(generator.random for generator in opened):
         raise InputError(f"nothing is sampled for {' and '.join(models)}; leave --steps and settings out")

@@ -6,7 +6,7 @@ Shapes: F frames, J joints, D features, B clips.
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import accumulate, pairwise
 from typing import Any, Protocol
@@ -230,14 +230,3 @@ def check_made(made: Sequence[Tensor], asked: Sequence[Draw], who: str, shape: t
             raise InputError(f"{who} gives positions that are not finite for {draw.item.name!r}; nothing can be judged")
         if len(joints) < 5:
             raise InputError(f"{who} gives {len(joints)} frames for {draw.item.name!r}; at least 5 can be judged")
-
-
-def settings_slug(settings: Mapping[str, Any]) -> list[str]:
-    """Settings as parts of a file's name, in their order.
-
-    >>> settings_slug({"start": 4, "shape": "triangle"})
-    ['start4', 'shapetriangle']
-    """
-    return [
-        f"{name}{value:g}" if isinstance(value, int | float) else f"{name}{value}" for name, value in settings.items()
-    ]

@@ -15,18 +15,16 @@ import torch
 from moveset.data.splits import Split
 from moveset.errors import InputError, MovesetError
 from moveset.evaluation.evaluator import DEFAULT_EVALUATOR, Evaluator
-from moveset.evaluation.generators import Generated, Given, Reconstruction, Source, settings_slug
+from moveset.evaluation.generators import Generated, Given, Reconstruction, Source
 from moveset.evaluation.items import ItemSet, open_items
 from moveset.evaluation.protocol import Protocol, Session, run_repeat
 from moveset.evaluation.results import Results
 from moveset.evaluation.rollout import run_rollout
 from moveset.io.process import end_with_parent
-from moveset.pipelines.bundle import DEFAULT_MODEL, SOLVERS, Bundle
+from moveset.pipelines.bundle import DEFAULT_MODEL, Bundle
 from moveset.pipelines.device import pick_device
-from moveset.pipelines.generator import ClipGenerator
-from moveset.pipelines.model_folder import BASELINE, STREAM, find_folder, task_of
-from moveset.pipelines.request import Method, check_method
-from moveset.pipelines.stream_bundle import DEFAULT_STREAM, StreamBundle
+from moveset.pipelines.generator import Sampler, open_generator
+from moveset.pipelines.stream_bundle import DEFAULT_STREAM
 
 if TYPE_CHECKING:
     from multiprocessing.context import SpawnProcess
@@ -101,7 +99,7 @@ def open_session(config: EvaluationConfig) -> Session:
     """
     if not 1 <= config.batch <= 4096:
         raise InputError(f"batch {config.batch} is not in 1 to 4096; give 64 on a CPU, more on a GPU")
-    generator, items = open_generator(config), open_set(config)
+    generator, items = open_source(config), open_set(config)
     seams, least = config.protocol.seams, NEAREST_SEAMS / items.codec.fps
     if seams and round(seams * items.codec.fps) < NEAREST_SEAMS:
         raise InputError(
@@ -158,7 +156,7 @@ def open_set(config: EvaluationConfig) -> ItemSet:
     return items if config.items is None else items.limited(config.items)
 
 
-def open_generator(config: EvaluationConfig) -> Source:
+def open_source(config: EvaluationConfig) -> Source:
     """What is judged.
 
     Raises:
@@ -173,91 +171,13 @@ def open_generator(config: EvaluationConfig) -> Source:
         return Given(f"{REAL}-motions" if given.name == REAL else given.name, given)
     model, network = SHORT.get(config.model, (config.model, None))
     network = config.network or network
-    settings = dict(config.settings)
     if model == REAL:
         return Given(REAL)
-    folder = find_folder(model)
-    if (task := task_of(folder)) == STREAM:
-        return _stream(config, folder, network, settings)
-    if task == BASELINE:
-        return _baseline(config, folder, network, settings)
-    bundle = Bundle(folder)
-    if unknown := set(settings) - {"guidance"}:
-        raise InputError(f"--{sorted(unknown)[0]} is a setting of streams, and {bundle.config.name!r} makes clips")
     if network == "vae":
-        return Reconstruction(bundle, device=config.device, batch=config.batch)
-    method = clip_method(bundle, network, config.steps, cast(float | None, settings.get("guidance")))
-    return Generated(
-        ClipGenerator(bundle, method, device=config.device, batch=config.batch, foot_lock=config.foot_lock)
-    )
-
-
-def clip_method(bundle: Bundle, network: str | None, steps: int | None, guidance: float | None) -> Method:
-    """How clips are sampled; an LCM student takes any number of steps, a PCM student its own.
-
-    Raises:
-        InputError: no such network or steps, or guidance out of range.
-    """
-    solver, _, count = (network or "pcm").partition("-")
-    names = ", ".join(["vae", *(name for name in bundle.config.models if name not in ("vae", "length"))])
-    if solver not in SOLVERS:
-        raise InputError(f"unknown network {network!r}; model {bundle.config.name!r} has {names}")
-    if solver == "lcm" and (steps is not None or count.isdigit()):
-        known = bundle.config.steps("lcm")
-        own = int(count) if count.isdigit() else known[0] if known else 0
-        method = check_method(bundle.config, "lcm", own, guidance)
-        steps = own if steps is None else steps
-        if not 1 <= steps <= bundle.config.points:
-            raise InputError(f"{steps} steps are not in 1 to {bundle.config.points}, the solver points of training")
-        return replace(method, steps=steps)
-    if count and not (count.isdigit() and solver == "pcm" and steps in (None, int(count))):
-        raise InputError(
-            f"network {network!r} does not go with {steps or 'its'} steps; {bundle.config.name!r} has {names}"
-        )
-    return check_method(bundle.config, solver, int(count) if count else steps, guidance)
-
-
-def _stream(config: EvaluationConfig, folder: Path, network: str | None, settings: dict[str, Any]) -> Source:
-    from moveset.evaluation.streams import Streams
-    from moveset.pipelines.stream_settings import check_stream
-
-    bundle = StreamBundle(folder)
-    shape = settings.pop("shape", "parallelogram")
-    if unknown := set(settings) - {"guidance", "start", "lag", "past_lag", "eta", "stages"}:
-        raise InputError(
-            f"unknown setting {sorted(unknown)[0]!r}; there are guidance, start, lag, past_lag, eta, shape and stages"
-        )
-    request = check_stream(bundle.config, network=network, steps=config.steps, foot_lock=config.foot_lock, **settings)
-    if shape != "parallelogram" and request.settings.network != "rdm":
-        raise InputError(
-            f"network {request.settings.network!r} makes one segment after the other, so there is no {shape}; "
-            "leave --shape out or choose --network rdm"
-        )
-    extras = [f"{config.steps}-steps"] if config.steps and not request.settings.network.startswith("pcm-") else []
-    extras += settings_slug({**settings, **({} if shape == "parallelogram" else {"shape": shape})})
-    extras += [] if config.foot_lock else ["raw"]
-    return Streams(
-        bundle, request.settings, shape=shape, extras=extras, device=config.device, batch=max(config.batch, 1)
-    )
-
-
-def _baseline(config: EvaluationConfig, folder: Path, network: str | None, settings: dict[str, Any]) -> Source:
-    from moveset.pipelines.baseline import Baseline
-    from moveset.pipelines.baseline_bundle import DENOISER, BaselineBundle
-
-    bundle = BaselineBundle(folder)
-    if network not in (None, DENOISER):
-        raise InputError(f"{bundle.config.name!r} has no network {network!r}; it has {DENOISER!r}")
-    if unknown := set(settings) - {"guidance"}:
-        raise InputError(f"--{sorted(unknown)[0]} is a setting of streams, and {bundle.config.name!r} is none")
-    w = cast(float | None, settings.get("guidance"))
-    made = Baseline(
-        bundle,
-        steps=config.steps,
-        guidance=w,
-        foot_lock=config.foot_lock,
-        device=config.device,
-        batch=max(config.batch, 1),
+        return Reconstruction(Bundle.find(model), device=config.device, batch=config.batch)
+    sampler = Sampler(steps=config.steps, **dict(config.settings))  # type: ignore[arg-type]
+    made = open_generator(
+        model, network, sampler, foot_lock=config.foot_lock, batch=max(config.batch, 1), device=config.device
     )
     return Generated(made)
 

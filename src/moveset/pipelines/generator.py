@@ -1,17 +1,22 @@
 """What makes motion, whatever its model: requests in, a motion each out. For tables and measurements, many at once."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any, Protocol
 
+from moveset.errors import InputError
 from moveset.motion.clip import Motion
+from moveset.pipelines.baseline import Baseline
+from moveset.pipelines.baseline_bundle import DENOISER, BaselineBundle
 from moveset.pipelines.bundle import Bundle
-from moveset.pipelines.request import Method, Request
-from moveset.pipelines.text_to_motion import TextToMotion
-from moveset.text.cache import CachedEncoder
-
-CHUNK = 512  # motions made before progress is told
-REMEMBERED = 8192  # sentences
+from moveset.pipelines.clip_generator import ClipGenerator, clip_method
+from moveset.pipelines.model_folder import BASELINE, STREAM, find_folder, task_of
+from moveset.pipelines.request import Request
+from moveset.pipelines.stream_bundle import StreamBundle
+from moveset.pipelines.stream_generator import StreamGenerator
+from moveset.pipelines.stream_settings import check_stream
+from moveset.rdm.staircase import Shape
 
 
 class Generator(Protocol):
@@ -44,57 +49,84 @@ class Generator(Protocol):
         """
 
 
-class ClipGenerator:
-    """A text-to-motion model folder by one of its networks.
+@dataclass(frozen=True, kw_only=True)
+class Sampler:
+    """How to sample, where that is not the model's own choice (None).
 
     Args:
-        bundle: the folder.
-        method: network, steps and guidance.
-        device: where to compute.
-        batch: clips evaluated at once.
-        foot_lock: motion as users get it, with planted feet held; off: as the decoder gives it.
+        steps: of the sampler.
+        guidance: scale w.
+        start, lag, past_lag, eta, stages: of streams, as for ``stream_settings.check_stream``.
+        shape: of a stream's staircase.
     """
 
-    segment = 0
+    steps: int | None = None
+    guidance: float | None = None
+    start: int | None = None
+    lag: int | None = None
+    past_lag: int | None = None
+    eta: float | None = None
+    shape: Shape | None = None
+    stages: bool | None = None
 
-    def __init__(
-        self, bundle: Bundle, method: Method, *, device: str = "auto", batch: int = 64, foot_lock: bool = True
-    ) -> None:
-        self._t2m = TextToMotion(bundle, device)
-        self._t2m.encoder = CachedEncoder(self._t2m.encoder, REMEMBERED)
-        self._method, self._batch, self._foot_lock = method, batch, foot_lock
-        self.model, self.network, self.steps = bundle.config.name, method.network, method.steps
-        self.fps = bundle.config.fps
-        own = bundle.config.guidance[method.network]
-        extras = [f"{method.steps}-steps"] if method.network != f"{method.solver}-{method.steps}" else []
-        extras += [f"w{method.guidance:g}"] if method.guidance != own else []
-        self.slug = "-".join([self.model, method.network, *extras, *(() if foot_lock else ("raw",))])
+    def given(self) -> dict[str, Any]:
+        """What is not None, the steps left out."""
+        return {name: value for name, value in asdict(self).items() if value is not None and name != "steps"}
 
-    def describe(self) -> dict[str, Any]:
-        method = self._method
-        return {
-            "solver": method.solver, "guidance": method.guidance, "foot_lock": self._foot_lock, "batch": self._batch,
-            "device": self._t2m.device.type,
-        }  # fmt: skip
 
-    def weights(self) -> dict[str, str]:
-        return self._t2m.bundle.sha256("vae", self._method.network)
+def open_generator(
+    name_or_path: str | Path,
+    network: str | None = None,
+    sampler: Sampler | None = None,
+    *,
+    foot_lock: bool = True,
+    batch: int = 64,
+    device: str = "auto",
+) -> Generator:
+    """What makes motion by one of a model's networks.
 
-    def generate(
-        self, requests: Sequence[Request], progress: Callable[[int], object] = lambda count: None
-    ) -> list[Motion]:
-        made: dict[int, Motion] = {}
-        # Clips of like length together: a batch is padded to its longest.
-        order = sorted(range(len(requests)), key=lambda k: requests[k].total)
-        for start in range(0, len(order), CHUNK):
-            rows = order[start : start + CHUNK]
-            within = [self._within(requests[k]) for k in rows]
-            done = self._t2m.generate(within, self._method, foot_lock=self._foot_lock, batch=self._batch)
-            made |= {k: generation.motion for k, generation in zip(rows, done, strict=True)}
-            progress(len(rows))
-        return [made[k] for k in range(len(requests))]
+    Args:
+        name_or_path: a shipped model, or a model folder.
+        network: of the folder; None for its own choice. "pcm" and "lcm" mean the student of the sampler's steps.
+        sampler: what differs from the folder's own choice.
+        foot_lock: motion as users get it, with planted feet held; off: as the decoder gives it.
+        batch: what the network evaluates at once, about.
+        device: where to compute.
 
-    def _within(self, request: Request) -> Request:
-        """The same within the limits of the model."""
-        low, high = self._t2m.bundle.config.min_frames, self._t2m.bundle.config.max_frames
-        return replace(request, frames=tuple(n if n is None else min(max(n, low), high) for n in request.frames))
+    Raises:
+        InputError: no such model, network, steps or setting.
+        FormatError: a damaged folder.
+    """
+    sampler = sampler or Sampler()
+    folder, given = find_folder(name_or_path), sampler.given()
+    if (task := task_of(folder)) == STREAM:
+        return _stream(StreamBundle(folder), network, sampler, foot_lock, batch, device)
+    bundle = BaselineBundle(folder) if task == BASELINE else Bundle(folder)
+    if others := [name for name in given if name != "guidance"]:
+        raise InputError(f"--{others[0]} is a setting of streams, and {bundle.config.name!r} is none")
+    if isinstance(bundle, Bundle):
+        method = clip_method(bundle, network, sampler.steps, sampler.guidance)
+        return ClipGenerator(bundle, method, device=device, batch=batch, foot_lock=foot_lock)
+    if network not in (None, DENOISER):
+        raise InputError(f"{bundle.config.name!r} has no network {network!r}; it has {DENOISER!r}")
+    return Baseline(
+        bundle, steps=sampler.steps, guidance=sampler.guidance, foot_lock=foot_lock, device=device, batch=batch
+    )
+
+
+def _stream(
+    bundle: StreamBundle, network: str | None, sampler: Sampler, foot_lock: bool, batch: int, device: str
+) -> StreamGenerator:
+    given = sampler.given()
+    shape = given.pop("shape", "parallelogram")
+    request = check_stream(bundle.config, network=network, steps=sampler.steps, foot_lock=foot_lock, **given)
+    if shape != "parallelogram" and request.settings.network != "rdm":
+        raise InputError(
+            f"network {request.settings.network!r} makes one segment after the other, so there is no {shape}; "
+            "leave --shape out or choose --network rdm"
+        )
+    extras = [f"{sampler.steps}-steps"] if sampler.steps and not request.settings.network.startswith("pcm-") else []
+    extras += [f"{k}{v:g}" if isinstance(v, int | float) else f"{k}{v}" for k, v in given.items()]
+    extras += [] if shape == "parallelogram" else [f"shape{shape}"]
+    extras += [] if foot_lock else ["raw"]
+    return StreamGenerator(bundle, request.settings, shape=shape, extras=extras, device=device, batch=batch)

@@ -1,4 +1,4 @@
-"""Recurrent models as generators: many sequences at once, each with its own prompts."""
+"""A stream's model as a generator: many sequences at once, each with its own prompts."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -7,14 +7,12 @@ from functools import cached_property, partial
 from typing import Any
 
 import torch
-from torch import Tensor
 
-from moveset.evaluation.generators import Tick, Wanted, frames_at, joints_at
 from moveset.motion.clip import Motion
 from moveset.motion.stream_decoder import concatenate
 from moveset.pipelines.device import pick_device
-from moveset.pipelines.generator import REMEMBERED
 from moveset.pipelines.overlapping import Overlapping
+from moveset.pipelines.request import Request
 from moveset.pipelines.stream_batch import Segment, StreamBatch, StreamModel
 from moveset.pipelines.stream_bundle import FLOW, StreamBundle
 from moveset.pipelines.stream_settings import StreamSettings
@@ -23,7 +21,7 @@ from moveset.rdm.staircase import Shape, Staircase
 from moveset.text.stages import split_stages
 
 
-class Streams:
+class StreamGenerator:
     """A stream's model folder by one of its networks, sampled in batches.
 
     Args:
@@ -34,8 +32,6 @@ class Streams:
         device: where to compute.
         batch: rows evaluated at once, about.
     """
-
-    random = True
 
     def __init__(
         self,
@@ -50,7 +46,7 @@ class Streams:
         self._bundle, self._settings, self._shape = bundle, settings, shape
         self._device, self._batch = pick_device(device), batch
         self.model, self.network, self.steps = bundle.config.name, settings.network, settings.steps
-        self.segment = bundle.config.segment / bundle.config.fps
+        self.fps, self.segment = bundle.config.fps, bundle.config.segment
         self.slug = "-".join([self.model, settings.network, *extras])
 
     def describe(self) -> dict[str, Any]:
@@ -67,38 +63,39 @@ class Streams:
         flow = (FLOW,) if self._bundle.config.flows(self._settings.network) else ()
         return self._bundle.sha256(self._settings.network, *flow)
 
-    def generate(self, wanted: Sequence[Wanted], fps: float, tick: Tick = lambda count: None) -> list[Tensor]:
-        made: list[Tensor] = [torch.empty(0)] * len(wanted)
-        n, rate = self._bundle.config.segment, self._bundle.config.fps
+    @torch.inference_mode()
+    def generate(
+        self, requests: Sequence[Request], progress: Callable[[int], object] = lambda count: None
+    ) -> list[Motion]:
+        """A motion for each request, of whole segments."""
+        made: dict[int, Motion] = {}
         by_count: dict[int, list[int]] = {}
-        for k, one in enumerate(wanted):
-            by_count.setdefault(math.ceil(frames_at(one.frames, fps, rate) / n), []).append(k)
+        for k, request in enumerate(requests):
+            by_count.setdefault(math.ceil(request.total / self.segment), []).append(k)
         for count, rows in sorted(by_count.items()):
             plan = self._plan(count)
             size = max(1, self._batch // max(len(cells) for cells in plan.wavefront()))
             for start in range(0, len(rows), size):
                 part = rows[start : start + size]
-                for k, motion in zip(part, self._sample([wanted[k] for k in part], plan, fps), strict=True):
-                    made[k] = joints_at(motion, fps, wanted[k].frames)
-                tick(len(part))
-        return made
+                made |= dict(zip(part, self._sample([requests[k] for k in part], plan), strict=True))
+                progress(len(part))
+        return [made[k] for k in range(len(requests))]
 
     @cached_property
     def _model(self) -> StreamModel:
         one_by_one = self._settings.sequential and self._shape == "parallelogram"
         kind = StreamBatch if one_by_one else StreamModel
-        return kind(self._bundle, self._settings, device=self._device, remembered=REMEMBERED)
+        return kind(self._bundle, self._settings, device=self._device, remembered=8192)
 
     def _plan(self, segments: int) -> Staircase:
         settings = self._settings
         return Staircase(settings.steps, segments, settings.start, self._shape, settings.lag)
 
-    def _sample(self, wanted: Sequence[Wanted], plan: Staircase, fps: float) -> list[Motion]:
+    def _sample(self, requests: Sequence[Request], plan: Staircase) -> list[Motion]:
         """Every sequence as a stream gives it out: seams smoothed, feet locked."""
         assert plan.segments is not None
-        config, model, settings = self._bundle.config, self._model, self._settings
-        seconds = config.segment / config.fps
-        streams = [model.open(timeline(one, fps, seconds, settings.stages), one.seed) for one in wanted]
+        model, stages = self._model, self._settings.stages
+        streams = [model.open(timeline(one, self.segment, self.fps, stages), one.seed) for one in requests]
         step: Callable[[], list[Segment]] = (
             partial(model.step, streams) if isinstance(model, StreamBatch) else Overlapping(model, streams, plan).step
         )
@@ -106,17 +103,20 @@ class Streams:
         return [concatenate([segment.motion for segment in sequence]) for sequence in pieces]
 
 
-def timeline(wanted: Wanted, fps: float, seconds: float, stages: bool = True) -> Timeline:
-    """The prompts by segment of ``seconds``; each begins with the segment nearest to its place and has one at least.
+def timeline(request: Request, segment: int, fps: float, stages: bool = True) -> Timeline:
+    """The prompts by segment; each begins with the segment nearest to its place and has one at least.
 
     Args:
+        segment: frames of a segment, of which there are ``fps`` a second.
         stages: take the stages of a prompt apart (``text.stages``), which share its frames evenly.
     """
     prompts, starts, frames = [], [0], 0
-    for prompt, count in wanted.parts:
+    seconds = segment / fps
+    for prompt, count in zip(request.prompts, request.frames, strict=True):
         said = split_stages(prompt) if stages else (prompt,)
         prompts += said
-        for end in share_evenly(frames, frames + count, len(said))[1:]:
-            starts.append(max(starts[-1] + 1, round(end / fps / seconds)))
-        frames += count
+        end = frames + (count or 0)
+        for stop in share_evenly(frames, end, len(said))[1:]:
+            starts.append(max(starts[-1] + 1, round(stop / fps / seconds)))
+        frames = end
     return Timeline(tuple(prompts), tuple(starts[:-1]), frames / fps / seconds, timed=True)
