@@ -215,10 +215,11 @@ def _clip(path: Path | None) -> "Motion | None":
 def _notes(made: "MotionStream", request: "StreamRequest") -> dict[str, str | int | float]:
     """What the files tell about how they were made."""
     from moveset import __version__
+    from moveset.pipelines.role import Role, named
 
     each = made.bundle.config.segment / made.bundle.config.fps
     chosen = request.settings
-    plan = {} if chosen.network != "rdm" else {
+    plan = {} if named(chosen.network).role is not Role.DENOISER else {
         "start": chosen.start, "lag": chosen.lag, "past_lag": chosen.past_lag or chosen.lag,
     }  # fmt: skip
     return {

@@ -14,10 +14,11 @@ from pathlib import Path
 from moveset.errors import FormatError, InputError
 from moveset.io.manifest import json_object
 from moveset.pipelines.model_folder import shipped
+from moveset.pipelines.role import Role, is_student, named
 
 CLIPS, STREAMS = "motionpcm-small", "rdm-small"
 REAL, RECONSTRUCTION = "real", "vae"
-DENOISERS = ("teacher", "lcm-", "pcm-", "rdm", "md", "denoiser")
+DENOISERS = (Role.DENOISER, Role.AUTOREGRESSIVE, Role.STUDENT)
 # Repeats of rows that cost ten times as much as others: what others are compared with, the rest, and settings alone.
 MORE, FEW, FEWER = 10, 5, 3
 
@@ -263,13 +264,13 @@ def extra_rows(suite: Suite, folders: Mapping[str, Path]) -> list[Row]:
     return [
         given_row(suite, name, network)
         for name, path in folders.items() if name not in asked
-        for network in networks(path) if network.startswith(DENOISERS)
+        for network in networks(path) if named(network).role in DENOISERS
     ]  # fmt: skip
 
 
 def given_row(suite: Suite, model: str, network: str) -> Row:
     """The row of a network that a suite does not know."""
-    student = network.startswith(("pcm-", "lcm-"))
+    student = is_student(network)
     steps = int(network.split("-")[1]) if student else 50 if network == "teacher" else 10
     return Row(
         key=f"{model}-{network}", label=f"{model}, {network}", group="Others given", model=model, network=network,

@@ -13,6 +13,7 @@ from moveset.pipelines.bundle import Bundle
 from moveset.pipelines.clip_generator import ClipGenerator, clip_method
 from moveset.pipelines.model_folder import BASELINE, STREAM, find_folder, task_of
 from moveset.pipelines.request import Request
+from moveset.pipelines.role import Role, is_student, named
 from moveset.pipelines.stream_bundle import StreamBundle
 from moveset.pipelines.stream_generator import StreamGenerator
 from moveset.pipelines.stream_settings import check_stream
@@ -120,12 +121,12 @@ def _stream(
     given = sampler.given()
     shape = given.pop("shape", "parallelogram")
     request = check_stream(bundle.config, network=network, steps=sampler.steps, foot_lock=foot_lock, **given)
-    if shape != "parallelogram" and request.settings.network != "rdm":
+    if shape != "parallelogram" and named(request.settings.network).role is not Role.DENOISER:
         raise InputError(
             f"network {request.settings.network!r} makes one segment after the other, so there is no {shape}; "
             "leave --shape out or choose --network rdm"
         )
-    extras = [f"{sampler.steps}-steps"] if sampler.steps and not request.settings.network.startswith("pcm-") else []
+    extras = [f"{sampler.steps}-steps"] if sampler.steps and not is_student(request.settings.network) else []
     extras += [f"{k}{v:g}" if isinstance(v, int | float) else f"{k}{v}" for k, v in given.items()]
     extras += [] if shape == "parallelogram" else [f"shape{shape}"]
     extras += [] if foot_lock else ["raw"]

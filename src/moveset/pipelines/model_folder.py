@@ -29,6 +29,7 @@ from moveset.errors import FormatError, InputError
 from moveset.io.manifest import VerifiedFolder, json_bytes, json_object, write_whole
 from moveset.models.packed import PACKABLE, can_pack, pack
 from moveset.motion.features import FeatureCodec, get_codec
+from moveset.pipelines.role import named
 from moveset.pipelines.stored_weights import halved, restored, subtracted
 from moveset.text.familiarity import KnownPrompts
 
@@ -85,9 +86,9 @@ class FolderConfig:
     models: Mapping[str, ModelSpec] = field(default_factory=dict)
 
     def steps(self, solver: str) -> tuple[int, ...]:
-        """Step counts for which there is a student: the numbers behind "pcm-" or "lcm-", ascending."""
-        prefix = f"{solver}-"
-        return tuple(sorted(int(name[len(prefix) :]) for name in self.models if name.startswith(prefix)))
+        """Step counts for which there is a student of this solver ("pcm" or "lcm"), ascending."""
+        found = map(named, self.models)
+        return tuple(sorted(of.steps for of in found if of.solver == solver and of.steps is not None))
 
     def feature_codec(self) -> FeatureCodec:
         """The codec of its motions."""

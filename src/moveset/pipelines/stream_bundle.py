@@ -20,6 +20,7 @@ from moveset.models import flow, segment_transformer  # noqa: F401  (they regist
 from moveset.models.symmetric import Symmetric
 from moveset.motion.native import NativeCodec
 from moveset.pipelines.model_folder import STREAM, FolderConfig, ModelFolder, save_folder
+from moveset.pipelines.role import Role, named
 
 DEFAULT_STREAM = "rdm-small"
 SCHEDULES = ("linear", "cosine")
@@ -75,7 +76,7 @@ class StreamConfig(FolderConfig):
 
     def flows(self, network: str) -> bool:
         """Whether a network's segments pass through the flow; the baseline was trained without."""
-        return FLOW in self.models and network != "md"
+        return FLOW in self.models and named(network).role is not Role.AUTOREGRESSIVE
 
     @property
     def denoisers(self) -> tuple[str, ...]:

@@ -14,6 +14,7 @@ from moveset.errors import InputError
 from moveset.motion.features import FeatureCodec
 from moveset.motion.stream_decoder import StreamDecoder
 from moveset.pipelines.request import MAX_GUIDANCE, MAX_PROMPTS, SEEDS, check_prompt, check_real, check_whole
+from moveset.pipelines.role import Role, is_student, named
 from moveset.pipelines.stream_bundle import FLOW, StreamConfig
 from moveset.pipelines.timeline import STAGE_SEGMENTS, Timeline, share_evenly
 from moveset.rdm.sequential import Solver
@@ -82,7 +83,7 @@ class StreamSettings:
 
     def levels(self, config: StreamConfig) -> tuple[int, ...]:
         """The K + 1 noise levels: a student's are the edges of its phases."""
-        if _is_student(self.network):
+        if is_student(self.network):
             return PhaseGrid(config.points, self.steps, config.timesteps).edges[::-1]
         return levels(self.steps, config.timesteps)
 
@@ -234,15 +235,11 @@ def _timeline(
     return timeline, given, counts
 
 
-def _is_student(network: str) -> bool:
-    return network.startswith("pcm-")
-
-
 def _network(config: StreamConfig, network: str | None, steps: int | None) -> str:
-    if network is None and steps is not None and _is_student(config.network):
+    if network is None and steps is not None and is_student(config.network):
         network = f"pcm-{steps}"
         if network not in config.denoisers:
-            others = [name for name in config.denoisers if not _is_student(name)]
+            others = [name for name in config.denoisers if not is_student(name)]
             choice = ", ".join(map(str, config.steps("pcm")))
             also = f", or network {' or '.join(map(repr, others))}" if others else ""
             raise InputError(f"model {config.name!r} has no student for {steps} steps; choose {choice}{also}")
@@ -255,9 +252,10 @@ def _network(config: StreamConfig, network: str | None, steps: int | None) -> st
 def _plan(
     config: StreamConfig, network: str, steps: int | None, start: int | None, lag: int | None, eta: float | None
 ) -> tuple[int, int, int, float]:
-    """K, R, lag and eta of a network: students and "md" are told the finished segment before, "rdm" a noisy one."""
-    if _is_student(network):
-        count = int(network.removeprefix("pcm-"))
+    """K, R, lag and eta of a network."""
+    of = named(network)
+    if of.steps is not None:
+        count = of.steps
         if steps not in (None, count) or eta:
             said = f"eta {eta}" if eta else f"{steps} steps"
             raise InputError(f"{said} does not go with network {network!r}, which takes {count} steps without noise; "
@@ -269,7 +267,7 @@ def _plan(
         raise InputError(
             f"{steps} steps are not in 1 to {config.timesteps}; {config.sampler_steps} is this model's own"
         )
-    if network == "rdm":
+    if of.role is Role.DENOISER:
         # The model's own staircase, at another number of steps the one of the same shape.
         scale = steps / config.sampler_steps
         start = min(steps, math.ceil(config.start * scale)) if start is None else start
@@ -296,7 +294,7 @@ def _past_lag(
 ) -> int | None:
     """How many steps ahead a network of this plan is told a finished segment to be; None for all the way."""
     steps, _, lag, _ = plan
-    if network != "rdm" or lag != steps:
+    if named(network).role is not Role.DENOISER or lag != steps:
         if past_lag not in (None, steps):
             raise InputError(f"past_lag {past_lag} is for network 'rdm' with a lag of all of its steps, which waits "
                              "for the finished segment before; leave it out")  # fmt: skip

@@ -13,6 +13,7 @@ from moveset.pipelines.bundle import DEFAULT_MODEL, Bundle
 from moveset.pipelines.device import pick_device
 from moveset.pipelines.model_folder import STREAM, find_folder, shipped, task_of
 from moveset.pipelines.request import TEACHER_STEPS, Method, check_method
+from moveset.pipelines.role import is_student
 from moveset.pipelines.stream_batch import StreamBatch
 from moveset.pipelines.stream_bundle import DEFAULT_STREAM, StreamBundle
 from moveset.pipelines.stream_settings import StreamRequest, StreamSettings, check_stream
@@ -99,7 +100,7 @@ class Catalog:
         Raises:
             InputError: anything out of range.
         """
-        if bundle.config.network.startswith("pcm-"):
+        if is_student(bundle.config.network):
             _check_steps(_stream_row(bundle), steps)
         return check_stream(bundle.config, prompt, seed=seed, steps=steps, guidance=guidance)
 

@@ -23,6 +23,7 @@ from moveset.evaluation.evaluator import Evaluator, EvaluatorCard
 from moveset.motion.features import get_codec
 from moveset.pipelines.baseline_bundle import DENOISER, IDLE, BaselineConfig, save_baseline
 from moveset.pipelines.bundle import BundleConfig, save_folder
+from moveset.pipelines.role import is_student, named
 from moveset.pipelines.stream_bundle import FLOW, StreamConfig, save_stream_bundle
 from moveset.text.encoder import get_text_encoder
 from moveset.text.glove import GloveWords
@@ -131,14 +132,13 @@ def export(what: Export, dataset: Dataset, runs: Path, cache: Path, out: Path) -
 
 
 def _load(what: Export, network: str, runs: Path) -> TrainedNetwork:
-    solver = network.partition("-")[0]
     weights = {"rdm": "denoiser_ema", "md": "denoiser_ema", "decoder": "vae_ema", "length": "length"}
-    if solver in ("pcm", "lcm"):
+    if is_student(network):
         chosen = "student" if what.last else "student_ema"
     else:
         chosen = weights.get(network, f"{network}_ema")
     found = average_weights(network, [load_trained(runs / run, chosen) for run in _names(what, network)])
-    if solver in ("pcm", "lcm") and network != f"{solver}-{found.task['phases']}":
+    if is_student(network) and named(network).steps != found.task["phases"]:
         raise InputError(f"{network!r} would be a student of {found.task['phases']} phases; give it its own run folder")
     return found
 

@@ -1,0 +1,62 @@
+"""What the networks of a model folder are for. A folder says so by their names, and nothing else reads those."""
+
+import re
+from dataclasses import dataclass
+from enum import Enum
+
+
+class Role(Enum):
+    """What a network does.
+
+    ``DENOISER``: samples in many steps, and is told a segment that is still noisy, where there is one before.
+    ``AUTOREGRESSIVE``: the same, told the finished segment before as it is, and trained without the flow.
+    ``STUDENT``: samples in a few steps, between the edges of its phases.
+    """
+
+    VAE = "vae"
+    LENGTH = "length"
+    FLOW = "flow"
+    DENOISER = "denoiser"
+    AUTOREGRESSIVE = "autoregressive"
+    STUDENT = "student"
+
+
+@dataclass(frozen=True)
+class Named:
+    """What a name says: the role, and of a student its solver ("pcm" or "lcm") and steps."""
+
+    role: Role
+    solver: str | None = None
+    steps: int | None = None
+
+
+_NAMES = {
+    "vae": Role.VAE,
+    "length": Role.LENGTH,
+    "flow": Role.FLOW,
+    "teacher": Role.DENOISER,
+    "rdm": Role.DENOISER,
+    "denoiser": Role.DENOISER,
+    "md": Role.AUTOREGRESSIVE,
+}
+
+
+def named(network: str) -> Named:
+    """What the network of this name is.
+
+    >>> named("pcm-2").steps, named("md").role
+    (2, <Role.AUTOREGRESSIVE: 'autoregressive'>)
+
+    Raises:
+        ValueError: no name for a network.
+    """
+    if student := re.fullmatch(r"(pcm|lcm)-(\d+)", network):
+        return Named(Role.STUDENT, student[1], int(student[2]))
+    if network not in _NAMES:
+        raise ValueError(f"{network!r} is no name of a network; there are {', '.join(_NAMES)}, pcm-1 and the like")
+    return Named(_NAMES[network])
+
+
+def is_student(network: str) -> bool:
+    """Whether a network of this name samples in the few steps that its name has."""
+    return re.fullmatch(r"(pcm|lcm)-\d+", network) is not None
