@@ -13,17 +13,16 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from copy import deepcopy
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Self, cast
+from typing import Any, Self
 
 import torch
 
 from moveset.errors import FormatError, InputError
-from moveset.models.segment_transformer import UNKNOWN
 from moveset.motion.clip import Motion
 from moveset.pipelines.device import pick_device
+from moveset.pipelines.initial_motion import InitialMotion
 from moveset.pipelines.overlapping import Overlapping
-from moveset.pipelines.seed_motion import SeedMotion
-from moveset.pipelines.stream_batch import Segment, StreamBatch, StreamModel
+from moveset.pipelines.stream_batch import OneByOne, Segment, StreamBatch, StreamModel
 from moveset.pipelines.stream_bundle import DEFAULT_STREAM, FLOW, StreamBundle
 from moveset.pipelines.stream_settings import (
     BLEND_SECONDS,
@@ -32,7 +31,7 @@ from moveset.pipelines.stream_settings import (
     check_stream,
 )
 from moveset.pipelines.stream_state import Snapshot
-from moveset.pipelines.timeline import Timeline, held
+from moveset.pipelines.timeline import Timeline
 from moveset.rdm.state import StreamState
 from moveset.text.encoder import TextEncoder, get_text_encoder
 
@@ -76,11 +75,11 @@ class MotionStream(Iterator[Segment]):
             raise InputError(f"a stream goes on from a Motion, not from {seed_motion!r}; read a file by moveset.load")
         self._open(request.settings, request.timeline, request.seed)
         if seed_motion is not None:
-            given = SeedMotion.of(seed_motion, self.codec, bundle.config.segment)
+            given = InitialMotion.of(seed_motion, self.codec, bundle.config.segment)
             self._stream.decoder.go_on_from(given.features, given.heading, given.x, given.z)
             left_1nD = ((given.features.to(self.device) - self._model.mean) / self._model.std)[None]
             solver, plan = self._model.solver, request.settings.staircase()
-            self._go_on(given.state(left_1nD, solver, plan, request.seed), 1)
+            self._go_on({"prompts": {}}, given.state(left_1nD, solver, plan, request.seed), 1)
 
     @classmethod
     def from_pretrained(
@@ -150,8 +149,7 @@ class MotionStream(Iterator[Segment]):
             InputError: an empty or absurd prompt.
         """
         with self._lock:
-            entered = self._stream.number if self._overlapping is None else self._overlapping.progress.entered
-            return self._model.prompt(self._stream, text, entered - self._stream.given)
+            return self._model.prompt(self._stream, text, self._maker.entered - self._stream.given)
 
     @property
     def settings(self) -> StreamSettings:
@@ -177,9 +175,7 @@ class MotionStream(Iterator[Segment]):
         """Everything that the next segments depend on, also those that were made ahead of the reader."""
         waiting = [*self._waiting, *(ahead.result() for ahead in self._ahead)]
         with self._lock:
-            stream, overlapping = self._stream, self._overlapping
-            conditions = {} if overlapping is None else {j: one for j, [one] in overlapping.conditions.items()}
-            progress = self._progress()
+            stream, (own, progress) = self._stream, self._maker.state()
             numbers = {
                 "model": self.bundle.config.name,
                 "weights": self._weights(self._settings),
@@ -187,9 +183,7 @@ class MotionStream(Iterator[Segment]):
                 "seed": stream.seed,
                 "timeline": dict(vars(stream.line)),
                 "given": stream.given,
-                "prompts": {str(j): one.prompt for j, one in conditions.items()},
-                "places": {str(j): (*one.timing, one.behind) for j, one in conditions.items()},
-                "course": {"before": stream.turned, "turns": {}} if overlapping is None else overlapping.course.state(),
+                **own,
                 "sampler": progress.numbers(),
                 **stream.decoder.state(),
                 "waiting": [{k: v for k, v in vars(made).items() if k not in _TENSORS} for made in waiting],
@@ -225,7 +219,7 @@ class MotionStream(Iterator[Segment]):
             self._open(settings, line, numbers["seed"])
             found = {k.removeprefix("sampler."): x for k, x in snapshot.tensors.items() if k.startswith("sampler.")}
             found = {k: x.to(self.device) for k, x in found.items()}
-            self._go_on(StreamState.restore(numbers["sampler"], found), int(numbers["given"]), numbers)
+            self._go_on(numbers, StreamState.restore(numbers["sampler"], found), int(numbers["given"]))
             self._stream.decoder.restore(numbers)
             for k, made in enumerate(numbers["waiting"]):
                 turned, root = (snapshot.tensors[f"waiting.{k}.{part}"] for part in ("rotations", "root"))
@@ -265,10 +259,10 @@ class MotionStream(Iterator[Segment]):
         self._ahead: deque[Future[Segment]] = deque()
         self._waiting: deque[Segment] = deque()
         self._warm_up(settings)
-        model = StreamBatch if settings.sequential else StreamModel
-        self._model = model(self.bundle, settings, device=self.device, encoder=self.encoder)
-        self._stream = self._model.open(line, seed)
-        self._overlapping = None if settings.sequential else Overlapping(self._model, [self._stream])
+        kind = StreamBatch if settings.sequential else StreamModel
+        model = self._model = kind(self.bundle, settings, device=self.device, encoder=self.encoder)
+        stream = self._stream = model.open(line, seed)
+        self._maker = OneByOne(model, stream) if isinstance(model, StreamBatch) else Overlapping(model, [stream])
 
     def _warm_up(self, settings: StreamSettings) -> None:
         """A few segments of one step that nobody sees: first calls of a network take many times as long as others."""
@@ -278,45 +272,15 @@ class MotionStream(Iterator[Segment]):
         for _ in range(_WARM_UP):
             batch.step([stream])
 
-    def _go_on(self, state: StreamState, given: int, numbers: Mapping[str, Any] | None = None) -> None:
-        """From this state of a sampler on, of which the first ``given`` segments are none of the stream's own.
-
-        Args:
-            numbers: of a whole stream's state (``state``), if it is one.
-        """
-        stream, course = self._stream, self._model.course(self._settings.steps)
-        stream.given, stream.number = given, state.finished
-        if numbers is not None and "course" in numbers:  # states from before streams knew how they turn have none
-            course.restored(numbers["course"])
-        if self._settings.sequential:
-            behind = stream.line.behind(stream.number - given)
-            stream.left, stream.left_pooled = state.left, state.left_pooled
-            stream.turned = float(course.total(stream.number, torch.tensor([behind])))
-            return
-        self._overlapping = Overlapping(self._model, [stream], state=state)
-        self._overlapping.course = course
-        places = {} if numbers is None else numbers.get("places", {})
-        for segment, prompt in ({} if numbers is None else numbers["prompts"]).items():
-            # States from before streams were told where in a sentence they are have no place, or no third number.
-            *timing, behind = (*places.get(segment, (UNKNOWN, UNKNOWN)), 0)[:3]
-            condition = self._model.conditioning.of(held(prompt, stages=False), 0, stream.guidance)
-            self._overlapping.conditions[int(segment)] = [replace(condition, timing=tuple(timing), behind=behind)]
-
-    def _progress(self) -> StreamState:
-        if self._overlapping is not None:
-            return self._overlapping.progress
-        stream, plan = self._stream, self._settings.staircase()
-        waves = plan.begin(stream.number)
-        pooled = None if self._settings.past_lag is None else stream.left_pooled
-        return StreamState(waves, waves, stream.number, left=stream.left, left_pooled=pooled)
+    def _go_on(self, numbers: Mapping[str, Any], state: StreamState, given: int) -> None:
+        """From this state of a sampler on, of which the first ``given`` segments are none of the stream's own."""
+        self._stream.given, self._stream.number = given, state.finished
+        self._maker.go_on(numbers, state)
 
     def _make(self) -> Segment:
         """The next segment."""
         with self._lock:
-            if self._overlapping is not None:
-                [made] = self._overlapping.step()
-            else:
-                [made] = cast(StreamBatch, self._model).step([self._stream])
+            [made] = self._maker.step()
             return made
 
     def _weights(self, settings: StreamSettings) -> dict[str, Any]:

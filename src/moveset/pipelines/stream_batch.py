@@ -7,9 +7,9 @@ Shapes: B streams, n frames of a segment, D features, C text width.
 """
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import cast
+from typing import Any, cast
 
 import torch
 from torch import Tensor
@@ -27,6 +27,7 @@ from moveset.pipelines.stream_settings import StreamSettings
 from moveset.pipelines.timeline import Timeline, held
 from moveset.pipelines.warnings import too_long, unfamiliar
 from moveset.rdm.sequential import Past, sample_segment
+from moveset.rdm.state import StreamState
 from moveset.rdm.transport import Transport
 from moveset.text.cache import CachedEncoder
 from moveset.text.encoder import TextEncoder, get_text_encoder
@@ -266,3 +267,41 @@ class StreamBatch(StreamModel):
         noisy_B = torch.tensor([stream.left_pooled is not None for stream in streams], device=self.device)
         past = Past(left_BnD, seeds, [max(number - 1, 0) for number in numbers], torch.cat(before), noisy_B)
         return sample_segment(denoise, self.solver, seeds, numbers, past, self.transport, torch.cat(pooled))
+
+
+class OneByOne:
+    """A batch of one stream, and what it remembers.
+
+    Args:
+        batch: what makes it.
+        stream: at its beginning.
+    """
+
+    def __init__(self, batch: StreamBatch, stream: Stream) -> None:
+        self._batch, self._stream = batch, stream
+
+    @property
+    def entered(self) -> int:
+        """Segments that were made, as the sampler counts."""
+        return self._stream.number
+
+    def step(self) -> list[Segment]:
+        """The next segment."""
+        return self._batch.step([self._stream])
+
+    def state(self) -> tuple[dict[str, Any], StreamState]:
+        """Numbers for JSON, and what the staircase's sampler would remember."""
+        stream, settings = self._stream, self._batch.settings
+        waves = settings.staircase().begin(stream.number)
+        pooled = None if settings.past_lag is None else stream.left_pooled
+        numbers = {"prompts": {}, "places": {}, "course": {"before": stream.turned, "turns": {}}}
+        return numbers, StreamState(waves, waves, stream.number, left=stream.left, left_pooled=pooled)
+
+    def go_on(self, numbers: Mapping[str, Any], state: StreamState) -> None:
+        """The stream goes on where another was when it gave this state, or from a given motion."""
+        stream, course = self._stream, self._batch.course(window=1)
+        if "course" in numbers:  # states from before streams knew how they turn have none
+            course.restored(numbers["course"])
+        behind = stream.line.behind(stream.number - stream.given)
+        stream.turned = float(course.total(stream.number, torch.tensor([behind])))
+        stream.left, stream.left_pooled = state.left, state.left_pooled

@@ -21,7 +21,7 @@ from moveset.rdm.state import StreamState
 
 
 @dataclass(frozen=True, eq=False)
-class SeedMotion:
+class InitialMotion:
     """The last segment of a clip.
 
     Args:
@@ -36,7 +36,7 @@ class SeedMotion:
     z: float
 
     @classmethod
-    def of(cls, motion: Motion, codec: FeatureCodec, frames: int) -> "SeedMotion":
+    def of(cls, motion: Motion, codec: FeatureCodec, frames: int) -> "InitialMotion":
         """The last ``frames`` frames of a motion, on the codec's skeleton at its frame rate.
 
         Raises:
