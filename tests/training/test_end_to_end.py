@@ -26,7 +26,7 @@ from moveset.training.tasks import Sources, task_maker, with_settings
 def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("runs")
     synthetic_corpus(folder / "corpus.safetensors", clips=24, seed=0)
-    for what in ("vae", "decoder", "teacher", "length", "lcm", "pcm"):
+    for what in ("vae", "decoder", "teacher", "length", "lcm-1", "pcm-1"):
         recipe = tiny.TRAINING[what]()
         run(task_maker(what, recipe.task, sources(folder)), recipe.engine, folder / what)
     return folder
@@ -40,7 +40,7 @@ def sources(folder: Path) -> Sources:
 
 def test_students_are_not_the_teacher_any_more_and_the_decoder_keeps_its_encoder(trained: Path) -> None:
     teacher = checkpoint.read_tensors(checkpoint.resolve(trained / "teacher"), "teacher_ema")
-    for student in ("lcm", "pcm"):
+    for student in ("lcm-1", "pcm-1"):
         learned = checkpoint.read_tensors(checkpoint.resolve(trained / student), "student")
         assert any(not torch.equal(teacher[name], learned[name]) for name in teacher)
         assert learned["guidance.weight"].abs().sum() > 0
@@ -52,59 +52,59 @@ def test_students_are_not_the_teacher_any_more_and_the_decoder_keeps_its_encoder
 
 
 def test_a_resumed_distillation_equals_one_that_never_stopped(trained: Path, tmp_path: Path) -> None:
-    recipe = tiny.TRAINING["pcm"]()
+    recipe = tiny.TRAINING["pcm-1"]()
 
-    maker = task_maker("pcm", recipe.task, sources(trained))
+    maker = task_maker("pcm-1", recipe.task, sources(trained))
     run(maker, replace(recipe.engine, steps=2), tmp_path / "run")
     # The learning rate is a cosine over the run, so the first half must know of the second.
-    whole = checkpoint.read_tensors(trained / "pcm" / "step_2", "student")
+    whole = checkpoint.read_tensors(trained / "pcm-1" / "step_2", "student")
     half = checkpoint.read_tensors(tmp_path / "run" / "step_2", "student")
     assert whole.keys() == half.keys()
     (tmp_path / "copy").mkdir()
-    subprocess.run(["cp", "-r", str(trained / "pcm" / "step_2"), str(tmp_path / "copy")], check=True)
+    subprocess.run(["cp", "-r", str(trained / "pcm-1" / "step_2"), str(tmp_path / "copy")], check=True)
     run(maker, recipe.engine, tmp_path / "copy", True)
     for name in ("student", "student_ema", "discriminator", "optimizer_student"):
-        if (trained / "pcm" / "step_4" / f"{name}.safetensors").is_file():
-            one = checkpoint.read_tensors(trained / "pcm" / "step_4", name)
+        if (trained / "pcm-1" / "step_4" / f"{name}.safetensors").is_file():
+            one = checkpoint.read_tensors(trained / "pcm-1" / "step_4", name)
             two = checkpoint.read_tensors(tmp_path / "copy" / "step_4", name)
             assert all(torch.equal(one[key], two[key]) for key in one)
 
 
 def test_a_student_goes_on_with_a_discriminator_that_reads(trained: Path, tmp_path: Path) -> None:
-    recipe = tiny.TRAINING["pcm"]()
+    recipe = tiny.TRAINING["pcm-1"]()
     task = replace(recipe.task, sampled_share=0.5, mismatched=0.5, judged_span=0.4)
-    shutil.copytree(trained / "pcm", tmp_path / "pcm")
-    last = checkpoint.resolve(trained / "pcm")
+    shutil.copytree(trained / "pcm-1", tmp_path / "pcm-1")
+    last = checkpoint.resolve(trained / "pcm-1")
     steps = int(last.name.removeprefix("step_")) + 2
     with pytest.warns(UserWarning, match="mismatched 0.0 -> 0.5"):
-        run(task_maker("pcm", task, sources(trained)), replace(recipe.engine, steps=steps), tmp_path / "pcm", True)
-    rows = [json.loads(line) for line in (tmp_path / "pcm" / "metrics.jsonl").read_text().splitlines()]
+        run(task_maker("pcm-1", task, sources(trained)), replace(recipe.engine, steps=steps), tmp_path / "pcm-1", True)
+    rows = [json.loads(line) for line in (tmp_path / "pcm-1" / "metrics.jsonl").read_text().splitlines()]
     assert all("mismatched_logit" in row for row in rows if row["split"] == "train" and row["step"] > steps - 2)
     before = checkpoint.read_tensors(last, "discriminator")
-    after = checkpoint.read_tensors(tmp_path / "pcm" / f"step_{steps}", "discriminator")
+    after = checkpoint.read_tensors(tmp_path / "pcm-1" / f"step_{steps}", "discriminator")
     assert any(not torch.equal(before[name], after[name]) for name in before)
 
 
 def test_a_student_waits_while_the_discriminator_learns_alone(trained: Path, tmp_path: Path) -> None:
-    recipe = tiny.TRAINING["pcm"]()
+    recipe = tiny.TRAINING["pcm-1"]()
     task, engine = replace(recipe.task, judge_alone=2), replace(recipe.engine, steps=4, save_every=1, log_every=1)
     run(
-        task_maker("pcm", task, sources(trained)),
+        task_maker("pcm-1", task, sources(trained)),
         replace(engine, keep_last=4),
-        tmp_path / "pcm",
+        tmp_path / "pcm-1",
         False,
-        trained / "pcm",
+        trained / "pcm-1",
     )
-    start = checkpoint.resolve(trained / "pcm")
+    start = checkpoint.resolve(trained / "pcm-1")
 
     def kept(name: str, step: int) -> bool:
-        before, after = (checkpoint.read_tensors(at, name) for at in (start, tmp_path / "pcm" / f"step_{step}"))
+        before, after = (checkpoint.read_tensors(at, name) for at in (start, tmp_path / "pcm-1" / f"step_{step}"))
         return all(torch.equal(before[key], after[key]) for key in before)
 
     assert [kept("student", step) for step in (1, 2, 3)] == [True, True, False]
     assert [kept("student_ema", step) for step in (1, 2, 3)] == [True, True, False]
     assert not kept("discriminator", 1)
-    rows = [json.loads(line) for line in (tmp_path / "pcm" / "metrics.jsonl").read_text().splitlines()]
+    rows = [json.loads(line) for line in (tmp_path / "pcm-1" / "metrics.jsonl").read_text().splitlines()]
     rates = [row["lr_student"] for row in rows if row["split"] == "train"]
     assert rates[:2] == [0.0, 0.0]
     assert rates[2] > 0.0
@@ -116,7 +116,7 @@ def test_a_discriminator_alone_must_exist(wrong: dict[str, Any]) -> None:
         DistillationConfig(**wrong)
 
 
-@pytest.mark.parametrize("what", ["lcm", "pcm"])
+@pytest.mark.parametrize("what", ["lcm-1", "pcm-1"])
 def test_a_student_may_be_asked_for_all_of_its_teachers_steps(trained: Path, tmp_path: Path, what: str) -> None:
     recipe = tiny.TRAINING[what]()
     learned = []
@@ -137,17 +137,17 @@ def test_shares_beyond_one_are_refused(wrong: dict[str, Any]) -> None:
 
 @pytest.mark.parametrize("settings", [("batch=8", "rehearsed=6"), ("rehearsed=6", "batch=8")])
 def test_settings_come_in_any_order(trained: Path, tmp_path: Path, settings: tuple[str, ...]) -> None:
-    recipe = tiny.TRAINING["pcm"]()
+    recipe = tiny.TRAINING["pcm-1"]()
     task = with_settings(recipe.task, settings)
-    run(task_maker("pcm", task, sources(trained)), replace(recipe.engine, steps=1), tmp_path / "run")
+    run(task_maker("pcm-1", task, sources(trained)), replace(recipe.engine, steps=1), tmp_path / "run")
 
 
 @pytest.mark.parametrize(
     ("what", "settings", "message"),
     [
-        ("pcm", ("rehearsed=9", "batch=8"), "rows that are rehearsed = 9 is outside 0"),
-        ("pcm", ("rehearsed=-1",), "rows that are rehearsed = -1 is outside 0"),
-        ("lcm", ("phases=2",), "phases=2 is for pcm"),
+        ("pcm-1", ("rehearsed=9", "batch=8"), "rows that are rehearsed = 9 is outside 0"),
+        ("pcm-1", ("rehearsed=-1",), "rows that are rehearsed = -1 is outside 0"),
+        ("lcm-1", ("phases=2",), "phases=2 is for pcm"),
     ],
 )
 def test_what_a_student_cannot_learn_is_refused(
@@ -168,7 +168,7 @@ def exported(folder: Path, out: Path, students: dict[str, str], **more: str) -> 
 def test_an_exported_model_generates_by_every_method(trained: Path, tmp_path: Path) -> None:
     from moveset.pipelines.text_to_motion import TextToMotion
 
-    students = {"lcm-1": "lcm", "pcm-1": "pcm"}
+    students = {"lcm-1": "lcm-1", "pcm-1": "pcm-1"}
     out = exported(trained, tmp_path / "tiny", students, decoder="decoder", length="length")
     t2m = TextToMotion.from_pretrained(out, device="cpu")
     for solver, steps in (("pcm", 1), ("lcm", 1), ("teacher", 3)):
@@ -179,7 +179,7 @@ def test_an_exported_model_generates_by_every_method(trained: Path, tmp_path: Pa
 
 def test_a_student_must_fit_its_name(trained: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="a student of 1 phases"):
-        exported(trained, tmp_path / "wrong", {"pcm-2": "pcm"})
+        exported(trained, tmp_path / "wrong", {"pcm-2": "pcm-1"})
 
 
 def test_a_latent_of_one_token_is_learned_packed_and_sampled(tmp_path: Path) -> None:

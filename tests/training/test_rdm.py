@@ -82,7 +82,7 @@ def test_the_published_settings():
     assert (dip.model.prefix, dip.model.frames, dip.levels, dip.text_drop, dip.ema) == (20, 40, 10, 0.1, 0.9999)
 
 
-@pytest.mark.parametrize("what", ["teacher", "lcm", "pcm"])
+@pytest.mark.parametrize("what", ["teacher", "lcm-1", "pcm-1"])
 def test_the_published_sentence_encoder_fits_the_published_networks(what):
     """Sentence-T5's one projected token of 768 numbers; T5's own states are 1024 wide."""
     assert paper.TRAINING[what]().task.text_encoder == "sentence-t5:sentence-transformers/sentence-t5-large"

@@ -2,6 +2,7 @@
 
 import os
 import sys
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -9,14 +10,14 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 
 from moveset.errors import InputError
-from moveset.training.tasks import Sources, load_exports, load_recipe, task_maker, with_settings
+from moveset.training.tasks import TASKS, Sources, load_exports, load_recipe, task_maker, with_settings
 
 if TYPE_CHECKING:
     from moveset.training.engine import TrainResult
 
 What = Literal[
-    "vae", "decoder", "teacher", "lcm", "pcm", "rdm-1", "rdm-4", "rdm-7", "rdm-14", "light-rdm-1", "md-4", "md-7",
-    "motiondiffuse", "dip", "rdm-student", "movement", "evaluator", "length", "export",
+    "all", "movement", "evaluator", "length", "vae", "decoder", "teacher", "lcm-1", "pcm-1", "pcm-2", "pcm-4", "rdm-1",
+    "rdm-4", "rdm-7", "rdm-14", "md-4", "md-7", "rdm-student", "light-rdm-1", "motiondiffuse", "dip", "export",
 ]  # fmt: skip
 
 
@@ -28,6 +29,11 @@ def train(
     init: tyro.conf.UseAppendAction[tuple[Path, ...]] = (),
     folder: Path | None = None,
     corpus: Path = Path("data/corpus.safetensors"),
+    raw: Path | None = None,
+    out: Path | None = None,
+    only: tyro.conf.UseAppendAction[tuple[str, ...]] = (),
+    jobs: int = 1,
+    tables: tyro.conf.FlagCreatePairsOff[bool] = False,
     vae: Path | None = None,
     teacher: Path | None = None,
     steps: int | None = None,
@@ -51,8 +57,9 @@ def train(
     `torchrun --nproc-per-node 2 -m moveset.cli train …`, or --devices 2.
 
     Args:
-        what: vae: the autoencoder. decoder: more of its decoder, with its latents kept. teacher: the latent diffusion
-            model. lcm, pcm: students with few steps. rdm-N: the recurrent model, of endless streams, with the longest
+        what: all: every training of the recipe and all of its models, one after the other; what is done is skipped.
+            vae: the autoencoder. decoder: more of its decoder, with its latents kept. teacher: the latent diffusion
+            model. lcm-1, pcm-N: students of N steps. rdm-N: the recurrent model, of endless streams, with the longest
             clip in N segments; rdm-7 ships. light-rdm-1: rdm-1 with Light-T2M's network. rdm-student: a recurrent model
             with few steps. md-N, motiondiffuse, dip: what it is compared with. movement, evaluator: the judge of them
             all, in two stages. length: how long a sentence lasts. export: no training: model folders of all of the
@@ -64,6 +71,11 @@ def train(
         folder: Where checkpoints and logs go; by default runs/RECIPE/WHAT. Of export: where model folders go; by
             default runs/RECIPE/models.
         corpus: What `moveset data build` wrote, or a HumanML3D or KIT-ML folder.
+        raw: Of all: the archives that the corpus is built from first, as for `moveset data build`.
+        out: Of all: where runs, models and the log go; by default runs/RECIPE.
+        only: Of all: a stage, or the beginning of the names of several, such as rdm; may be given several times.
+        jobs: Of all: trainings side by side.
+        tables: Of all: evaluate the models, too, and write the papers' tables to OUT/results.
         vae: Checkpoint or run folder of the autoencoder; by default runs/RECIPE/vae.
         teacher: Checkpoint or run folder of the teacher; by default runs/RECIPE/teacher, or runs/RECIPE/rdm-7
             for rdm-student, runs/RECIPE/movement for evaluator.
@@ -85,6 +97,8 @@ def train(
     from moveset.training.engine import run
 
     runs = Path("runs") / recipe
+    if what == "all":
+        return _all(recipe, out or runs, corpus, raw, only, device or "auto", jobs, tables)
     if what == "export":
         return _export(recipe, runs, corpus, folder or runs / "models")
     folder = folder or runs / what
@@ -96,13 +110,42 @@ def train(
     chosen = load_recipe(recipe, what)
     engine = replace(chosen.engine, **{name: value for name, value in given.items() if value is not None})
     config = with_settings(chosen.task, set)
-    teacher = teacher or runs / {"rdm-student": "rdm-7", "evaluator": "movement"}.get(what, "teacher")
+    teacher = teacher or runs / (TASKS[what].teacher or "teacher")
     sources = Sources(corpus=corpus, vae=vae or runs / "vae", teacher=teacher, cache=runs / "cache")
 
     result = run(task_maker(what, config, sources), engine, folder, resume, init)
     if int(os.environ.get("RANK", "0")) == 0:
         print(_summary(what, result, engine.steps), file=sys.stderr)
     return 130 if result.stopped_by == "SIGINT" else 0
+
+
+def _all(
+    recipe: str, out: Path, corpus: Path, raw: Path | None, only: Sequence[str], device: str, jobs: int, tables: bool
+) -> int:
+    """Data, trainings, models and tables."""
+    from moveset.data.build import build_corpus
+    from moveset.training.pipeline import train_all
+
+    if raw is not None:
+        corpus = out / "corpus.safetensors"
+        if not corpus.is_file():
+            out.mkdir(parents=True, exist_ok=True)
+            build_corpus(raw, corpus, workers=os.cpu_count() or 1)
+    report = train_all(recipe, corpus, out, only=only, device=device, jobs=jobs)
+    if report.stopped_by:
+        return 130
+    for model in report.models:
+        print(model)
+    if tables:
+        from moveset.cli.tables import How, run_suite
+        from moveset.evaluation.run import EvaluationConfig
+
+        models = [str(path) for path in sorted((out / "models").iterdir())]
+        judges = [str(out / "models" / model.name) for model in load_exports(recipe) if "evaluator" in model.runs]
+        how = How(out=out / "results", resume=True, processes=jobs)
+        for suite in ("motionpcm", "rdm"):
+            run_suite(suite, models, EvaluationConfig(data=corpus, evaluator=judges[0]), (), how, False)
+    return 0
 
 
 def _export(recipe: str, runs: Path, corpus: Path, folder: Path) -> int:
@@ -112,8 +155,7 @@ def _export(recipe: str, runs: Path, corpus: Path, folder: Path) -> int:
 
     dataset, made = open_for_training(corpus), 0
     for model in load_exports(recipe):
-        named = [run for chosen in model.runs.values() for run in ((chosen,) if isinstance(chosen, str) else chosen)]
-        if lacking := [run for run in named if not (runs / run).is_dir()]:
+        if lacking := [run for run in model.trainings if not (runs / run).is_dir()]:
             print(f"{model.name}: not made, for there is no {runs / lacking[0]}", file=sys.stderr)
             continue
         print(export(model, dataset, runs, runs / "cache", folder / model.name))

@@ -96,9 +96,10 @@ def train_lcm() -> Recipe:
     return Recipe(task=DistillationConfig(text_encoder=train_teacher().task.text_encoder), engine=_engine(192_000))
 
 
-def train_pcm() -> Recipe:
+def train_pcm(phases: int = 1) -> Recipe:
     """MotionPCM, Section 5.1: 384 K iterations; here every one updates both student and discriminator."""
-    return Recipe(task=DistillationConfig(text_encoder=train_teacher().task.text_encoder), engine=_engine(384_000))
+    task = DistillationConfig(phases=phases, text_encoder=train_teacher().task.text_encoder)
+    return Recipe(task=task, engine=_engine(384_000))
 
 
 CLIP = "clip:openai/clip-vit-base-patch32"
@@ -173,26 +174,25 @@ def train_length() -> Recipe:
 
 
 TRAINING: dict[str, Callable[[], Recipe]] = {
-    "vae": train_vae,
-    "teacher": train_teacher,
-    "lcm": train_lcm,
-    "pcm": train_pcm,
-    **{f"rdm-{n}": partial(train_rdm, n) for n in SEGMENT_FRAMES},
-    "light-rdm-1": train_light_rdm,
-    **{f"md-{n}": partial(train_md, n) for n in (4, 7)},
-    "motiondiffuse": train_motiondiffuse,
-    "dip": train_dip,
     "movement": movement,
     "evaluator": evaluator,
     "length": train_length,
+    "vae": train_vae,
+    "teacher": train_teacher,
+    "lcm-1": train_lcm,
+    **{f"pcm-{phases}": partial(train_pcm, phases) for phases in (1, 2, 4)},
+    **{f"rdm-{n}": partial(train_rdm, n) for n in SEGMENT_FRAMES},
+    **{f"md-{n}": partial(train_md, n) for n in (4, 7)},
+    "light-rdm-1": train_light_rdm,
+    "motiondiffuse": train_motiondiffuse,
+    "dip": train_dip,
 }
 
 EXPORTS: tuple[Export, ...] = (
     ClipExport(
         name="motionpcm",
         runs={
-            "vae": "vae", "teacher": "teacher", "length": "length", "lcm-1": "lcm", "pcm-1": "pcm", "pcm-2": "pcm-2",
-            "pcm-4": "pcm-4",
+            **{name: name for name in ("vae", "teacher", "length", "lcm-1", "pcm-1", "pcm-2", "pcm-4")},
         },
         guidance=dict.fromkeys(("teacher", "lcm-1", "pcm-1", "pcm-2", "pcm-4"), 7.5),
     ),

@@ -70,10 +70,11 @@ def lcm() -> Recipe:
     )
 
 
-def pcm() -> Recipe:
-    """MotionPCM; ``--set phases=2`` and ``--set phases=4`` for the other students."""
+def pcm(phases: int = 1) -> Recipe:
+    """MotionPCM of one, two or four evaluations."""
     return Recipe(
         task=DistillationConfig(
+            phases=phases,
             guidance=GUIDANCE,
             batch=64,
             lr=3e-4,
@@ -210,28 +211,28 @@ def _students(steps: int = 2200) -> EngineConfig:
 
 
 TRAINING: dict[str, Callable[[], Recipe]] = {
-    "vae": vae,
-    "decoder": decoder,
-    "teacher": teacher,
-    "lcm": lcm,
-    "pcm": pcm,
-    **{f"rdm-{n}": partial(rdm, n) for n in SEGMENT_FRAMES},
-    "light-rdm-1": light_rdm,
-    **{f"md-{n}": partial(md, n) for n in (4, 7)},
-    "motiondiffuse": motiondiffuse,
-    "dip": dip,
-    "rdm-student": rdm_student,
     "movement": movement,
     "evaluator": evaluator,
     "length": length,
+    "vae": vae,
+    "decoder": decoder,
+    "teacher": teacher,
+    "lcm-1": lcm,
+    **{f"pcm-{phases}": partial(pcm, phases) for phases in (1, 2, 4)},
+    **{f"rdm-{n}": partial(rdm, n) for n in SEGMENT_FRAMES},
+    **{f"md-{n}": partial(md, n) for n in (4, 7)},
+    "rdm-student": rdm_student,
+    "light-rdm-1": light_rdm,
+    "motiondiffuse": motiondiffuse,
+    "dip": dip,
 }
 
 EXPORTS: tuple[Export, ...] = (
     ClipExport(
         name="motionpcm-small",
         runs={
-            "vae": "vae", "decoder": "decoder", "teacher": "teacher", "length": "length", "lcm-1": "lcm",
-            "pcm-1": "pcm", "pcm-2": "pcm-2", "pcm-4": "pcm-4",
+            "vae": "vae", "decoder": "decoder", "teacher": "teacher", "length": "length", "lcm-1": "lcm-1",
+            "pcm-1": "pcm-1", "pcm-2": "pcm-2", "pcm-4": "pcm-4",
         },
         guidance={"teacher": 2.0, "lcm-1": 1.0, "pcm-1": 1.5, "pcm-2": 1.5, "pcm-4": 2.0},
     ),

@@ -49,9 +49,10 @@ def teacher() -> Recipe:
     return Recipe(task=TeacherConfig(model=model, batch=4, warmup=1, disturbance=_ROUGH), engine=_ENGINE)
 
 
-def student() -> Recipe:
+def student(phases: int = 1) -> Recipe:
     """LCM, or MotionPCM with its discriminator."""
-    return Recipe(task=DistillationConfig(guidance=(1.0, 5.0), batch=4, warmup=1, disturbance=_ROUGH), engine=_ENGINE)
+    task = DistillationConfig(phases=phases, guidance=(1.0, 5.0), batch=4, warmup=1, disturbance=_ROUGH)
+    return Recipe(task=task, engine=_ENGINE)
 
 
 _CUTTING = CuttingConfig(continuations=8)
@@ -146,30 +147,30 @@ def _volume(task: RDMConfig) -> Recipe:
 
 
 TRAINING: dict[str, Callable[[], Recipe]] = {
-    "vae": vae,
-    "decoder": decoder,
-    "teacher": teacher,
-    "lcm": student,
-    "pcm": student,
-    **{f"rdm-{n}": partial(rdm, n) for n in SEGMENT_FRAMES},
-    "light-rdm-1": light_rdm,
-    **{f"md-{n}": partial(md, n) for n in (4, 7)},
-    "motiondiffuse": motiondiffuse,
-    "dip": dip,
-    "rdm-student": rdm_student,
     "movement": movement,
     "evaluator": evaluator,
     "length": length,
+    "vae": vae,
+    "decoder": decoder,
+    "teacher": teacher,
+    "lcm-1": student,
+    **{f"pcm-{phases}": partial(student, phases) for phases in (1, 2, 4)},
+    **{f"rdm-{n}": partial(rdm, n) for n in SEGMENT_FRAMES},
+    **{f"md-{n}": partial(md, n) for n in (4, 7)},
+    "rdm-student": rdm_student,
+    "light-rdm-1": light_rdm,
+    "motiondiffuse": motiondiffuse,
+    "dip": dip,
 }
 
 EXPORTS: tuple[Export, ...] = (
     ClipExport(
         name="clips-tiny",
         runs={
-            "vae": "vae", "decoder": "decoder", "teacher": "teacher", "length": "length", "lcm-1": "lcm",
-            "pcm-1": "pcm",
+            "vae": "vae", "decoder": "decoder", "teacher": "teacher", "length": "length", "lcm-1": "lcm-1",
+            "pcm-1": "pcm-1", "pcm-2": "pcm-2", "pcm-4": "pcm-4",
         },
-        guidance={"teacher": 2.0, "lcm-1": 2.0, "pcm-1": 2.0},
+        guidance=dict.fromkeys(("teacher", "lcm-1", "pcm-1", "pcm-2", "pcm-4"), 2.0),
     ),
     StreamExport(
         name="stream-tiny",

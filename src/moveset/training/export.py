@@ -57,6 +57,11 @@ class Export:
     last: bool = False
     differences: bool = True
 
+    @property
+    def trainings(self) -> list[str]:
+        """Names of the runs."""
+        return [run for chosen in self.runs.values() for run in ((chosen,) if isinstance(chosen, str) else chosen)]
+
     def __post_init__(self) -> None:
         if unknown := set(self.guidance) - set(self.runs):
             raise InputError(f"there is no network {sorted(unknown)[0]!r} to guide; choose {', '.join(self.runs)}")

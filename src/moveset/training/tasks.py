@@ -16,26 +16,41 @@ if TYPE_CHECKING:
     from moveset.training.engine import EngineConfig, Loop, Task
     from moveset.training.export import Export
 
-# A class is called with (task config, Sources, Loop).
+
+@dataclass(frozen=True)
+class Trainable:
+    """One thing that can be trained.
+
+    Args:
+        target: module and class, which is called with (task config, Sources, Loop).
+        vae: whether it needs the autoencoder.
+        teacher: what else must be trained before.
+    """
+
+    target: str
+    vae: bool = False
+    teacher: str = ""
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        """Names of what must be trained before."""
+        return ("vae",) * self.vae + ((self.teacher,) if self.teacher else ())
+
+
+_RDM = Trainable("moveset.training.rdm:RDMTask")
+_PCM = Trainable("moveset.training.distill:PCMTask", vae=True, teacher="teacher")
 TASKS = {
-    "vae": "moveset.training.vae:VAETask",
-    "decoder": "moveset.training.vae:DecoderTask",
-    "teacher": "moveset.training.teacher:TeacherTask",
-    "lcm": "moveset.training.distill:LCMTask",
-    "pcm": "moveset.training.distill:PCMTask",
-    "rdm-1": "moveset.training.rdm:RDMTask",
-    "rdm-4": "moveset.training.rdm:RDMTask",
-    "rdm-7": "moveset.training.rdm:RDMTask",
-    "rdm-14": "moveset.training.rdm:RDMTask",
-    "light-rdm-1": "moveset.training.rdm:RDMTask",
-    "md-4": "moveset.training.rdm:RDMTask",
-    "md-7": "moveset.training.rdm:RDMTask",
-    "motiondiffuse": "moveset.training.rdm:RDMTask",
-    "dip": "moveset.training.dip:DiPTask",
-    "rdm-student": "moveset.training.rdm_student:RDMStudentTask",
-    "movement": "moveset.training.evaluator:MovementTask",
-    "evaluator": "moveset.training.evaluator:EvaluatorTask",
-    "length": "moveset.training.length:LengthTask",
+    "movement": Trainable("moveset.training.evaluator:MovementTask"),
+    "evaluator": Trainable("moveset.training.evaluator:EvaluatorTask", teacher="movement"),
+    "length": Trainable("moveset.training.length:LengthTask"),
+    "vae": Trainable("moveset.training.vae:VAETask"),
+    "decoder": Trainable("moveset.training.vae:DecoderTask", vae=True),
+    "teacher": Trainable("moveset.training.teacher:TeacherTask", vae=True),
+    "lcm-1": Trainable("moveset.training.distill:LCMTask", vae=True, teacher="teacher"),
+    **dict.fromkeys(("pcm-1", "pcm-2", "pcm-4"), _PCM),
+    **dict.fromkeys(("rdm-1", "rdm-4", "rdm-7", "rdm-14", "light-rdm-1", "md-4", "md-7", "motiondiffuse"), _RDM),
+    "rdm-student": Trainable("moveset.training.rdm_student:RDMStudentTask", teacher="rdm-7"),
+    "dip": Trainable("moveset.training.dip:DiPTask"),
 }
 RECIPES = ("small", "paper", "tiny")
 
@@ -62,10 +77,29 @@ class Sources:
 
 @dataclass(frozen=True, kw_only=True)
 class Recipe:
-    """What to train and how to run it: ``moveset.recipes.NAME.TRAINING[WHAT]()`` returns one."""
+    """What to train and how to run it: ``moveset.recipes.NAME.TRAINING[WHAT]()`` returns one.
+
+    Args:
+        task: what is trained, and how it learns.
+        engine: how long, and how that runs.
+        hours: what that takes on one core of a laptop; 0 where nobody knows.
+    """
 
     task: Any
     engine: "EngineConfig"
+    hours: float = 0.0
+
+
+def load_recipes(name: str) -> dict[str, Recipe]:
+    """Every training of a recipe, in order.
+
+    Raises:
+        InputError: there is no such recipe.
+    """
+    if name not in RECIPES:
+        raise InputError(f"there is no recipe {name!r}; choose one of {', '.join(RECIPES)}")
+    training: dict[str, Callable[[], Recipe]] = importlib.import_module(f"moveset.recipes.{name}").TRAINING
+    return {what: make() for what, make in training.items()}
 
 
 def load_recipe(name: str, what: str) -> Recipe:
@@ -74,14 +108,10 @@ def load_recipe(name: str, what: str) -> Recipe:
     Raises:
         InputError: there is none.
     """
-    if name not in RECIPES:
-        raise InputError(f"there is no recipe {name!r}; choose one of {', '.join(RECIPES)}")
-    training: dict[str, Callable[[], Recipe]] = getattr(
-        importlib.import_module(f"moveset.recipes.{name}"), "TRAINING", {}
-    )
-    if what not in training:
-        raise InputError(f"the recipe {name!r} has nothing for {what!r}; it has {', '.join(training) or 'nothing'}")
-    return training[what]()
+    found = load_recipes(name)
+    if what not in found:
+        raise InputError(f"the recipe {name!r} has nothing for {what!r}; it has {', '.join(found)}")
+    return found[what]
 
 
 def load_exports(name: str) -> "tuple[Export, ...]":
@@ -101,7 +131,7 @@ def task_maker(what: str, config: Any, sources: Sources) -> "Callable[[Loop], Ta
     for name in ("batch", "lr"):
         if not getattr(config, name, 1) > 0:
             raise InputError(f"{name}={getattr(config, name):g} trains nothing; give more than 0")
-    module, _, name = TASKS[what].partition(":")
+    module, _, name = TASKS[what].target.partition(":")
     make = getattr(importlib.import_module(module), name)
     return lambda loop: make(config, sources, loop)
 

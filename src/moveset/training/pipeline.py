@@ -1,0 +1,317 @@
+"""``moveset train all``: from data to exported models, one stage after the other, each resumable and skipped when done.
+
+Stages are the trainings of a recipe, in its order, and its exports. A stage is done when it has all its steps under the
+same key: a hash of its settings, its data, and the keys of the stages it needs. So nothing is kept that other settings
+or other data would have made differently, and whatever is stopped goes on where it was.
+"""
+
+import hashlib
+import json
+import sys
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from multiprocessing import connection, get_context
+from pathlib import Path
+from typing import Any
+
+from moveset.data.dataset import open_for_training
+from moveset.errors import InputError, MovesetError
+from moveset.io.limits import atomic_write
+from moveset.training import checkpoint
+from moveset.training.engine import EngineConfig, run
+from moveset.training.export import Export, export
+from moveset.training.tasks import TASKS, Sources, load_exports, load_recipes, task_maker
+
+LOG = "train.log"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stage:
+    """One training, or one export.
+
+    Args:
+        name: of its folder.
+        needs: stages that must be done before.
+        task, engine: settings of a training.
+        model: what is exported instead.
+        hours: what it takes on one core of a laptop, for estimates; 0 where nobody knows.
+    """
+
+    name: str
+    needs: tuple[str, ...]
+    task: Any = None
+    engine: EngineConfig | None = None
+    model: Export | None = None
+    hours: float = 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Place:
+    """Where everything lies.
+
+    Args:
+        data: a corpus file, or a HumanML3D or KIT-ML folder.
+        out: gets ``runs/``, ``models/``, ``stages/``, ``cache/`` and ``train.log``.
+    """
+
+    data: Path
+    out: Path
+
+    def sources(self, name: str) -> Sources:
+        """What a training reads."""
+        runs, needed = self.out / "runs", TASKS[name]
+        return Sources(
+            corpus=self.data, vae=runs / "vae", teacher=runs / (needed.teacher or "teacher"), cache=self.out / "cache"
+        )
+
+
+@dataclass(frozen=True)
+class Report:
+    """What ``train_all`` did: names of stages by what became of them, and the exported folders."""
+
+    trained: tuple[str, ...]
+    skipped: tuple[str, ...]
+    models: tuple[Path, ...]
+    stopped_by: str | None = None
+
+
+def stages(recipe: str, device: str = "auto") -> tuple[Stage, ...]:
+    """Those of a recipe, in order.
+
+    Raises:
+        InputError: no such recipe.
+    """
+    trainings = tuple(
+        Stage(
+            name=name, needs=TASKS[name].needs, task=chosen.task, engine=replace(chosen.engine, device=device),
+            hours=chosen.hours,
+        )
+        for name, chosen in load_recipes(recipe).items()
+    )  # fmt: skip
+    models = tuple(
+        Stage(name=f"export {model.name}", needs=tuple(model.trainings), model=model) for model in load_exports(recipe)
+    )
+    return trainings + models
+
+
+def train_all(
+    recipe: str,
+    data: Path,
+    out: Path,
+    *,
+    only: Sequence[str] = (),
+    device: str = "auto",
+    jobs: int = 1,
+    say: Callable[[str], None] | None = None,
+) -> Report:
+    """Train and export everything of a recipe.
+
+    Args:
+        recipe: its name.
+        data: a corpus file, or a HumanML3D or KIT-ML folder.
+        out: see ``Place``.
+        only: names of stages, or of their beginnings ("rdm"); others must be done already where these need them.
+        device: "auto", "cpu", "cuda" or "mps".
+        jobs: trainings side by side, in processes of their own.
+        say: told a line at a time what happens; by default stderr.
+
+    Raises:
+        InputError: no such stage; a folder that other settings or data made; a stage left out that is needed.
+        MovesetError: a training failed.
+    """
+    if jobs < 1:
+        raise InputError(f"{jobs} trainings side by side are none; give at least 1")
+    every = stages(recipe, device)
+    chosen = [stage for stage in every if not only or any(stage.name.startswith(name) for name in only)]
+    if unknown := [name for name in only if not any(stage.name.startswith(name) for stage in every)]:
+        raise InputError(f"there is no stage {unknown[0]!r}; {recipe!r} has {', '.join(stage.name for stage in every)}")
+    place = Place(data=data, out=out)
+    for folder in ("stages", "models"):
+        (out / folder).mkdir(parents=True, exist_ok=True)
+    keys = _keys(every, open_for_training(data).fingerprint)
+    _check(every, chosen, keys, place)
+    open_stages = [stage for stage in chosen if not _done(stage, keys, place)]
+    skipped = tuple(stage.name for stage in chosen if stage not in open_stages)
+    log = _Log(out / LOG, open_stages, say)
+    log(f"{recipe}: {len(open_stages)} of {len(chosen)} stages to do ({', '.join(skipped) or 'none'} done)")
+    trainings, exports = ([stage for stage in open_stages if (stage.model is not None) == is_model] for is_model in
+                          (False, True))  # fmt: skip
+    trained, stopped = (_one_by_one if jobs == 1 else _side_by_side)(trainings, keys, place, log, jobs)
+    models = [] if stopped else [_export(stage, keys, place, log) for stage in exports]
+    log("stopped" if stopped else "all done")
+    return Report(tuple(trained), skipped, tuple(models), stopped)
+
+
+def _one_by_one(
+    trainings: Sequence[Stage], keys: Mapping[str, str], place: Place, log: "_Log", jobs: int
+) -> tuple[list[str], str | None]:
+    trained: list[str] = []
+    for stage in trainings:
+        log.begin(stage)
+        if stopped := train_stage(stage, keys[stage.name], place):
+            return trained, stopped
+        log.end(stage)
+        trained.append(stage.name)
+    return trained, None
+
+
+def _side_by_side(
+    trainings: Sequence[Stage], keys: Mapping[str, str], place: Place, log: "_Log", jobs: int
+) -> tuple[list[str], str | None]:
+    """As many at once as there are jobs, each in a process of its own as soon as what it needs is done."""
+    waiting, running, trained = list(trainings), dict[Any, tuple[Stage, Any]](), list[str]()
+    spawn = get_context("spawn")
+    try:
+        while waiting or running:
+            undone = {stage.name for stage in waiting} | {stage.name for stage, _ in running.values()}
+            for stage in [stage for stage in waiting if not undone.intersection(stage.needs)][: jobs - len(running)]:
+                waiting.remove(stage)
+                log.begin(stage)
+                process = spawn.Process(target=_in_a_process, args=(stage, keys[stage.name], place))
+                process.start()
+                running[process.sentinel] = stage, process
+            for sentinel in connection.wait(list(running)):
+                stage, process = running.pop(sentinel)
+                process.join()
+                if process.exitcode == _STOPPED:
+                    return trained, "SIGTERM"
+                if process.exitcode:
+                    raise MovesetError(f"{stage.name} failed with exit code {process.exitcode}; its error is above")
+                log.end(stage)
+                trained.append(stage.name)
+        return trained, None
+    finally:
+        for _, process in running.values():
+            process.terminate()  # which saves a checkpoint
+        for _, process in running.values():
+            process.join()
+
+
+_STOPPED = 75
+
+
+def _in_a_process(stage: Stage, key: str, place: Place) -> None:
+    try:
+        stopped = train_stage(stage, key, place)
+    except MovesetError as error:
+        print(f"{stage.name}: {error}", file=sys.stderr)
+        sys.exit(1)
+    sys.exit(_STOPPED if stopped else 0)
+
+
+def train_stage(stage: Stage, key: str, place: Place) -> str | None:
+    """One training to its end, from where it is; the signal that stopped it, if one did."""
+    assert stage.engine is not None
+    folder = place.out / "runs" / stage.name
+    _note(place, stage, key)
+    result = run(task_maker(stage.name, stage.task, place.sources(stage.name)), stage.engine, folder, True)
+    if result.stopped_by is None:
+        _note(place, stage, key, finished=True, validation=result.validation)
+    return result.stopped_by
+
+
+def _export(stage: Stage, keys: Mapping[str, str], place: Place, log: "_Log") -> Path:
+    assert stage.model is not None
+    log.begin(stage)
+    folder = place.out / "models" / stage.model.name
+    export(stage.model, open_for_training(place.data), place.out / "runs", place.out / "cache", folder)
+    _note(place, stage, keys[stage.name], finished=True)
+    log.end(stage)
+    return folder
+
+
+def _keys(every: Iterable[Stage], fingerprint: str) -> dict[str, str]:
+    """Of every stage, by its name."""
+    keys: dict[str, str] = {}
+    for stage in every:
+        engine = {} if stage.engine is None else asdict(stage.engine)
+        how = {name: engine[name] for name in ("steps", "grad_clip", "seed") if name in engine}
+        settings = asdict(stage.task if stage.model is None else stage.model)
+        parts = [stage.name, settings, how, fingerprint, {name: keys[name] for name in stage.needs}]
+        keys[stage.name] = hashlib.sha256(json.dumps(parts, sort_keys=True, default=str).encode()).hexdigest()
+    return keys
+
+
+def _check(every: Iterable[Stage], chosen: Sequence[Stage], keys: Mapping[str, str], place: Place) -> None:
+    """Raises InputError for what is there by other settings or data, and for what is needed and neither there nor
+    chosen."""
+    by_name = {stage.name: stage for stage in every}
+    for stage in chosen:
+        noted = _noted(place, stage)
+        if noted.get("key", keys[stage.name]) != keys[stage.name] and stage.model is None:
+            folder = place.out / "runs" / stage.name
+            raise InputError(
+                f"{folder} was trained by other settings, on other data or on top of something else; remove it, or "
+                "give another folder"
+            )
+        for name in stage.needs:
+            if by_name[name] not in chosen and not _done(by_name[name], keys, place):
+                raise InputError(f"{stage.name} needs {name}, which is not done; train it too")
+
+
+def _done(stage: Stage, keys: Mapping[str, str], place: Place) -> bool:
+    noted = _noted(place, stage)
+    if noted.get("key") != keys[stage.name] or not noted.get("finished"):
+        return False
+    if stage.model is not None:
+        return (place.out / "models" / stage.model.name).is_dir()
+    assert stage.engine is not None
+    return checkpoint.steps(place.out / "runs" / stage.name)[-1:] == [stage.engine.steps]
+
+
+def _note(place: Place, stage: Stage, key: str, **more: Any) -> None:
+    with atomic_write(place.out / "stages" / f"{stage.name}.json") as file:
+        file.write(json.dumps({"key": key, **more}, indent=1).encode())
+
+
+def _noted(place: Place, stage: Stage) -> dict[str, Any]:
+    path = place.out / "stages" / f"{stage.name}.json"
+    try:
+        noted: dict[str, Any] = json.loads(path.read_bytes())
+    except (OSError, ValueError):
+        return {}
+    return noted
+
+
+class _Log:
+    """Lines of ``train.log``, told as they come: what begins, what is done, and how much is left."""
+
+    def __init__(self, path: Path, todo: Sequence[Stage], say: Callable[[str], None] | None) -> None:
+        self._path, self._say = path, say or (lambda line: print(line, file=sys.stderr))
+        self._todo, self._began = {stage.name: stage for stage in todo}, dict[str, float]()
+        self._spent = self._expected = 0.0
+
+    def __call__(self, text: str) -> None:
+        with open(self._path, "a") as file:
+            file.write(f"{time.strftime('%Y-%m-%d %H:%M:%S')} {text}\n")
+        self._say(text)
+
+    def begin(self, stage: Stage) -> None:
+        self._began[stage.name] = time.monotonic()
+        self(f"{stage.name}: begins{self._left()}")
+
+    def end(self, stage: Stage) -> None:
+        took = (time.monotonic() - self._began[stage.name]) / 3600
+        self._todo.pop(stage.name)
+        if stage.hours:
+            self._spent, self._expected = self._spent + took, self._expected + stage.hours
+        self(f"{stage.name}: done in {_duration(took)}")
+
+    def _left(self) -> str:
+        """By what stages took so far, in terms of what was expected."""
+        hours = sum(stage.hours for stage in self._todo.values())
+        pace = self._spent / self._expected if self._expected else 1.0
+        return f", about {_duration(hours * pace)} of one core left" if hours else ""
+
+
+def _duration(hours: float) -> str:
+    """
+    >>> _duration(0.01), _duration(0.5), _duration(2.26)
+    ('36 s', '30 min', '2 h 16 min')
+    """
+    seconds = round(hours * 3600)
+    if seconds < 90:
+        return f"{seconds} s"
+    minutes = round(seconds / 60)
+    return f"{minutes} min" if minutes < 90 else f"{minutes // 60} h {minutes % 60} min"
