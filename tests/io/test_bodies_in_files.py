@@ -44,6 +44,14 @@ def test_bones_along_any_axis_give_what_an_upright_rest_pose_gives(walk, tmp_pat
     assert (there[0] - there[1]).abs().max() < 1e-3
 
 
+@pytest.mark.parametrize("suffix", [".glb", ".html"])
+def test_bodies_are_drawn_on_a_rest_pose_that_stands(suffix, walk, tmp_path):
+    shown = with_rest_first(walk)
+    found = load(save(with_other_axes(shown, 4), tmp_path / f"a{suffix}"))
+    assert (found.joints - shown.joints).abs().max() < 1e-3
+    assert torch.allclose(found.skeleton.rest_positions, walk.skeleton.rest_positions, atol=1e-3)
+
+
 @pytest.mark.parametrize("suffix", [".bvh", ".glb"])
 @pytest.mark.parametrize(("axis", "degrees"), [("x", 90.0), ("y", 180.0), ("z", 90.0)])
 def test_other_up_axes_and_facings_are_read_upright(suffix, axis, degrees, walk, tmp_path):

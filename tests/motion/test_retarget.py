@@ -75,6 +75,17 @@ def test_presets_lose_nothing(motion, rig):
     assert torch.allclose(back.root, motion.root, atol=1e-5)
 
 
+def test_through_all_skeletons_and_back(motion):
+    there = motion
+    for rig in (*PRESETS, "hml22"):
+        there = retarget(there, rig)
+    assert (there.joints - motion.joints).abs().max() < 1e-3
+    # kit21 has no collars and one joint less in its spine; limbs keep their directions, the pelvis its place.
+    kit = retarget(retarget(motion, "kit21"), "hml22")
+    assert degrees(directions(kit), directions(motion)).max() < 0.1
+    assert (kit.joints[:, [1, 2, 4, 5]] - motion.joints[:, [1, 2, 4, 5]]).norm(dim=-1).max() < 0.1
+
+
 @pytest.mark.parametrize("target", [*PRESETS, other_body(), other_body(1.3, splay=30.0), other_body(0.5, splay=-20.0)])
 def test_limbs_keep_their_world_directions(motion, target):
     assert degrees(directions(retarget(motion, target)), directions(motion)).max() < 0.1

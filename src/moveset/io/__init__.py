@@ -50,6 +50,7 @@ GLTF = (".gltf", ".vrma", ".glb")
 READABLE = (".gltf", ".vrma", ".bvh", ".glb", ".npz", ".npy", ".html")
 WRITABLE = (*READABLE, ".mp4", ".gif", ".png")
 _BODIES = (".bvh", *GLTF)  # may have any axes, any unit and any names
+_DRAWN = (*GLTF, ".html", ".png", ".gif", ".mp4")  # with a body hung on the rest pose
 _OF_BLENDER = (".fbx", ".dae", ".usd", ".usda", ".usdc", ".usdz", ".blend", ".abc")
 _THROUGH_BLENDER = (
     ": open it in Blender and export it as glTF 2.0 (.glb) or BVH",
@@ -150,6 +151,10 @@ def save(motion: "Motion", path: str | Path, *, metadata: Mapping[str, str | int
     suffix, path = _suffix(path, WRITABLE, "write"), Path(path)
     check_name(path)
     motion, notes = motion.detached(), dict(metadata or {})
+    if suffix in _DRAWN:
+        from moveset.motion.reference import resting_upright
+
+        motion = resting_upright(motion)
     if suffix == ".bvh":
         from moveset.io.bvh import write_bvh
 

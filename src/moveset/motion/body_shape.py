@@ -12,15 +12,19 @@ from moveset.motion.skeleton import Skeleton
 
 _ALIKE = 0.15  # legs, or arms, differ less in length
 _FOLDED = 0.5  # cosine: between trunk and legs of a body that stands, rather than on all fours
+_FORKS = 60  # joints with several children: more have no human bodies
 _TINY = 1e-6
 
 
 def body_shape(skeleton: Skeleton) -> dict[str, int] | None:
     """Role -> joint by the shape of the tree at rest; None where it is none of a human body, or left could be right."""
     tree = _Tree(skeleton)
+    forks = [j for j, below in enumerate(skeleton.children) if len(below) > 1]
+    if len(forks) > _FORKS:
+        return None
     best: tuple[float, dict[str, int]] | None = None
-    for pelvis in range(len(skeleton)):
-        for chest in tree.below(pelvis):
+    for pelvis in forks:
+        for chest in tree.below(pelvis, forks):
             found = tree.body(pelvis, chest)
             if found is not None and (best is None or found[0] > best[0]):
                 best = found
@@ -41,12 +45,12 @@ class _Tree:
     def reach(self, chain: list[int]) -> float:
         return sum(self.length[j] for j in chain)
 
-    def below(self, joint: int) -> list[int]:
+    def below(self, joint: int, candidates: list[int]) -> list[int]:
         inside = {joint}
         for j, parent in enumerate(self.skeleton.parents):
             if parent in inside:
                 inside.add(j)
-        return sorted(inside - {joint})
+        return [j for j in candidates if j in inside and j != joint]
 
     def body(self, pelvis: int, chest: int) -> tuple[float, dict[str, int]] | None:
         """Size of the body whose legs meet in one joint and whose arms meet in another, and its roles."""

@@ -205,6 +205,23 @@ def upright(motion: Motion, *, up: str | None = None, facing: str | None = None)
     return motion if bool((upward[:3].abs() < _NEAR).all()) else motion.transformed(upward, torch.zeros(3))
 
 
+def resting_upright(motion: Motion) -> Motion:
+    """The motion on a skeleton that stands at rest, as pictures and skinned bodies need it: no joint moves.
+
+    The same where the rest pose is a standing one, whichever way it faces, or where no legs are recognised.
+    """
+    if any(motion.skeleton is rig for rig in RIGS.values()):
+        return motion
+    try:
+        still = _of_rest(motion.skeleton) is not None
+    except InputError:
+        return motion
+    if still:
+        return motion
+    found = find_reference(motion)
+    return standing(motion, replace(found, up=_still(1).up))
+
+
 def on_floor(motion: Motion) -> Motion:
     """Lowered by a little where all the time the toe joints stay above the floor as high as soles are thick, and set
     on the floor where the body is far from it, as where a file's root stands at height zero. In between it may well be

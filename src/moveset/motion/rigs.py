@@ -70,7 +70,6 @@ _UE5_BETWEEN = {
 }
 
 
-@lru_cache(maxsize=64)
 def roles(skeleton: Skeleton) -> dict[str, int]:
     """Which joint plays which role: as the skeleton says, else by names and tree (``joint_names``), else by shape.
 
@@ -86,16 +85,22 @@ def recognised(skeleton: Skeleton) -> Recognition:
     Raises:
         InputError: fewer than pelvis, hips, knees and ankles can be recognised.
     """
-    if skeleton.roles:
-        return Recognition(dict(skeleton.roles), {role: "as given" for role, _ in skeleton.roles}, "as given")
-    found = recognise(skeleton.joints, skeleton.parents)
-    if found.missing and (shape := body_shape(skeleton)) is not None:
-        found = Recognition(shape, dict.fromkeys(shape, "the body's shape"), "unknown names")
+    found = _recognised(skeleton)
     if found.missing:
         raise InputError(
             f"skeleton {skeleton.name!r} has no joint recognisable as {', '.join(found.missing)}; name its joints as "
             f"one of {', '.join(RIGS)} does, or say which joint is which"
         )
+    return found
+
+
+@lru_cache(maxsize=64)
+def _recognised(skeleton: Skeleton) -> Recognition:
+    if skeleton.roles:
+        return Recognition(dict(skeleton.roles), {role: "as given" for role, _ in skeleton.roles}, "as given")
+    found = recognise(skeleton.joints, skeleton.parents)
+    if found.missing and (shape := body_shape(skeleton)) is not None:
+        return Recognition(shape, dict.fromkeys(shape, "the body's shape"), "unknown names")
     return found
 
 
