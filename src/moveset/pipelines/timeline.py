@@ -69,10 +69,6 @@ class Timeline:
     def _within(self, segment: int) -> int:
         return segment % int(self.end) if self.loop else segment
 
-    def segments(self) -> tuple[float, ...]:
-        """How many segments each prompt has."""
-        return tuple(stop - start for start, stop in zip(self.starts, (*self.starts[1:], self.end), strict=True))
-
     def beginning(self, segment: int) -> "Timeline":
         """The same, taken up with another segment.
 
