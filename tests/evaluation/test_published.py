@@ -92,26 +92,6 @@ def test_what_the_notes_say_is_wrong_is_there():
     assert value("rdm", 4, "Entangle-996", "multimodality") == value("rdm", 1, "RDM-7", "multimodality")
 
 
-@pytest.mark.parametrize(
-    ("suite", "number", "method", "column", "printed"),
-    [
-        ("motionpcm", 1, "MotionPCM (1-step)", "fid", "0.054±.003"),
-        ("motionpcm", 1, "MotionPCM (4-step)", "fid", "0.036±.002"),
-        ("motionpcm", 1, "MotionLCM-V2 (1-step)", "aits", "0.031"),
-        ("motionpcm", 2, "without discriminator", "fid", "0.101±.006"),
-        ("rdm", 1, "RDM-7", "fid", "0.272±.018"),
-        ("rdm", 1, "MD-7", "fid", "3.377±.0"),
-        ("rdm", 2, "RDM-1", "fid", "1.8151±.062"),
-        ("rdm", 3, "CLoSD (DiP)", "time_1000", "(93.18±.16)"),
-        ("rdm", 5, "Entangle-800", "flops_1000", "5.5"),
-    ],
-)
-def test_known_values(suite: str, number: int, method: str, column: str, printed: str):
-    found = row(tables(suite)[number - 1], method).numbers[column]
-    assert found is not None
-    assert found.printed == printed
-
-
 def test_what_is_no_number_is_refused():
     with pytest.raises(InputError, match="neither a printed number"):
         Number.parse("0.5.1")
