@@ -8,9 +8,9 @@ import pytest
 import torch
 
 from moveset.errors import FormatError, InputError
-from moveset.evaluation.folder import folder_motions
 from moveset.evaluation.generators import Generated, Given, Reconstruction, Wanted, check_made, resampled
 from moveset.evaluation.items import open_items
+from moveset.evaluation.motion_files import folder_motions
 from moveset.evaluation.run import EvaluationConfig, open_source
 from moveset.motion.features import get_codec
 from moveset.pipelines.bundle import Bundle

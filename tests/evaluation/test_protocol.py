@@ -7,10 +7,10 @@ import torch
 
 from moveset.errors import InputError
 from moveset.evaluation import metrics
-from moveset.evaluation.folder import folder_motions
 from moveset.evaluation.generators import Given, Reconstruction
 from moveset.evaluation.items import open_items
 from moveset.evaluation.metrics import frechet_distance
+from moveset.evaluation.motion_files import folder_motions
 from moveset.evaluation.protocol import Protocol, Session, encoded, physical, random_of, run_repeat, seed_of
 from moveset.motion.features import get_codec
 from moveset.motion.measures import jerk, measure

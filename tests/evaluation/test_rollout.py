@@ -56,7 +56,7 @@ def test_too_little_for_one(items):
 def test_windows_are_told_what_holds_longest_in_them(items):
     one = rollouts(draws(items), 20.0)[0]
     first, second = one.draws[:2]
-    assert one.said(0, 60)[0] == text_of(first.caption).rstrip(".")
+    assert one.said(0, 60)[0] == text_of(first.caption)
     sentence, label = one.said(30, one.frames[0] + 60)
     assert label == (*first.item.label, *second.item.label)
     assert (

@@ -20,6 +20,7 @@ from torch import Tensor
 from moveset.data.humanml3d import Caption
 from moveset.errors import InputError
 from moveset.evaluation import metrics
+from moveset.evaluation.evaluator import EvaluatorCard
 from moveset.evaluation.generators import Given, Reconstruction, Source, Wanted, check_made
 from moveset.evaluation.items import Draw, ItemSet
 from moveset.motion.hml import HmlCodec
@@ -31,24 +32,17 @@ PHYSICAL = ("skating", "penetration", "floating", "jerk", "root_drift")
 Progress = Callable[[str, int, int], None]
 
 
-class Card(Interface):
-    """What an evaluator says of itself; ``evaluation.evaluator.EvaluatorCard`` has it."""
-
-    name: str
-    codec: str
-    fps: float
-    max_frames: int
-
-
 class Judge(Interface):
     """What embeds: ``evaluation.evaluator.Evaluator``."""
 
-    card: Any
+    card: EvaluatorCard
     sha256: str | None
 
-    def embed_motions(self, features: Sequence[Tensor]) -> Tensor: ...
+    def embed_motions(self, features: Sequence[Tensor]) -> Tensor:
+        """(M, E) float64 of features (F, D), not normalised."""
 
-    def embed_texts(self, captions: Sequence[Caption | str]) -> Tensor: ...
+    def embed_texts(self, captions: Sequence[Caption | str]) -> Tensor:
+        """(M, E) float64."""
 
 
 @dataclass(frozen=True, kw_only=True)

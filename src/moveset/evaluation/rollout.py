@@ -22,6 +22,7 @@ from moveset.errors import InputError
 from moveset.evaluation import metrics
 from moveset.evaluation.generators import Given, Reconstruction, Wanted
 from moveset.evaluation.items import Draw, text_of
+from moveset.evaluation.motion_files import then
 from moveset.evaluation.protocol import Progress, Session, encoded, physical, random_of, seed_of
 from moveset.motion.hml import HmlCodec
 from moveset.motion.join import join
@@ -77,8 +78,7 @@ class Rollout:
         labels = tuple(name for _, _, draw in told for name in draw.item.label or ())
         if len(told) == 1 and not isinstance(caption := told[0][2].caption, str):
             return caption, labels
-        sentences = [text_of(draw.caption).rstrip(". ") for _, _, draw in told]
-        return ", then ".join([sentences[0], *(s[0].lower() + s[1:] for s in sentences[1:])]), labels
+        return then([text_of(draw.caption) for _, _, draw in told]), labels
 
 
 def starts(frames: int) -> list[int]:

@@ -164,7 +164,7 @@ def open_source(config: EvaluationConfig) -> Source:
         FormatError: a damaged folder.
     """
     if config.motions is not None:
-        from moveset.evaluation.folder import folder_motions
+        from moveset.evaluation.motion_files import folder_motions
 
         given = folder_motions(config.motions, config.prompts, config.motions_fps)
         # A folder that happens to be called so must not be taken for the data's own motion.

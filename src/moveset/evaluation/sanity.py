@@ -17,8 +17,8 @@ from torch import Tensor
 
 from moveset.data.humanml3d import Caption
 from moveset.errors import InputError
-from moveset.evaluation.evaluator import EvaluatorCard
 from moveset.evaluation.metrics import GROUP, frechet_distance, group, matching_score, r_precision
+from moveset.evaluation.protocol import Judge
 from moveset.motion.features import get_codec
 from moveset.motion.hml import HmlCodec
 
@@ -29,20 +29,6 @@ HALVINGS = 8
 MARGIN = 1.1
 #: Real motion must be found this many times as often as by chance, or the evaluator hardly reads.
 ABOVE_CHANCE = 5.0
-
-
-class Judge(Protocol):
-    """What is asked of an evaluator."""
-
-    @property
-    def card(self) -> EvaluatorCard:
-        """Its name and codec are used."""
-
-    def embed_motions(self, features: Sequence[Tensor]) -> Tensor:
-        """(M, E) float64 of features (F, D), not normalised."""
-
-    def embed_texts(self, captions: Sequence[Caption | str]) -> Tensor:
-        """(M, E) float64."""
 
 
 class RealMotion(Protocol):
