@@ -22,8 +22,7 @@ from moveset.errors import exit_code_of
 from moveset.io.filmstrip import filmstrip
 from moveset.io.limits import atomic_write
 from moveset.motion.clip import Motion
-from moveset.pipelines.bundle import DEFAULT_MODEL
-from moveset.pipelines.stream_bundle import DEFAULT_STREAM
+from moveset.pipelines.model_config import DEFAULT_MODEL, DEFAULT_STREAM
 
 CLIPS = (
     "a person walks forward, then waves with the left hand", "an old man walks forward and turns left",

@@ -15,7 +15,8 @@ from moveset.data.dataset import CorpusDataset
 from moveset.data.feature_store import Crop, FeatureStore
 from moveset.errors import InputError, exit_code_of
 from moveset.motion.features import Normalizer, get_codec
-from moveset.pipelines.bundle import Bundle
+from moveset.pipelines.model_config import ClipConfig
+from moveset.pipelines.model_folder import ModelFolder
 from moveset.training.vae import MotionVAE, reconstruction_report
 
 
@@ -29,7 +30,7 @@ def main() -> None:
     parser.add_argument("--out", type=report_path)
     given = parser.parse_args()
     torch.set_num_threads(given.threads)
-    bundle, corpus = Bundle.find(given.model), Corpus.open(given.corpus)
+    bundle, corpus = ModelFolder.open(given.model, ClipConfig), Corpus.open(given.corpus)
     codec = get_codec(bundle.config.codec)
     store = FeatureStore.of(
         CorpusDataset(corpus), codec, given.cache / f"features-{bundle.config.codec}", progress=True

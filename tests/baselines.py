@@ -7,7 +7,8 @@ import torch
 from moveset.models.dip_decoder import DipDecoderConfig
 from moveset.models.light_t2m import LightT2MConfig
 from moveset.models.segment_denoiser import SegmentDenoiserConfig
-from moveset.pipelines.baseline_bundle import DENOISER, IDLE, BaselineConfig, save_baseline
+from moveset.pipelines.model_config import DENOISER, IDLE, BaselineConfig
+from moveset.pipelines.model_folder import save_model
 from moveset.text.encoder import get_text_encoder
 from tests.bundles import CAPTIONS, standing_features
 
@@ -38,4 +39,4 @@ def tiny_baseline(path: Path, kind: str, **changed: object) -> Path:
         statistics[IDLE] = torch.zeros_like(features)
     config = BaselineConfig(name=path.name, guidance={DENOISER: 1.5}, far_prompt=0.4, **settings)
     pooled = get_text_encoder("minilm").encode(list(CAPTIONS)).pooled
-    return save_baseline(path, config, model, statistics, CAPTIONS, pooled)
+    return save_model(path, config, {DENOISER: model}, statistics, CAPTIONS, pooled)

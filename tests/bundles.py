@@ -11,7 +11,8 @@ from moveset.motion import rotations
 from moveset.motion.clip import Motion
 from moveset.motion.features import get_codec
 from moveset.motion.skeleton import HML22
-from moveset.pipelines.bundle import BundleConfig, save_folder
+from moveset.pipelines.model_config import ClipConfig
+from moveset.pipelines.model_folder import save_model
 from moveset.text.encoder import get_text_encoder
 
 CAPTIONS = ("a person walks forward", "someone waves with the left hand", "a man runs fast", "a person bows")
@@ -34,7 +35,7 @@ def tiny_bundle(path: Path, *, seed: int = 0) -> Path:
         for name in students:
             # Published students start blind to the guidance scale; these must not, or no test could see it arrive.
             torch.nn.init.normal_(modules[name].time.guidance.weight, std=0.5)
-    config = BundleConfig(
+    config = ClipConfig(
         name=path.name,
         min_frames=8,
         guidance={"teacher": 2.0, **dict.fromkeys(students, 3.0)},
@@ -48,7 +49,7 @@ def tiny_bundle(path: Path, *, seed: int = 0) -> Path:
         "latent_std": torch.ones(16, 32),
     }
     pooled = get_text_encoder("minilm").encode(list(CAPTIONS)).pooled
-    return save_folder(path, config, modules, normalizer, CAPTIONS, pooled)
+    return save_model(path, config, modules, normalizer, CAPTIONS, pooled)
 
 
 def standing_features() -> torch.Tensor:

@@ -7,7 +7,8 @@ import torch
 from moveset.models.flow import FlowConfig
 from moveset.models.segment_transformer import SegmentTransformerConfig
 from moveset.motion.native import NativeCodec
-from moveset.pipelines.stream_bundle import StreamConfig, save_stream_bundle
+from moveset.pipelines.model_config import StreamConfig
+from moveset.pipelines.model_folder import save_model
 from moveset.text.encoder import get_text_encoder
 from tests.bundles import CAPTIONS, standing_features
 
@@ -54,4 +55,4 @@ def tiny_stream(path: Path, *, seed: int = 0) -> Path:
     features = 0.5 * (features + features[order] * signs)
     normalizer = {"feature_mean": features, "feature_std": torch.full_like(features, 0.02)}
     pooled = get_text_encoder("minilm").encode(list(CAPTIONS)).pooled
-    return save_stream_bundle(path, config, modules, normalizer, CAPTIONS, pooled)
+    return save_model(path, config, modules, normalizer, CAPTIONS, pooled)

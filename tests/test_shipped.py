@@ -11,9 +11,9 @@ import torch
 from moveset import MotionStream, TextToMotion
 from moveset.io import load
 from moveset.io.manifest import VerifiedFolder
-from moveset.pipelines.bundle import DEFAULT_MODEL, Bundle, shipped
+from moveset.pipelines.model_config import DEFAULT_MODEL, DEFAULT_STREAM, ClipConfig, StreamConfig
+from moveset.pipelines.model_folder import ModelFolder, shipped
 from moveset.pipelines.stream_batch import StreamBatch
-from moveset.pipelines.stream_bundle import DEFAULT_STREAM, StreamBundle
 from moveset.pipelines.stream_settings import check_stream
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -35,7 +35,7 @@ def test_what_ships_is_whole_and_small():
 
 
 def test_every_method_ships():
-    config = Bundle.find(DEFAULT_MODEL).config
+    config = ModelFolder.open(DEFAULT_MODEL, ClipConfig).config
     assert config.name == DEFAULT_MODEL
     assert config.steps("pcm") == (1, 2, 4)
     assert config.steps("lcm") == (1,)
@@ -44,7 +44,7 @@ def test_every_method_ships():
 
 
 def test_every_network_of_streams_ships():
-    config = StreamBundle.find(DEFAULT_STREAM).config
+    config = ModelFolder.open(DEFAULT_STREAM, StreamConfig).config
     assert config.name == DEFAULT_STREAM
     assert {"rdm", "md", "flow", "pcm-1"} <= set(config.models)
     assert config.network in config.denoisers
@@ -116,7 +116,7 @@ def test_a_stream_walks_and_then_waves(network):
 
 def test_who_walks_goes_on_walking():
     """For two minutes: in that time an earlier student fell into a shuffle and stayed in it."""
-    bundle = StreamBundle.find(DEFAULT_STREAM)
+    bundle = ModelFolder.open(DEFAULT_STREAM, StreamConfig)
     group = StreamBatch(bundle, check_stream(bundle.config).settings, device="cpu")
     lanes = [group.open("a person walks", seed) for seed in range(4)]
     made = [group.step(lanes) for _ in range(86)]

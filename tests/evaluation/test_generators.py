@@ -13,11 +13,11 @@ from moveset.evaluation.items import open_items
 from moveset.evaluation.motion_files import folder_motions
 from moveset.evaluation.run import EvaluationConfig, open_source
 from moveset.motion.features import get_codec
-from moveset.pipelines.bundle import Bundle
 from moveset.pipelines.clip_generator import ClipGenerator, clip_method
+from moveset.pipelines.model_config import ClipConfig, StreamConfig
+from moveset.pipelines.model_folder import ModelFolder
 from moveset.pipelines.motion_stream import MotionStream
 from moveset.pipelines.request import Request, check_method, check_request
-from moveset.pipelines.stream_bundle import StreamBundle
 from moveset.pipelines.stream_generator import StreamGenerator, timeline
 from moveset.pipelines.stream_settings import check_stream
 from moveset.pipelines.text_to_motion import TextToMotion
@@ -30,12 +30,12 @@ WALK, BOW = "a person walks forward", "a person bows"
 
 @pytest.fixture(scope="module")
 def bundle(tmp_path_factory):
-    return Bundle(tiny_bundle(tmp_path_factory.mktemp("bundles") / "tiny"))
+    return ModelFolder(tiny_bundle(tmp_path_factory.mktemp("bundles") / "tiny"), ClipConfig)
 
 
 @pytest.fixture(scope="module")
 def streams(tmp_path_factory):
-    return StreamBundle(tiny_stream(tmp_path_factory.mktemp("streams") / "tiny-stream"))
+    return ModelFolder(tiny_stream(tmp_path_factory.mktemp("streams") / "tiny-stream"), StreamConfig)
 
 
 @pytest.fixture(scope="module")
@@ -94,7 +94,7 @@ def test_a_timeline_is_one_motion(bundle):
 
 
 def test_lcm_takes_more_steps_with_fresh_noise(bundle):
-    method = clip_method(bundle, "lcm-1", 4, None)
+    method = clip_method(bundle.config, "lcm-1", 4, None)
     assert (method.network, method.steps) == ("lcm-1", 4)
     four = Generated(ClipGenerator(bundle, method, device="cpu", batch=2))
     asked = [Wanted(((WALK, 40),), seed) for seed in (1, 2, 1)]
@@ -107,7 +107,7 @@ def test_lcm_takes_more_steps_with_fresh_noise(bundle):
 
 @pytest.mark.parametrize("network", ["lcm", "lcm-1", "pcm-1", "pcm-4"])
 def test_a_network_without_steps_takes_its_own(bundle, network):
-    method = clip_method(bundle, network, None, 1.0)
+    method = clip_method(bundle.config, network, None, 1.0)
     assert f"{method.solver}-{method.steps}" == method.network == (network if "-" in network else "lcm-1")
 
 
@@ -126,7 +126,7 @@ def test_a_network_without_steps_takes_its_own(bundle, network):
 )
 def test_networks_that_are_not_there(bundle, network, steps, message):
     with pytest.raises(InputError, match=message):
-        clip_method(bundle, network, steps, None)
+        clip_method(bundle.config, network, steps, None)
 
 
 def test_weights_name_all_that_takes_part(bundle):

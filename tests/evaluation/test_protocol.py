@@ -14,7 +14,8 @@ from moveset.evaluation.motion_files import folder_motions
 from moveset.evaluation.protocol import Protocol, Session, encoded, physical, random_of, run_repeat, seed_of
 from moveset.motion.features import get_codec
 from moveset.motion.measures import jerk, measure
-from moveset.pipelines.bundle import Bundle
+from moveset.pipelines.model_config import ClipConfig
+from moveset.pipelines.model_folder import ModelFolder
 from tests.bundles import tiny_bundle
 from tests.evaluation.corpora import content_corpus, motion_folder
 from tests.evaluation.judges import Oracle, Painter
@@ -165,7 +166,7 @@ def test_jerk_at_seams_is_of_the_seams():
 
 
 def test_reconstructions_have_joint_errors(items, oracle, tmp_path):
-    bundle = Bundle(tiny_bundle(tmp_path / "tiny"))
+    bundle = ModelFolder(tiny_bundle(tmp_path / "tiny"), ClipConfig)
     found = run_repeat(session(items, Reconstruction(bundle, device="cpu"), oracle), 0)["metrics"]
     assert 0 < found["mpjpe_aligned"] < found["mpjpe"] < 5
 

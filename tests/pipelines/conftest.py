@@ -2,14 +2,15 @@
 
 import pytest
 
-from moveset.pipelines.stream_bundle import StreamBundle
+from moveset.pipelines.model_config import StreamConfig
+from moveset.pipelines.model_folder import ModelFolder
 from moveset.text.encoder import get_text_encoder
 from tests.streams import tiny_stream
 
 
 @pytest.fixture(scope="module")
 def bundle(tmp_path_factory):
-    return StreamBundle.find(tiny_stream(tmp_path_factory.mktemp("streams") / "tiny-stream"))
+    return ModelFolder.open(tiny_stream(tmp_path_factory.mktemp("streams") / "tiny-stream"), StreamConfig)
 
 
 @pytest.fixture(scope="module")

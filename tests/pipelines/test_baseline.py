@@ -2,16 +2,15 @@
 
 import pytest
 import torch
-from torch import nn
 
 from moveset.errors import FormatError, InputError
 from moveset.models.condition import Denoiser
 from moveset.models.light_t2m import LightT2MConfig
 from moveset.motion.features import get_codec
 from moveset.pipelines.baseline import Baseline
-from moveset.pipelines.baseline_bundle import BaselineBundle, BaselineConfig, save_baseline
-from moveset.pipelines.bundle import Bundle
 from moveset.pipelines.generator import Sampler, open_generator
+from moveset.pipelines.model_config import BaselineConfig, ClipConfig
+from moveset.pipelines.model_folder import ModelFolder, save_model
 from moveset.pipelines.request import Request
 from tests.baselines import SETTINGS, tiny_baseline
 from tests.bundles import CAPTIONS, standing_features, tiny_bundle
@@ -26,7 +25,7 @@ def folders(tmp_path_factory):
 
 
 def baseline(folder, **options):
-    return Baseline(BaselineBundle(folder), device="cpu", **options)
+    return Baseline(ModelFolder(folder, BaselineConfig), device="cpu", **options)
 
 
 class Says(Denoiser):
@@ -154,9 +153,9 @@ def test_what_a_baseline_cannot_do(folders, kind, given, message):
 
 def test_a_baseline_is_for_the_evaluation_only(folders, tmp_path):
     with pytest.raises(InputError, match="is a baseline model, for `moveset evaluate`"):
-        Bundle(folders["light"])
+        ModelFolder(folders["light"], ClipConfig)
     with pytest.raises(InputError, match="is a text-to-motion model"):
-        BaselineBundle(tiny_bundle(tmp_path / "clips"))
+        ModelFolder(tiny_bundle(tmp_path / "clips"), BaselineConfig)
 
 
 @pytest.mark.parametrize(
@@ -175,8 +174,8 @@ def test_settings_that_no_baseline_has(tmp_path, changed, message):
     mean = standing_features()
     config = BaselineConfig(name="x", **({"frames": 60} | changed))
     with pytest.raises(FormatError, match=message):
-        save_baseline(
-            tmp_path / "x", config, model, {"feature_mean": mean, "feature_std": mean + 1}, CAPTIONS,
+        save_model(
+            tmp_path / "x", config, {"denoiser": model}, {"feature_mean": mean, "feature_std": mean + 1}, CAPTIONS,
             torch.zeros(len(CAPTIONS), 384),
         )  # fmt: skip
 
@@ -184,4 +183,4 @@ def test_settings_that_no_baseline_has(tmp_path, changed, message):
 def test_chunks_need_a_pose_to_start_from(tmp_path):
     config, mean = BaselineConfig(name="x", frames=12, prefix=5), standing_features()
     with pytest.raises(ValueError, match="lacks 'idle'"):
-        save_baseline(tmp_path / "x", config, nn.Linear(1, 1), {"feature_mean": mean, "feature_std": mean}, [], mean)
+        save_model(tmp_path / "x", config, {}, {"feature_mean": mean, "feature_std": mean}, [], mean)

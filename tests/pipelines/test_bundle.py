@@ -11,8 +11,11 @@ from safetensors.torch import save as save_safetensors
 from moveset.errors import FormatError, InputError, MovesetError
 from moveset.io.manifest import write_whole
 from moveset.models.length import LengthPredictorConfig
-from moveset.pipelines.bundle import Bundle, BundleConfig, find_folder, save_folder
+from moveset.pipelines.model_config import ClipConfig
+from moveset.pipelines.model_folder import ModelFolder, find_folder, save_model
 from tests.bundles import tiny_bundle
+
+BARE = {name: torch.zeros(1) for name in ClipConfig.statistics}  # which nothing here asks for
 
 
 @pytest.fixture(scope="module")
@@ -43,9 +46,9 @@ def test_networks_come_back_in_half_precision(folder):
     with torch.no_grad():
         for p in network.parameters():
             p.normal_()
-    config = BundleConfig(name="one")
-    save_folder(folder.parent / "one", config, {"length": network}, {}, ["a"], torch.ones(1, 8))
-    bundle = Bundle(folder.parent / "one")
+    config = ClipConfig(name="one")
+    save_model(folder.parent / "one", config, {"length": network}, BARE, ["a"], torch.ones(1, 8))
+    bundle = ModelFolder(folder.parent / "one", ClipConfig)
     assert all(value.dtype == torch.float16 for value in bundle.tensors("length.safetensors").values())
     loaded = bundle.module("length")
     assert loaded is bundle.module("length")
@@ -59,11 +62,11 @@ def test_words_of_the_training_are_optional_and_checked(folder):
     captions = ["a person walks", "she bows"]
 
     def known(**stored):
-        blobs = {name: (folder / name).read_bytes() for name in Bundle(folder).files}
+        blobs = {name: (folder / name).read_bytes() for name in ModelFolder(folder, ClipConfig).files}
         blobs["prompts.json"] = json.dumps({"captions": captions, **stored}).encode()
         blobs["prompts.safetensors"] = save_safetensors({"pooled": torch.eye(2, 384)})
         write_whole(folder, blobs)
-        return Bundle(folder).captions
+        return ModelFolder(folder, ClipConfig).captions
 
     assert known().unread("a person crawls") == ()
     assert known(words=["walk", "bow"]).unread("a person walks and crawls") == ("crawls",)
@@ -73,7 +76,7 @@ def test_words_of_the_training_are_optional_and_checked(folder):
 
 
 def test_steps_are_those_of_the_students(folder):
-    config = Bundle(folder).config
+    config = ModelFolder(folder, ClipConfig).config
     assert config.steps("pcm") == (1, 2, 4)
     assert config.steps("lcm") == (1,)
 
@@ -84,7 +87,7 @@ def test_one_flipped_bit_is_found(folder, file):
     data[len(data) // 2] ^= 1
     (folder / file).write_bytes(data)
     with pytest.raises(FormatError, match=rf"{file} is damaged.*copy it again"):
-        Bundle(folder).verify()
+        ModelFolder(folder, ClipConfig).verify()
 
 
 @pytest.mark.parametrize("size", [0, 100])
@@ -92,13 +95,13 @@ def test_truncation_is_found(folder, size):
     path = folder / "pcm-1.safetensors"
     path.write_bytes(path.read_bytes()[:size])
     with pytest.raises(FormatError, match="damaged"):
-        Bundle(folder).module("pcm-1")
+        ModelFolder(folder, ClipConfig).module("pcm-1")
 
 
 def test_only_what_is_asked_for_is_read(folder):
     for unused in ("teacher", "pcm-4", "lcm-1", "length"):
         (folder / f"{unused}.safetensors").write_bytes(b"not read")
-    bundle = Bundle(folder)
+    bundle = ModelFolder(folder, ClipConfig)
     bundle.module("vae")
     bundle.module("pcm-1")
     with pytest.raises(FormatError, match="teacher"):
@@ -125,7 +128,7 @@ def test_only_what_is_asked_for_is_read(folder):
 def test_absurd_descriptions_are_refused(folder, change, message):
     rewrite(folder, change)
     with pytest.raises(FormatError, match=message):
-        Bundle(folder)
+        ModelFolder(folder, ClipConfig)
 
 
 @pytest.mark.parametrize(
@@ -139,7 +142,7 @@ def test_absurd_descriptions_are_refused(folder, change, message):
 def test_absurd_architectures_are_refused(folder, change, message):
     rewrite(folder, change)
     with pytest.raises(FormatError, match=message):
-        Bundle(folder).module("vae")
+        ModelFolder(folder, ClipConfig).module("vae")
 
 
 def test_a_manifest_cannot_point_outside(folder):
@@ -147,23 +150,23 @@ def test_a_manifest_cannot_point_outside(folder):
     manifest["files"]["../secret"] = {"sha256": "0" * 64, "bytes": 1}
     (folder / "manifest.json").write_text(json.dumps(manifest))
     with pytest.raises(FormatError, match="is not a manifest"):
-        Bundle(folder)
+        ModelFolder(folder, ClipConfig)
 
 
 def test_unknown_models_are_named(tmp_path):
     with pytest.raises(InputError, match="unknown model 'nothing'"):
         find_folder("nothing")
     with pytest.raises(FormatError, match=r"is no model folder: it has no manifest\.json"):
-        Bundle.find(tmp_path)
+        ModelFolder.open(tmp_path, ClipConfig)
 
 
 def test_saving_replaces_and_leaves_nothing_else(folder):
-    before = Bundle(folder).tensors("pcm-1.safetensors")
+    before = ModelFolder(folder, ClipConfig).tensors("pcm-1.safetensors")
     tiny_bundle(folder, seed=1)
-    after = Bundle(folder).tensors("pcm-1.safetensors")
+    after = ModelFolder(folder, ClipConfig).tensors("pcm-1.safetensors")
     assert any(not torch.equal(before[name], after[name]) for name in before)
     assert [p.name for p in folder.parent.iterdir()] == ["tiny"]
-    assert {p.name for p in folder.iterdir()} == {*Bundle(folder).files, "manifest.json"}
+    assert {p.name for p in folder.iterdir()} == {*ModelFolder(folder, ClipConfig).files, "manifest.json"}
 
 
 def test_a_failed_save_leaves_the_old_folder(folder):
@@ -171,8 +174,8 @@ def test_a_failed_save_leaves_the_old_folder(folder):
     with torch.no_grad():
         module.layers[1].weight[0, 0] = 1e6
     with pytest.raises(ValueError, match="half precision"):
-        save_folder(folder, BundleConfig(name="tiny"), {"length": module}, {}, [], torch.zeros(0, 384))
-    Bundle(folder).verify()
+        save_model(folder, ClipConfig(name="tiny"), {"length": module}, BARE, [], torch.zeros(0, 384))
+    ModelFolder(folder, ClipConfig).verify()
     assert [p.name for p in folder.parent.iterdir()] == ["tiny"]
 
 

@@ -4,9 +4,10 @@ import pytest
 import torch
 from torch.nn.modules.module import register_module_forward_pre_hook
 
+from moveset.pipelines.model_config import StreamConfig
+from moveset.pipelines.model_folder import ModelFolder
 from moveset.pipelines.motion_stream import MotionStream
 from moveset.pipelines.stream_batch import StreamBatch
-from moveset.pipelines.stream_bundle import StreamBundle
 from moveset.pipelines.stream_settings import check_stream
 from moveset.pipelines.text_to_motion import TextToMotion
 from tests.bundles import tiny_bundle
@@ -31,7 +32,7 @@ def stream(folders, buffer=0):
 
 
 def group(folders):
-    bundle = StreamBundle.find(folders["streams"])
+    bundle = ModelFolder.open(folders["streams"], StreamConfig)
     lanes = StreamBatch(bundle, check_stream(bundle.config, network="pcm-1").settings, device="cpu")
     lane = lanes.open("a person walks", 0)
     lanes.prompt(lane, "a person bows")

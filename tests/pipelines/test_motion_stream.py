@@ -17,8 +17,9 @@ from moveset.motion.clip import Motion
 from moveset.motion.features import get_codec
 from moveset.motion.retarget import retarget
 from moveset.motion.skeleton import HML22, Skeleton
+from moveset.pipelines.model_config import StreamConfig
+from moveset.pipelines.model_folder import ModelFolder
 from moveset.pipelines.motion_stream import MotionStream
-from moveset.pipelines.stream_bundle import StreamBundle
 from moveset.pipelines.stream_settings import check_stream
 from moveset.pipelines.stream_state import Snapshot
 from moveset.pipelines.timeline import Timeline
@@ -36,7 +37,7 @@ def folder(tmp_path_factory):
 @pytest.fixture
 def opened(folder, encoder):
     """Open a stream; networks are read once."""
-    bundle = StreamBundle.find(folder)
+    bundle = ModelFolder.open(folder, StreamConfig)
 
     def open_stream(prompt=WALK, seconds=None, *, seed_motion=None, **options):
         request = check_stream(bundle.config, prompt, seconds, **options)
@@ -356,7 +357,7 @@ def test_a_motion_that_cannot_be_gone_on_from(opened, motion, said):
 )
 def test_what_cannot_be_asked_for(folder, options, said):
     with pytest.raises(InputError, match=said):
-        check_stream(StreamBundle.find(folder).config, **{"prompt": WALK, **options})
+        check_stream(ModelFolder.open(folder, StreamConfig).config, **{"prompt": WALK, **options})
 
 
 def test_an_unfamiliar_prompt_is_told(opened):

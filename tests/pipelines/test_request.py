@@ -5,11 +5,11 @@ import pytest
 import torch
 
 from moveset.errors import InputError
-from moveset.pipelines.bundle import BundleConfig, ModelSpec
+from moveset.pipelines.model_config import ClipConfig, ModelSpec
 from moveset.pipelines.request import check_method, check_request
 
 SPEC = ModelSpec(kind="none", config={})
-CONFIG = BundleConfig(
+CONFIG = ClipConfig(
     name="m",
     models=dict.fromkeys(("vae", "teacher", "lcm-1", "pcm-1", "pcm-2", "pcm-4"), SPEC),
     guidance={"teacher": 2.0, "lcm-1": 3.0, "pcm-1": 4.0, "pcm-2": 5.0, "pcm-4": 6.0},
@@ -104,7 +104,7 @@ def test_methods_out_of_range(given, message):
 
 
 def test_a_model_without_teacher_says_so():
-    config = BundleConfig(name="m", models={"pcm-1": SPEC}, guidance={"pcm-1": 1.0})
+    config = ClipConfig(name="m", models={"pcm-1": SPEC}, guidance={"pcm-1": 1.0})
     with pytest.raises(InputError, match="comes without its teacher"):
         check_method(config, "teacher")
     with pytest.raises(InputError, match="has no lcm students"):

@@ -5,8 +5,9 @@ import itertools
 import pytest
 import torch
 
+from moveset.pipelines.model_config import StreamConfig
+from moveset.pipelines.model_folder import ModelFolder
 from moveset.pipelines.motion_stream import MotionStream
-from moveset.pipelines.stream_bundle import StreamBundle
 from moveset.pipelines.stream_settings import check_stream
 from tests.streams import FRAMES, tiny_stream
 
@@ -16,7 +17,7 @@ WALK, BOW = "a person walks forward", "a person bows politely"
 @pytest.fixture
 def opened(tmp_path, encoder):
     """Open a stream; networks are read once."""
-    bundle = StreamBundle.find(tiny_stream(tmp_path / "tiny-stream"))
+    bundle = ModelFolder.open(tiny_stream(tmp_path / "tiny-stream"), StreamConfig)
     return lambda prompt=WALK, seconds=None, **options: MotionStream(
         bundle, check_stream(bundle.config, prompt, seconds, **options), device="cpu", encoder=encoder
     )

@@ -13,8 +13,8 @@ from moveset.models.flow import FlowConfig
 from moveset.models.segment_transformer import SegmentTransformerConfig
 from moveset.models.symmetric import Symmetric
 from moveset.pipelines import model_folder
-from moveset.pipelines.bundle import Bundle
-from moveset.pipelines.stream_bundle import StreamBundle, StreamConfig, save_stream_bundle
+from moveset.pipelines.model_config import ClipConfig, StreamConfig
+from moveset.pipelines.model_folder import ModelFolder, save_model
 from tests.bundles import tiny_bundle
 from tests.streams import tiny_stream
 
@@ -55,7 +55,7 @@ def networks():
 
 def save(path, config=CONFIG, modules=None, normalizer=NORMALIZER):
     modules = networks() if modules is None else modules
-    return save_stream_bundle(path, config, modules, normalizer, ["a", "b"], torch.eye(2, 8))
+    return save_model(path, config, modules, normalizer, ["a", "b"], torch.eye(2, 8))
 
 
 @pytest.fixture
@@ -64,7 +64,7 @@ def folder(tmp_path):
 
 
 def test_what_is_written_is_read(folder):
-    bundle = StreamBundle.find(folder)
+    bundle = ModelFolder.open(folder, StreamConfig)
     assert dataclasses.replace(bundle.config, models={}) == CONFIG
     assert bundle.config.denoisers == ("rdm", "pcm-1", "pcm-2")
     assert bundle.config.steps("pcm") == (1, 2)
@@ -125,19 +125,19 @@ def test_a_folder_of_before_a_setting_came_has_its_default(folder):
 
 def test_students_may_be_kept_as_differences(folder, tmp_path):
     bases = dict.fromkeys(("pcm-1", "pcm-2"), "rdm")
-    half = StreamBundle(
-        save_stream_bundle(tmp_path / "half", CONFIG, networks(), NORMALIZER, ["a"], torch.ones(1, 8), bases)
+    half = ModelFolder(
+        save_model(tmp_path / "half", CONFIG, networks(), NORMALIZER, ["a"], torch.ones(1, 8), bases), StreamConfig
     )
     for name in bases:
         file = f"{name}.safetensors"
-        assert half.files[file][1] < 0.8 * StreamBundle(folder).files[file][1]
+        assert half.files[file][1] < 0.8 * ModelFolder(folder, StreamConfig).files[file][1]
         for key, value in half.module(name).state_dict().items():
             wanted = networks()[name].state_dict()[key]
             assert float((value - wanted).abs().max()) <= 1e-3 * float(wanted.abs().max())
 
 
 def test_symmetric_networks_come_with_their_mirror_image(tmp_path):
-    bundle = StreamBundle(tiny_stream(tmp_path / "tiny"))
+    bundle = ModelFolder(tiny_stream(tmp_path / "tiny"), StreamConfig)
     assert bundle.config.symmetric == ("pcm-1",)
     assert isinstance(bundle.module("pcm-1"), Symmetric)
     assert bundle.module("pcm-1") is bundle.module("pcm-1")
@@ -145,7 +145,7 @@ def test_symmetric_networks_come_with_their_mirror_image(tmp_path):
 
 
 def test_what_leans_to_one_side_cannot_be_symmetric(tmp_path):
-    bundle = StreamBundle(tiny_stream(tmp_path / "tiny"))
+    bundle = ModelFolder(tiny_stream(tmp_path / "tiny"), StreamConfig)
     bundle.normalizer["feature_mean"][0] += 0.01  # on average it turns
     with pytest.raises(FormatError, match="lean to one side"):
         bundle.module("pcm-1")
@@ -154,7 +154,7 @@ def test_what_leans_to_one_side_cannot_be_symmetric(tmp_path):
 def test_other_features_have_no_mirror_image(tmp_path):
     config = dataclasses.replace(CONFIG, codec="hml", symmetric=("pcm-1",))
     with pytest.raises(FormatError, match="features of 'hml' are not symmetric"):
-        StreamBundle(save(tmp_path / "hml", config)).module("pcm-1")
+        ModelFolder(save(tmp_path / "hml", config), StreamConfig).module("pcm-1")
 
 
 def test_statistics_are_needed(tmp_path):
@@ -168,7 +168,7 @@ def test_the_kinds_are_not_confused(folder, tmp_path, monkeypatch, capsys):
     with pytest.raises(InputError, match=r"'tiny-stream' is a stream model, for `moveset stream`.*: tiny-clips$"):
         TextToMotion.from_pretrained("tiny-stream")
     with pytest.raises(InputError, match=r"'tiny-clips' is a text-to-motion model, for `moveset gene.*: tiny-stream$"):
-        StreamBundle.find("tiny-clips")
+        ModelFolder.open("tiny-clips", StreamConfig)
     assert main(["generate", "a person walks", "--model", str(folder), "-o", str(tmp_path / "a.bvh")]) == 2
     err = capsys.readouterr().err
     assert "tiny-clips" in err
@@ -179,9 +179,9 @@ def test_folders_that_name_no_task_are_of_text_to_motion(tmp_path):
     folder = tiny_bundle(tmp_path / "old")
     config = json.loads((folder / "config.json").read_text())
     assert config.pop("task") == "text-to-motion"
-    before = Bundle(folder).config
+    before = ModelFolder(folder, ClipConfig).config
     assert type(before).parse(json.dumps(config).encode(), folder / "config.json") == before
-    with pytest.raises(FormatError, match="task 'dance'; this version knows text-to-motion, stream"):
+    with pytest.raises(FormatError, match="has the task 'dance', not 'text-to-motion'"):
         type(before).parse(json.dumps(config | {"task": "dance"}).encode(), folder / "config.json")
 
 

@@ -9,12 +9,15 @@ import torch
 
 from moveset.errors import FormatError, InputError
 from moveset.models.token_denoiser import TokenDenoiserConfig
-from moveset.pipelines.bundle import Bundle, BundleConfig, save_folder
+from moveset.pipelines.model_config import ClipConfig
+from moveset.pipelines.model_folder import ModelFolder, save_model
 from tests.conditions import condition_of
 
 SIZES = {"token_dim": 8, "text_dim": 64, "width": 96, "heads": 2, "feed_forward": 384, "positions": 64}
 SIZES |= {"layers": 3, "time_waves": 64, "guidance_waves": 4}
 GUIDANCE = {"teacher": 2.0, "pcm-1": 2.0, "pcm-2": 2.0}
+
+BARE = {name: torch.zeros(1) for name in ClipConfig.statistics}  # which nothing here asks for
 
 
 def networks():
@@ -31,8 +34,8 @@ def networks():
 
 
 def save(path, bases, modules=None):
-    config = BundleConfig(name="tiny", guidance=GUIDANCE, latent=(16, SIZES["token_dim"]))
-    return save_folder(path, config, modules or networks(), {}, ["a"], torch.ones(1, 8), bases)
+    config = ClipConfig(name="tiny", guidance=GUIDANCE, latent=(16, SIZES["token_dim"]))
+    return save_model(path, config, modules or networks(), BARE, ["a"], torch.ones(1, 8), bases)
 
 
 BASES = {"pcm-1": "teacher", "pcm-2": "teacher"}
@@ -71,7 +74,7 @@ def output(network):
 
 
 def test_a_student_computes_the_same(folder):
-    bundle = Bundle(folder)
+    bundle = ModelFolder(folder, ClipConfig)
     for name in ("pcm-1", "pcm-2"):
         wanted, found = output(networks()[name]), output(bundle.module(name))
         # Above: well below a percent. Below: it did come back from eight bits, not from the weights themselves.
@@ -79,7 +82,7 @@ def test_a_student_computes_the_same(folder):
 
 
 def test_a_student_takes_half_the_room(folder, whole):
-    sizes = {name: Bundle(path).files for name, path in (("half", folder), ("whole", whole))}
+    sizes = {name: ModelFolder(path, ClipConfig).files for name, path in (("half", folder), ("whole", whole))}
     for name in ("pcm-1", "pcm-2"):
         file = f"{name}.safetensors"
         assert sizes["half"][file][1] < 0.6 * sizes["whole"][file][1]
@@ -89,21 +92,23 @@ def test_a_student_takes_half_the_room(folder, whole):
 def test_every_save_and_load_gives_the_same_bits(folder, tmp_path):
     again = save(tmp_path / "again", BASES)
     assert {p.name: p.read_bytes() for p in folder.iterdir()} == {p.name: p.read_bytes() for p in again.iterdir()}
-    assert torch.equal(output(Bundle(folder).module("pcm-1")), output(Bundle(again).module("pcm-1")))
+    assert torch.equal(
+        output(ModelFolder(folder, ClipConfig).module("pcm-1")), output(ModelFolder(again, ClipConfig).module("pcm-1"))
+    )
 
 
 def test_only_a_student_and_its_base_are_read(folder):
     (folder / "pcm-2.safetensors").write_bytes(b"not read")
-    Bundle(folder).module("pcm-1")
-    Bundle(folder).module("teacher")
-    assert Bundle(folder).config.models["teacher"].base is None
-    assert Bundle(folder).config.models["pcm-1"].base == "teacher"
+    ModelFolder(folder, ClipConfig).module("pcm-1")
+    ModelFolder(folder, ClipConfig).module("teacher")
+    assert ModelFolder(folder, ClipConfig).config.models["teacher"].base is None
+    assert ModelFolder(folder, ClipConfig).config.models["pcm-1"].base == "teacher"
 
 
 def test_a_missing_base_is_named(folder):
     (folder / "teacher.safetensors").unlink()
     with pytest.raises(InputError, match=r"cannot read .*teacher\.safetensors"):
-        Bundle(folder).module("pcm-1")
+        ModelFolder(folder, ClipConfig).module("pcm-1")
 
 
 def test_a_base_outside_the_manifest_is_named(folder):
@@ -111,7 +116,7 @@ def test_a_base_outside_the_manifest_is_named(folder):
     del manifest["files"]["teacher.safetensors"]
     (folder / "manifest.json").write_text(json.dumps(manifest))
     with pytest.raises(FormatError, match=r"no teacher\.safetensors in its manifest"):
-        Bundle(folder).module("pcm-1")
+        ModelFolder(folder, ClipConfig).module("pcm-1")
 
 
 def test_a_damaged_base_is_named(folder):
@@ -119,7 +124,7 @@ def test_a_damaged_base_is_named(folder):
     data[-1] ^= 1
     (folder / "teacher.safetensors").write_bytes(data)
     with pytest.raises(FormatError, match=r"teacher\.safetensors is damaged"):
-        Bundle(folder).module("pcm-1")
+        ModelFolder(folder, ClipConfig).module("pcm-1")
 
 
 def test_another_teacher_is_refused(folder, tmp_path):
@@ -129,7 +134,7 @@ def test_another_teacher_is_refused(folder, tmp_path):
         modules["teacher"].latent_out.bias += 1
     other = save(tmp_path / "other", None, modules)
     reseal(folder, "teacher.safetensors", (other / "teacher.safetensors").read_bytes())
-    bundle = Bundle(folder)
+    bundle = ModelFolder(folder, ClipConfig)
     bundle.module("teacher")
     with pytest.raises(FormatError, match=r"pcm-1\.safetensors holds differences from another teacher\.safetensors"):
         bundle.module("pcm-1")
@@ -138,14 +143,14 @@ def test_another_teacher_is_refused(folder, tmp_path):
 def test_differences_without_a_base_are_refused(folder):
     described(folder, lambda models: models["pcm-1"].update(base=None))
     with pytest.raises(FormatError, match="does not fit the architecture"):
-        Bundle(folder).module("pcm-1")
+        ModelFolder(folder, ClipConfig).module("pcm-1")
 
 
 @pytest.mark.parametrize("base", ["nobody", "pcm-1", "pcm-2", 7, ["teacher"]])
 def test_absurd_bases_are_refused(folder, base):
     described(folder, lambda models: models["pcm-1"].update(base=base))
     with pytest.raises(FormatError, match="does not describe a model"):
-        Bundle(folder)
+        ModelFolder(folder, ClipConfig)
 
 
 @pytest.mark.parametrize(
@@ -165,4 +170,6 @@ def test_folders_from_before_differences_are_read(whole, tmp_path):
             del spec["base"], spec["base_sha256"]
 
     described(folder, forget)
-    assert torch.equal(output(Bundle(folder).module("pcm-1")), output(Bundle(whole).module("pcm-1")))
+    assert torch.equal(
+        output(ModelFolder(folder, ClipConfig).module("pcm-1")), output(ModelFolder(whole, ClipConfig).module("pcm-1"))
+    )

@@ -12,9 +12,9 @@ from moveset.errors import InputError
 from moveset.models.dip_decoder import DipDecoderConfig
 from moveset.models.flow import FlowConfig
 from moveset.models.segment_transformer import SegmentTransformerConfig
-from moveset.pipelines.baseline_bundle import IDLE, BaselineBundle
-from moveset.pipelines.stored_weights import restored
-from moveset.pipelines.stream_bundle import StreamBundle
+from moveset.pipelines.model_config import IDLE, BaselineConfig, StreamConfig
+from moveset.pipelines.model_folder import ModelFolder
+from moveset.pipelines.quantization import restored
 from moveset.rdm.grid import GridConfig
 from moveset.text.vocabulary import words_of
 from moveset.training import checkpoint
@@ -75,7 +75,7 @@ def stored(runs, run, name):
 
 def stream(dataset, runs, out, networks, **more):
     what = StreamExport(name="tried", runs=networks, **more)
-    return StreamBundle(export(what, dataset, runs, runs / "cache", out))
+    return ModelFolder(export(what, dataset, runs, runs / "cache", out), StreamConfig)
 
 
 def test_a_stream_holds_averaged_networks_and_what_it_does_by_default(dataset, runs, tmp_path):
@@ -158,7 +158,7 @@ def test_a_cache_of_other_data_is_refused(dataset, runs, tmp_path):
 def test_baselines_are_of_whole_clips_or_of_chunks(dataset, runs, tmp_path):
     def made(run, **more):
         what = BaselineExport(name=run, runs={"denoiser": run}, **more)
-        return BaselineBundle(export(what, dataset, runs, runs / "cache", tmp_path / run))
+        return ModelFolder(export(what, dataset, runs, runs / "cache", tmp_path / run), BaselineConfig)
 
     whole, chunks = made("rdm-1", steps=7, guidance={"denoiser": 1.5}), made("dip")
     assert (whole.config.frames, whole.config.prefix, whole.config.sampler_steps) == (FRAMES, 0, 7)

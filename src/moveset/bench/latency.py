@@ -25,8 +25,8 @@ from moveset.bench.flops import counted
 from moveset.bench.interleaved import Case
 from moveset.bench.machine import resident_mb
 from moveset.pcm.sampler import item_noise
-from moveset.pipelines.bundle import BundleConfig
 from moveset.pipelines.denoise import Denoise
+from moveset.pipelines.model_config import ClipConfig
 from moveset.pipelines.motion_stream import MotionStream
 from moveset.pipelines.request import TEACHER_STEPS, Method, Request, check_method
 from moveset.pipelines.stream_batch import Segment
@@ -45,7 +45,7 @@ _PEOPLE = ("a person", "someone", "a man", "a woman", "an old man", "the actor")
 _DEEDS = ("walks forward", "runs in a circle", "waves with the left hand", "bows politely", "kicks", "turns around")
 
 
-def clip_methods(config: BundleConfig, teacher_steps: Sequence[int] = (TEACHER_STEPS,)) -> dict[str, Method]:
+def clip_methods(config: ClipConfig, teacher_steps: Sequence[int] = (TEACHER_STEPS,)) -> dict[str, Method]:
     """Everything that a folder can make clips by, its quickest first, by names such as "pcm-1" and "teacher-50"."""
     asked = [(solver, steps) for solver in ("pcm", "lcm") for steps in config.steps(solver)]
     asked += [("teacher", steps) for steps in teacher_steps if "teacher" in config.models]

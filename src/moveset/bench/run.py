@@ -18,9 +18,10 @@ from moveset.bench.interleaved import Case, interleave, summarise
 from moveset.bench.machine import describe_machine, load
 from moveset.bench.processes import clip_command, processes, stream_command
 from moveset.errors import InputError
+from moveset.pipelines.model_config import StreamConfig
+from moveset.pipelines.model_folder import ModelFolder
 from moveset.pipelines.motion_stream import MotionStream
 from moveset.pipelines.request import Method
-from moveset.pipelines.stream_bundle import StreamBundle
 from moveset.pipelines.stream_settings import check_stream
 from moveset.pipelines.text_to_motion import TextToMotion
 
@@ -105,7 +106,7 @@ class Bench:
     def __init__(self, plan: Plan, progress: Progress = lambda name, count: lambda: None) -> None:
         self.plan, self._progress = plan, progress
         self.t2m = TextToMotion.from_pretrained(plan.clips, device=plan.device)
-        self.bundle = StreamBundle.find(plan.streams)
+        self.bundle = ModelFolder.open(plan.streams, StreamConfig)
         config = self.t2m.bundle.config
         self.frames, self.fps = config.max_frames, config.fps
         self.methods = latency.clip_methods(config, plan.teacher_steps)

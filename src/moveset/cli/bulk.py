@@ -25,7 +25,7 @@ from moveset.io.limits import MAX_BYTES, read_limited
 from moveset.pipelines.request import Method, Request, check_request
 
 if TYPE_CHECKING:
-    from moveset.pipelines.bundle import BundleConfig
+    from moveset.pipelines.model_config import ClipConfig
     from moveset.pipelines.text_to_motion import TextToMotion
 
 MAX_LINES = 100_000
@@ -94,7 +94,7 @@ def bulk(
     return 0
 
 
-def read_jobs(source: Path, config: "BundleConfig", num: int = 1) -> list[Job]:
+def read_jobs(source: Path, config: "ClipConfig", num: int = 1) -> list[Job]:
     """All jobs of a JSONL file ("-": of standard input), ``num`` variants each.
 
     Raises:
@@ -132,7 +132,7 @@ def _bytes(source: Path) -> bytes:
     return data
 
 
-def _jobs_of(line: str, number: str, config: "BundleConfig", num: int) -> list[Job]:
+def _jobs_of(line: str, number: str, config: "ClipConfig", num: int) -> list[Job]:
     try:
         entry: Any = jsonlib.loads(line)
     except (ValueError, RecursionError):

@@ -93,11 +93,12 @@ def _video() -> dict[str, Any]:
 
 
 def _self_test(model: str, device: str) -> dict[str, Any]:
-    from moveset.pipelines.model_folder import STREAM, find_folder, task_of
+    from moveset.pipelines.model_config import StreamConfig
+    from moveset.pipelines.model_folder import ModelFolder
     from moveset.pipelines.motion_stream import MotionStream
     from moveset.pipelines.text_to_motion import TextToMotion
 
-    if task_of(find_folder(model)) == STREAM:
+    if isinstance(ModelFolder.open(model).config, StreamConfig):
         stream = MotionStream.from_pretrained(model, "a person walks forward", device=device)
         segments = [next(stream) for _ in range(2)]
         return {"frames": sum(segment.frames for segment in segments), "segment_ms": segments[1].latency_ms}

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 import tyro
 
 if TYPE_CHECKING:
-    from moveset.pipelines.bundle import Bundle
-    from moveset.pipelines.stream_bundle import StreamBundle
+    from moveset.pipelines.model_config import ClipConfig, StreamConfig
+    from moveset.pipelines.model_folder import ModelFolder
 
 
 def models(*, json: tyro.conf.FlagCreatePairsOff[bool] = False) -> int:
@@ -32,11 +32,10 @@ def models(*, json: tyro.conf.FlagCreatePairsOff[bool] = False) -> int:
 
 def describe(name: str, path: Path) -> dict[str, Any]:
     """What a shipped model is and can, as a JSON object."""
-    from moveset.pipelines.bundle import DEFAULT_MODEL, Bundle
-    from moveset.pipelines.model_folder import STREAM, task_of
-    from moveset.pipelines.stream_bundle import DEFAULT_STREAM, StreamBundle
+    from moveset.pipelines.model_config import DEFAULT_MODEL, DEFAULT_STREAM, StreamConfig
+    from moveset.pipelines.model_folder import ModelFolder
 
-    folder = StreamBundle(path) if task_of(path) == STREAM else Bundle(path)
+    folder = ModelFolder.open(path)
     config = folder.config
     return {
         "name": name,
@@ -52,7 +51,7 @@ def describe(name: str, path: Path) -> dict[str, Any]:
             for network, spec in config.models.items()
         },
         "pcm_steps": list(config.steps("pcm")),
-        **(stream_limits(folder) if isinstance(folder, StreamBundle) else clip_limits(folder)),
+        **(stream_limits(folder) if isinstance(folder.config, StreamConfig) else clip_limits(folder)),
         "fps": config.fps,
         "text_encoder": config.text_encoder,
         "guidance": dict(config.guidance),
@@ -60,7 +59,7 @@ def describe(name: str, path: Path) -> dict[str, Any]:
     }
 
 
-def clip_limits(folder: "Bundle") -> dict[str, Any]:
+def clip_limits(folder: "ModelFolder[ClipConfig]") -> dict[str, Any]:
     """What is particular to text-to-motion."""
     config = folder.config
     return {
@@ -70,7 +69,7 @@ def clip_limits(folder: "Bundle") -> dict[str, Any]:
     }
 
 
-def stream_limits(folder: "StreamBundle") -> dict[str, Any]:
+def stream_limits(folder: "ModelFolder[StreamConfig]") -> dict[str, Any]:
     """What is particular to a stream."""
     config = folder.config
     return {"network": config.network, "segment_seconds": config.segment / config.fps}

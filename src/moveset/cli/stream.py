@@ -97,14 +97,15 @@ def stream(
     from moveset.cli.growing_files import GrowingFiles, plan_takes
     from moveset.cli.interrupts import Interrupts
     from moveset.cli.prompt_lines import PromptLines
+    from moveset.pipelines.model_config import StreamConfig
+    from moveset.pipelines.model_folder import ModelFolder
     from moveset.pipelines.motion_stream import MotionStream
-    from moveset.pipelines.stream_bundle import StreamBundle
     from moveset.pipelines.stream_settings import MAX_SECONDS, check_stream
 
     plan_takes(output)
     if total is not None and not 0.0 < total <= MAX_SECONDS:
         raise InputError(f"a total of {total:g} seconds is not in 0 to {MAX_SECONDS:g}; give a duration such as 60")
-    bundle = StreamBundle.find(model)
+    bundle = ModelFolder.open(model, StreamConfig)
     check = partial(
         check_stream, bundle.config, prompt or None, loop=loop, seed=seed, network=network, steps=steps,
         guidance=guidance, start=start, lag=lag, past_lag=past_lag, foot_lock=foot_lock, stages=stages,

@@ -23,7 +23,7 @@ from moveset.io.manifest import VerifiedFolder, json_bytes, json_object, write_w
 from moveset.models.evaluator import FRAMES_PER_TOKEN, MatchingEvaluator
 from moveset.models.registry import build_model, describe
 from moveset.motion.features import get_codec
-from moveset.pipelines.stored_weights import halved
+from moveset.pipelines.quantization import halved
 from moveset.text.encoder import get_text_encoder
 from moveset.text.glove import GloveWords
 from moveset.text.words import TokenWords, Words

@@ -18,9 +18,10 @@ from moveset.errors import InputError
 from moveset.evaluation.items import Draw, ItemSet
 from moveset.motion.clip import Motion
 from moveset.motion.features import get_codec
-from moveset.pipelines.bundle import Bundle
 from moveset.pipelines.device import pick_device
 from moveset.pipelines.generator import Generator
+from moveset.pipelines.model_config import ClipConfig
+from moveset.pipelines.model_folder import ModelFolder
 from moveset.pipelines.request import Request
 
 Tick = Callable[[int], None]
@@ -142,7 +143,7 @@ class Reconstruction:
 
     network, steps, random, segment = "vae", None, False, 0.0
 
-    def __init__(self, bundle: Bundle, *, device: str = "auto", batch: int = 64) -> None:
+    def __init__(self, bundle: ModelFolder[ClipConfig], *, device: str = "auto", batch: int = 64) -> None:
         self._bundle, self._device, self._batch = bundle, pick_device(device), batch
         self.model = bundle.config.name
         self.slug = f"{self.model}-vae"

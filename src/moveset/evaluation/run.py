@@ -21,10 +21,10 @@ from moveset.evaluation.protocol import Protocol, Session, run_repeat
 from moveset.evaluation.results import Results
 from moveset.evaluation.rollout import run_rollout
 from moveset.io.process import end_with_parent
-from moveset.pipelines.bundle import DEFAULT_MODEL, Bundle
 from moveset.pipelines.device import pick_device
 from moveset.pipelines.generator import Sampler, open_generator
-from moveset.pipelines.stream_bundle import DEFAULT_STREAM
+from moveset.pipelines.model_config import DEFAULT_MODEL, DEFAULT_STREAM, ClipConfig
+from moveset.pipelines.model_folder import ModelFolder
 
 if TYPE_CHECKING:
     from multiprocessing.context import SpawnProcess
@@ -174,7 +174,7 @@ def open_source(config: EvaluationConfig) -> Source:
     if model == REAL:
         return Given(REAL)
     if network == "vae":
-        return Reconstruction(Bundle.find(model), device=config.device, batch=config.batch)
+        return Reconstruction(ModelFolder.open(model, ClipConfig), device=config.device, batch=config.batch)
     sampler = Sampler(steps=config.steps, **dict(config.settings))  # type: ignore[arg-type]
     made = open_generator(
         model, network, sampler, foot_lock=config.foot_lock, batch=max(config.batch, 1), device=config.device

@@ -15,8 +15,9 @@ from moveset.models.condition import Condition, Denoiser, PastSegment, Predictio
 from moveset.motion.clip import Motion
 from moveset.motion.foot_lock import FootLock
 from moveset.motion.hold_root import hold_root
-from moveset.pipelines.baseline_bundle import DENOISER, IDLE, BaselineBundle
 from moveset.pipelines.device import pick_device
+from moveset.pipelines.model_config import DENOISER, IDLE, BaselineConfig
+from moveset.pipelines.model_folder import ModelFolder
 from moveset.pipelines.request import Request
 from moveset.rdm.prediction import clean_from_noise
 from moveset.rdm.sequential import Solver, idle_prefix, rollout_chunks, sample_segment
@@ -47,7 +48,7 @@ class Baseline:
 
     def __init__(
         self,
-        bundle: BaselineBundle,
+        bundle: ModelFolder[BaselineConfig],
         *,
         steps: int | None = None,
         guidance: float | None = None,

@@ -6,7 +6,8 @@ from typing import Any
 
 from moveset.errors import InputError
 from moveset.motion.clip import Motion
-from moveset.pipelines.bundle import SOLVERS, Bundle
+from moveset.pipelines.model_config import SOLVERS, ClipConfig
+from moveset.pipelines.model_folder import ModelFolder
 from moveset.pipelines.request import Method, Request, check_method
 from moveset.pipelines.text_to_motion import TextToMotion
 from moveset.text.cache import CachedEncoder
@@ -28,7 +29,13 @@ class ClipGenerator:
     segment = 0
 
     def __init__(
-        self, bundle: Bundle, method: Method, *, device: str = "auto", batch: int = 64, foot_lock: bool = True
+        self,
+        bundle: ModelFolder[ClipConfig],
+        method: Method,
+        *,
+        device: str = "auto",
+        batch: int = 64,
+        foot_lock: bool = True,
     ) -> None:
         self._t2m = TextToMotion(bundle, device)
         self._t2m.encoder = CachedEncoder(self._t2m.encoder, limit=8192)
@@ -70,26 +77,24 @@ class ClipGenerator:
         return replace(request, frames=tuple(n if n is None else min(max(n, low), high) for n in request.frames))
 
 
-def clip_method(bundle: Bundle, network: str | None, steps: int | None, guidance: float | None) -> Method:
+def clip_method(config: ClipConfig, network: str | None, steps: int | None, guidance: float | None) -> Method:
     """How clips are sampled; an LCM student takes any number of steps, a PCM student its own.
 
     Raises:
         InputError: no such network or steps, or guidance out of range.
     """
     solver, _, count = (network or "pcm").partition("-")
-    names = ", ".join(["vae", *(name for name in bundle.config.models if name not in ("vae", "length"))])
+    names = ", ".join(["vae", *(name for name in config.models if name not in ("vae", "length"))])
     if solver not in SOLVERS:
-        raise InputError(f"unknown network {network!r}; model {bundle.config.name!r} has {names}")
+        raise InputError(f"unknown network {network!r}; model {config.name!r} has {names}")
     if solver == "lcm" and (steps is not None or count.isdigit()):
-        known = bundle.config.steps("lcm")
+        known = config.steps("lcm")
         own = int(count) if count.isdigit() else known[0] if known else 0
-        method = check_method(bundle.config, "lcm", own, guidance)
+        method = check_method(config, "lcm", own, guidance)
         steps = own if steps is None else steps
-        if not 1 <= steps <= bundle.config.points:
-            raise InputError(f"{steps} steps are not in 1 to {bundle.config.points}, the solver points of training")
+        if not 1 <= steps <= config.points:
+            raise InputError(f"{steps} steps are not in 1 to {config.points}, the solver points of training")
         return replace(method, steps=steps)
     if count and not (count.isdigit() and solver == "pcm" and steps in (None, int(count))):
-        raise InputError(
-            f"network {network!r} does not go with {steps or 'its'} steps; {bundle.config.name!r} has {names}"
-        )
-    return check_method(bundle.config, solver, int(count) if count else steps, guidance)
+        raise InputError(f"network {network!r} does not go with {steps or 'its'} steps; {config.name!r} has {names}")
+    return check_method(config, solver, int(count) if count else steps, guidance)

@@ -14,7 +14,8 @@ from moveset.diffusion.schedule import scaled_linear
 from moveset.diffusion.steps import ddim_timesteps
 from moveset.models.condition import Condition, Denoiser, guided
 from moveset.pcm.sampler import lcm_timesteps, sample_ddim, sample_lcm, sample_phased
-from moveset.pipelines.bundle import Bundle
+from moveset.pipelines.model_config import ClipConfig
+from moveset.pipelines.model_folder import ModelFolder
 from moveset.pipelines.request import Method
 from moveset.text.encoder import TextEmbedding, TextEncoder
 
@@ -32,7 +33,7 @@ class Denoise:
 
     def __init__(
         self,
-        bundle: Bundle,
+        bundle: ModelFolder[ClipConfig],
         encoder: TextEncoder,
         method: Method,
         device: torch.device,

@@ -8,13 +8,11 @@ from typing import Any, Protocol
 from moveset.errors import InputError
 from moveset.motion.clip import Motion
 from moveset.pipelines.baseline import Baseline
-from moveset.pipelines.baseline_bundle import DENOISER, BaselineBundle
-from moveset.pipelines.bundle import Bundle
 from moveset.pipelines.clip_generator import ClipGenerator, clip_method
-from moveset.pipelines.model_folder import BASELINE, STREAM, find_folder, task_of
+from moveset.pipelines.model_config import DENOISER, ClipConfig, StreamConfig
+from moveset.pipelines.model_folder import ModelFolder
 from moveset.pipelines.request import Request
 from moveset.pipelines.role import Role, is_student, named
-from moveset.pipelines.stream_bundle import StreamBundle
 from moveset.pipelines.stream_generator import StreamGenerator
 from moveset.pipelines.stream_settings import check_stream
 from moveset.rdm.staircase import Shape
@@ -98,25 +96,24 @@ def open_generator(
         InputError: no such model, network, steps or setting.
         FormatError: a damaged folder.
     """
-    sampler = sampler or Sampler()
-    folder, given = find_folder(name_or_path), sampler.given()
-    if (task := task_of(folder)) == STREAM:
-        return _stream(StreamBundle(folder), network, sampler, foot_lock, batch, device)
-    bundle = BaselineBundle(folder) if task == BASELINE else Bundle(folder)
-    if others := [name for name in given if name != "guidance"]:
-        raise InputError(f"--{others[0]} is a setting of streams, and {bundle.config.name!r} is none")
-    if isinstance(bundle, Bundle):
-        method = clip_method(bundle, network, sampler.steps, sampler.guidance)
-        return ClipGenerator(bundle, method, device=device, batch=batch, foot_lock=foot_lock)
+    sampler, folder = sampler or Sampler(), ModelFolder.open(name_or_path)
+    config = folder.config
+    if isinstance(config, StreamConfig):
+        return _stream(folder, network, sampler, foot_lock, batch, device)
+    if others := [name for name in sampler.given() if name != "guidance"]:
+        raise InputError(f"--{others[0]} is a setting of streams, and {config.name!r} is none")
+    if isinstance(config, ClipConfig):
+        method = clip_method(config, network, sampler.steps, sampler.guidance)
+        return ClipGenerator(folder, method, device=device, batch=batch, foot_lock=foot_lock)
     if network not in (None, DENOISER):
-        raise InputError(f"{bundle.config.name!r} has no network {network!r}; it has {DENOISER!r}")
+        raise InputError(f"{config.name!r} has no network {network!r}; it has {DENOISER!r}")
     return Baseline(
-        bundle, steps=sampler.steps, guidance=sampler.guidance, foot_lock=foot_lock, device=device, batch=batch
+        folder, steps=sampler.steps, guidance=sampler.guidance, foot_lock=foot_lock, device=device, batch=batch
     )
 
 
 def _stream(
-    bundle: StreamBundle, network: str | None, sampler: Sampler, foot_lock: bool, batch: int, device: str
+    bundle: ModelFolder[StreamConfig], network: str | None, sampler: Sampler, foot_lock: bool, batch: int, device: str
 ) -> StreamGenerator:
     given = sampler.given()
     shape = given.pop("shape", "parallelogram")

@@ -1,25 +1,22 @@
 """A model folder: everything one generator needs, as safetensors and JSON, each file guarded by its sha256.
 
 ``config.json``             what the parts are; its ``task`` says what kind of folder it is
-``<network>.safetensors``   weights in half precision, or as differences from another network's (``stored_weights``)
+``<network>.safetensors``   weights in half precision, or as differences from another network's (``quantization``)
 ``normalizer.safetensors``  statistics of features (and latents)
 ``prompts.json``            captions of the training data, and the words of all its captions
 ``prompts.safetensors``     ``pooled`` (P, C), their pooled text embeddings
 ``manifest.json``           sha256 and size of every other file
 
-Only what is asked for is read, and what is read is verified. The kinds are ``bundle``, ``stream_bundle`` and
-``baseline_bundle``.
+Only what is asked for is read, and what is read is verified. ``model_config`` has the kinds.
 """
 
 import hashlib
 import json
-import math
-import re
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import asdict, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, ClassVar, Generic, Self, TypeVar
+from typing import Any, Generic, Self, TypeVar, cast
 
 import torch
 from safetensors.torch import save as save_safetensors
@@ -28,160 +25,66 @@ from torch import Tensor, nn
 from moveset.errors import FormatError, InputError
 from moveset.io.manifest import VerifiedFolder, json_bytes, json_object, write_whole
 from moveset.models.packed import PACKABLE, can_pack, pack
-from moveset.motion.features import FeatureCodec, get_codec
-from moveset.pipelines.role import named
-from moveset.pipelines.stored_weights import halved, restored, subtracted
+from moveset.models.symmetric import Symmetric
+from moveset.motion.native import NativeCodec
+from moveset.pipelines.model_config import (
+    BASELINE,
+    CONFIGS,
+    FORMAT,
+    STREAM,
+    TEXT_TO_MOTION,
+    FolderConfig,
+    ModelSpec,
+)
+from moveset.pipelines.quantization import halved, restored, subtracted
 from moveset.text.familiarity import KnownPrompts
 
-FORMAT = 1
-TEXT_TO_MOTION = "text-to-motion"
-STREAM = "stream"
-BASELINE = "baseline"
 _COMMANDS = {TEXT_TO_MOTION: "moveset generate", STREAM: "moveset stream", BASELINE: "moveset evaluate"}
-
-
-@dataclass(frozen=True, kw_only=True)
-class ModelSpec:
-    """One network: what ``models.registry.build_model`` takes, and what its file is to be read with.
-
-    Args:
-        kind: name of the architecture.
-        config: its sizes.
-        base: the network whose weights the file tells the differences from; None if it holds the weights themselves.
-        base_sha256: of that network's file.
-    """
-
-    kind: str
-    config: Mapping[str, Any]
-    base: str | None = None
-    base_sha256: str | None = None
-
-
-@dataclass(frozen=True, kw_only=True)
-class FolderConfig:
-    """What every kind of model folder says of itself.
-
-    Args:
-        name: what the model is called.
-        codec: feature codec of its motions, a name for ``motion.features.get_codec``.
-        fps: frames per second of its motions.
-        text_encoder: a name for ``text.encoder.get_text_encoder``.
-        guidance: default guidance scale w by name of the network, for those that take one.
-        far_prompt: a prompt whose best cosine to the training captions is lower gets a warning.
-        provenance: on what, how and when it was trained; for people.
-        models: the networks by name; filled in when the folder is saved.
-    """
-
-    task: ClassVar[str]
-    #: Fields with a default that folders of earlier versions lack.
-    newer: ClassVar[frozenset[str]] = frozenset()
-
-    name: str
-    codec: str = "native"
-    fps: float = 20.0
-    text_encoder: str = "minilm"
-    guidance: Mapping[str, float] = field(default_factory=dict)
-    far_prompt: float = 0.5
-    provenance: Mapping[str, str | int | float] = field(default_factory=dict)
-    models: Mapping[str, ModelSpec] = field(default_factory=dict)
-
-    def steps(self, solver: str) -> tuple[int, ...]:
-        """Step counts for which there is a student of this solver ("pcm" or "lcm"), ascending."""
-        found = map(named, self.models)
-        return tuple(sorted(of.steps for of in found if of.solver == solver and of.steps is not None))
-
-    def feature_codec(self) -> FeatureCodec:
-        """The codec of its motions."""
-        return get_codec(self.codec)
-
-    def check(self) -> None:
-        """Raises ValueError, TypeError or KeyError for numbers that no such model can have."""
-        if not self.name or re.search(r"[/\\:\x00-\x1f]|^\.", self.name):
-            raise ValueError(f"the name {self.name!r} cannot be part of a file's name")
-        if not 0 < self.fps <= 1000:
-            raise ValueError("frame rate out of range")
-        for name, spec in self.models.items():
-            if spec.base is not None and self.models[spec.base].base is not None:
-                raise ValueError(f"the base {spec.base!r} of {name!r} is itself stored as differences")
-
-    def check_sampling(self, eta: float, limits: Mapping[str, tuple[int, int]]) -> None:
-        """Raises ValueError for fields that are no whole number within limits, and for eta or guidance out of range."""
-        for name, (low, high) in limits.items():
-            value = getattr(self, name)
-            if type(value) is not int or not low <= value <= high:
-                raise ValueError(f"{name} {value!r} is no whole number in {low} to {high}")
-        if not 0 <= eta <= 1:
-            raise ValueError(f"eta {eta} is not in 0 to 1")
-        if not all(name in self.models and 0 <= w < math.inf for name, w in self.guidance.items()):
-            raise ValueError("guidance of a network that is not there, or below 0")
-
-    @classmethod
-    def parse(cls, data: bytes, where: Path) -> Self:
-        """From the bytes of a ``config.json``.
-
-        Raises:
-            FormatError: not this format, or a newer version of it.
-            InputError: a model of another kind.
-        """
-        raw = json_object(data, where)
-        version = raw.pop("format", None)
-        if version != FORMAT:
-            raise FormatError(f"{where} has format {version!r}; this version reads format {FORMAT}")
-        if (task := raw.pop("task", TEXT_TO_MOTION)) != cls.task:
-            raise _wrong_kind(where.parent, task, cls.task)
-        known = {f.name for f in fields(cls)}
-        if wrong := (set(raw) ^ known) - (cls.newer - set(raw)):
-            raise FormatError(f"{where} does not fit this version: {sorted(wrong)[0]!r} is missing or unknown")
-        try:
-            raw["models"] = {name: ModelSpec(**spec) for name, spec in raw["models"].items()}
-            config = cls.of(raw)
-            config.check()
-            return config
-        except (TypeError, ValueError, KeyError, AttributeError) as error:
-            raise FormatError(f"{where} does not describe a model: {error}") from error
-
-    @classmethod
-    def of(cls, raw: Mapping[str, Any]) -> Self:
-        """From the JSON object, whose ``models`` are specifications already."""
-        return cls(**raw)
-
+_LEAN = 1e-3  # of a standard deviation
 
 Config = TypeVar("Config", bound=FolderConfig)
 
 
 class ModelFolder(VerifiedFolder, Generic[Config]):
-    """An opened model folder; networks are read when they are first asked for. Subclasses name their configuration.
+    """An opened model folder; networks are read when they are first asked for.
 
     Args:
         path: the folder.
+        kind: what it has to be, by the type of its configuration; None for any.
 
     Raises:
         FormatError: no model folder, or a damaged one.
         InputError: a model of another kind.
     """
 
-    config_class: type[Config]
-    statistics: tuple[str, ...]
-
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, kind: type[Config] | None = None) -> None:
         super().__init__(path)
-        self.config: Config = self.config_class.parse(self.read("config.json"), path / "config.json")
+        data, where = self.read("config.json"), path / "config.json"
+        task = json_object(data, where).get("task", TEXT_TO_MOTION)
+        if task not in CONFIGS:
+            raise FormatError(f"model {path.name!r} has the task {task!r}; this version knows {', '.join(CONFIGS)}")
+        if kind is not None and kind.task != task:
+            raise _wrong_kind(path, task, kind.task)
+        self.config = cast(Config, CONFIGS[task].parse(data, where))
         self._modules: dict[tuple[str, str], nn.Module] = {}
 
     @classmethod
-    def find(cls, name_or_path: str | Path) -> Self:
-        """Open a shipped model by name, or a folder.
+    def open(cls, name_or_path: str | Path, kind: type[Config] | None = None) -> Self:
+        """A shipped model by name, or a folder.
 
         Raises:
             InputError: neither a shipped model nor a folder, or a model of another kind.
+            FormatError: a damaged folder.
         """
-        return cls(find_folder(name_or_path))
+        return cls(find_folder(name_or_path), kind)
 
     def module(self, name: str, device: torch.device | str = "cpu") -> nn.Module:
         """The network of that name in float32, for inference only (``models.packed`` on a processor); kept once read.
 
+        Symmetric ones come with their mirror image.
+
         Raises:
-            FormatError: the model has no such network, or its file is damaged.
+            FormatError: the model has no such network, its file is damaged, or statistics lean to one side.
         """
         key = name, str(device)
         if key not in self._modules:
@@ -194,7 +97,8 @@ class ModelFolder(VerifiedFolder, Generic[Config]):
                     f"{self.path / name}.safetensors does not fit the architecture in config.json; copy the model again"
                 ) from error
             module = module.eval().requires_grad_(False).to(device)
-            self._modules[key] = pack(module) if spec.kind in PACKABLE and can_pack(device) else module
+            module = pack(module) if spec.kind in PACKABLE and can_pack(device) else module
+            self._modules[key] = self._even(module).to(device) if name in self.config.symmetric else module
         return self._modules[key]
 
     def spec(self, name: str) -> ModelSpec:
@@ -227,6 +131,17 @@ class ModelFolder(VerifiedFolder, Generic[Config]):
         found = {file: self.files[file][0] for file in files if file in self.files}
         return found | {f"{name} in config.json": hashlib.sha256(text).hexdigest() for name, text in said.items()}
 
+    def _even(self, network: nn.Module) -> Symmetric:
+        codec = self.config.feature_codec()
+        if not isinstance(codec, NativeCodec):
+            raise FormatError(f"{self.path}: features of {codec.name!r} are not symmetric; export it without")
+        order, signs = codec.mirror()
+        mean, std = (self.normalizer[statistic] for statistic in self.config.statistics)
+        lean = ((mean[order] * signs - mean) / std, std[order] / std - 1)
+        if max(float(part.abs().max()) for part in lean) > _LEAN:
+            raise FormatError(f"{self.path}: its statistics lean to one side, so nothing is symmetric; pack it without")
+        return Symmetric(network, order, signs).eval()
+
     def _base(self, name: str, spec: ModelSpec) -> dict[str, Tensor] | None:
         """The tensors of the network that this one is stored as differences from."""
         if spec.base is None:
@@ -240,9 +155,9 @@ class ModelFolder(VerifiedFolder, Generic[Config]):
 
     @cached_property
     def normalizer(self) -> dict[str, Tensor]:
-        """Means and standard deviations, by the names in ``statistics``."""
+        """Means and standard deviations, by the names in the configuration's ``statistics``."""
         tensors = self.tensors("normalizer.safetensors")
-        if missing := set(self.statistics) - set(tensors):
+        if missing := set(self.config.statistics) - set(tensors):
             raise FormatError(
                 f"{self.path / 'normalizer.safetensors'} lacks {sorted(missing)[0]!r}; copy the model again"
             )
@@ -269,12 +184,6 @@ def shipped() -> dict[str, Path]:
     return {p.parent.name: p.parent for p in sorted(root.glob("*/manifest.json"))}
 
 
-def task_of(path: Path) -> str:
-    """What a folder's model is for ("text-to-motion", "stream", "baseline"), whatever else ``config.json`` says."""
-    config = json_object(VerifiedFolder(path).read("config.json"), path / "config.json")
-    return str(config.get("task", TEXT_TO_MOTION))
-
-
 def find_folder(name_or_path: str | Path) -> Path:
     """Folder of a shipped model, or the folder given.
 
@@ -291,7 +200,7 @@ def find_folder(name_or_path: str | Path) -> Path:
     raise InputError(f"unknown model {str(name_or_path)!r}; shipped models: {names}; or give a model folder")
 
 
-def save_folder(
+def save_model(
     path: Path,
     config: FolderConfig,
     modules: Mapping[str, nn.Module],
@@ -307,7 +216,7 @@ def save_folder(
         path: the folder to make.
         config: all but ``models``, which are taken from the networks' own ``.config``.
         modules: networks by name; stored in half precision.
-        normalizer: means and standard deviations by name; stored in float32.
+        normalizer: what ``config.needed`` names, means and standard deviations; stored in float32.
         captions: P sentences the model was trained on.
         pooled: (P, C) their pooled text embeddings.
         bases: by name of a network, the one whose weights it was started from: it is stored as differences from those,
@@ -315,12 +224,14 @@ def save_folder(
         words: of all captions of the training; a prompt with others gets a warning.
 
     Raises:
-        ValueError: weights that half precision cannot hold, captions that do not fit their embeddings, or a base that
-            is not stored whole.
+        ValueError: missing statistics, weights that half precision cannot hold, captions that do not fit their
+            embeddings, or a base that is not stored whole.
         FormatError: a configuration that could not be read again.
     """
     from moveset.models.registry import describe
 
+    if missing := set(config.needed) - set(normalizer):
+        raise ValueError(f"the normalizer lacks {sorted(missing)[0]!r}")
     if len(captions) != len(pooled):
         raise ValueError(f"{len(captions)} captions do not fit {len(pooled)} embeddings")
     bases = bases or {}
@@ -346,17 +257,25 @@ def save_folder(
     return path
 
 
-def _wrong_kind(folder: Path, task: object, wanted: str) -> InputError:
-    if task not in _COMMANDS:
-        return FormatError(f"model {folder.name!r} has the task {task!r}; this version knows {', '.join(_COMMANDS)}")
-    fitting = [name for name, path in shipped().items() if task_of(path) == wanted]
+def _wrong_kind(folder: Path, task: str, wanted: str) -> InputError:
+    fitting = [name for name, path in shipped().items() if ModelFolder[Any](path).config.task == wanted]
     return InputError(
-        f"model {folder.name!r} is a {task} model, for `{_COMMANDS[str(task)]}`; "
+        f"model {folder.name!r} is a {task} model, for `{_COMMANDS[task]}`; "
         f"a {wanted} model is needed here: {' or '.join(fitting) or 'none is shipped'}"
     )
 
 
 def _build(spec: ModelSpec) -> nn.Module:
+    from moveset.models import (  # noqa: F401  (they register their kinds)
+        dip_decoder,
+        flow,
+        length,
+        light_t2m,
+        segment_denoiser,
+        segment_transformer,
+        token_denoiser,
+        token_vae,
+    )
     from moveset.models.registry import build_model
 
     return build_model(spec.kind, spec.config)

@@ -21,9 +21,10 @@ from moveset.errors import FormatError, InputError
 from moveset.motion.clip import Motion
 from moveset.pipelines.device import pick_device
 from moveset.pipelines.initial_motion import InitialMotion
+from moveset.pipelines.model_config import DEFAULT_STREAM, FLOW, StreamConfig
+from moveset.pipelines.model_folder import ModelFolder
 from moveset.pipelines.overlapping import Overlapping
 from moveset.pipelines.stream_batch import OneByOne, Segment, StreamBatch, StreamModel
-from moveset.pipelines.stream_bundle import DEFAULT_STREAM, FLOW, StreamBundle
 from moveset.pipelines.stream_settings import (
     BLEND_SECONDS,
     StreamRequest,
@@ -62,7 +63,7 @@ class MotionStream(Iterator[Segment]):
 
     def __init__(
         self,
-        bundle: StreamBundle,
+        bundle: ModelFolder[StreamConfig],
         request: StreamRequest,
         *,
         seed_motion: Motion | None = None,
@@ -116,7 +117,7 @@ class MotionStream(Iterator[Segment]):
             InputError: no such model, or anything out of range.
             FormatError: a damaged model folder.
         """
-        bundle = StreamBundle.find(name_or_path)
+        bundle = ModelFolder.open(name_or_path, StreamConfig)
         request = check_stream(
             bundle.config, prompt, seconds, loop=loop, seed=seed, network=network, steps=steps, start=start, lag=lag,
             past_lag=past_lag, eta=eta, guidance=guidance, buffer=buffer, foot_lock=foot_lock,
@@ -294,7 +295,11 @@ class MotionStream(Iterator[Segment]):
 
 
 def _reopened(
-    bundle: StreamBundle, request: StreamRequest, device: torch.device, encoder: TextEncoder, state: Snapshot
+    bundle: ModelFolder[StreamConfig],
+    request: StreamRequest,
+    device: torch.device,
+    encoder: TextEncoder,
+    state: Snapshot,
 ) -> MotionStream:
     """The stream of a pickle."""
     return MotionStream(bundle, request, device=device, encoder=encoder).restore(state)

@@ -8,7 +8,7 @@ from numbers import Integral, Real
 from typing import Any, cast
 
 from moveset.errors import InputError
-from moveset.pipelines.bundle import SOLVERS, BundleConfig
+from moveset.pipelines.model_config import SOLVERS, ClipConfig
 
 MAX_PROMPT = 1000
 MAX_PROMPTS = 64
@@ -44,7 +44,7 @@ class Method:
 
 
 def check_request(
-    config: BundleConfig,
+    config: ClipConfig,
     prompt: str | Sequence[str],
     seconds: float | Sequence[float] | None = None,
     seed: int = 0,
@@ -87,7 +87,7 @@ def check_request(
 
 
 def check_method(
-    config: BundleConfig, solver: str = "pcm", steps: int | None = None, guidance: float | None = None
+    config: ClipConfig, solver: str = "pcm", steps: int | None = None, guidance: float | None = None
 ) -> Method:
     """Which network samples, in how many steps, at what guidance scale.
 
@@ -175,7 +175,7 @@ def check_real(name: str, value: object) -> None:
         raise InputError(f"{name} is a whole number of {value.bit_length():,} bits; give a number such as 1.5")
 
 
-def _frames(seconds: float, config: BundleConfig) -> int:
+def _frames(seconds: float, config: ClipConfig) -> int:
     low, high = config.min_frames / config.fps, config.max_frames / config.fps
     if not isinstance(seconds, Real):
         raise InputError(f"duration {seconds!r} is not a number; give seconds from {low:g} to {high:g}")

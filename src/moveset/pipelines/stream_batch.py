@@ -22,7 +22,8 @@ from moveset.motion.stream_decoder import StreamDecoder
 from moveset.pipelines.conditioning import Conditioning, SegmentCondition
 from moveset.pipelines.course import Course
 from moveset.pipelines.device import one_thread, pick_device
-from moveset.pipelines.stream_bundle import FLOW, StreamBundle
+from moveset.pipelines.model_config import FLOW, StreamConfig
+from moveset.pipelines.model_folder import ModelFolder
 from moveset.pipelines.stream_settings import StreamSettings
 from moveset.pipelines.timeline import Timeline, held
 from moveset.pipelines.warnings import too_long, unfamiliar
@@ -118,7 +119,7 @@ class StreamModel:
     @one_thread()
     def __init__(
         self,
-        bundle: StreamBundle,
+        bundle: ModelFolder[StreamConfig],
         settings: StreamSettings,
         *,
         device: torch.device | str = "auto",
@@ -218,7 +219,7 @@ class StreamBatch(StreamModel):
 
     def __init__(
         self,
-        bundle: StreamBundle,
+        bundle: ModelFolder[StreamConfig],
         settings: StreamSettings,
         *,
         device: torch.device | str = "auto",

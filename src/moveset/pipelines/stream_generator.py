@@ -11,10 +11,11 @@ import torch
 from moveset.motion.clip import Motion
 from moveset.motion.stream_decoder import concatenate
 from moveset.pipelines.device import pick_device
+from moveset.pipelines.model_config import FLOW, StreamConfig
+from moveset.pipelines.model_folder import ModelFolder
 from moveset.pipelines.overlapping import Overlapping
 from moveset.pipelines.request import Request
 from moveset.pipelines.stream_batch import Segment, StreamBatch, StreamModel
-from moveset.pipelines.stream_bundle import FLOW, StreamBundle
 from moveset.pipelines.stream_settings import StreamSettings
 from moveset.pipelines.timeline import Timeline, share_evenly
 from moveset.rdm.staircase import Shape, Staircase
@@ -35,7 +36,7 @@ class StreamGenerator:
 
     def __init__(
         self,
-        bundle: StreamBundle,
+        bundle: ModelFolder[StreamConfig],
         settings: StreamSettings,
         *,
         shape: Shape = "parallelogram",

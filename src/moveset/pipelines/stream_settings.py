@@ -13,9 +13,9 @@ from moveset.diffusion.schedule import Schedule, cosine, linear
 from moveset.errors import InputError
 from moveset.motion.features import FeatureCodec
 from moveset.motion.stream_decoder import StreamDecoder
+from moveset.pipelines.model_config import FLOW, StreamConfig
 from moveset.pipelines.request import MAX_GUIDANCE, MAX_PROMPTS, SEEDS, check_prompt, check_real, check_whole
 from moveset.pipelines.role import Role, is_student, named
-from moveset.pipelines.stream_bundle import FLOW, StreamConfig
 from moveset.pipelines.timeline import STAGE_SEGMENTS, Timeline, share_evenly
 from moveset.rdm.sequential import Solver
 from moveset.rdm.staircase import Staircase, levels

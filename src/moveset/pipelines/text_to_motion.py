@@ -20,9 +20,10 @@ from moveset.models.length import LengthPredictor
 from moveset.motion.clip import Motion
 from moveset.motion.features import get_codec
 from moveset.pcm.sampler import item_noise
-from moveset.pipelines.bundle import DEFAULT_MODEL, Bundle
 from moveset.pipelines.denoise import Denoise
 from moveset.pipelines.device import Stopwatch, one_thread, pick_device
+from moveset.pipelines.model_config import DEFAULT_MODEL, ClipConfig
+from moveset.pipelines.model_folder import ModelFolder
 from moveset.pipelines.postprocess import assembled
 from moveset.pipelines.request import Method, Request, check_method, check_request, check_whole
 from moveset.pipelines.warnings import too_long, unfamiliar
@@ -91,7 +92,7 @@ class TextToMotion:
     >>> t2m("a person waves with the left hand", seconds=4.0, seed=7).motion.save("wave.glb")  # doctest: +SKIP
     """
 
-    def __init__(self, bundle: Bundle, device: torch.device | str = "auto") -> None:
+    def __init__(self, bundle: ModelFolder[ClipConfig], device: torch.device | str = "auto") -> None:
         self.bundle = bundle
         self.device = pick_device(str(device))
 
@@ -105,7 +106,7 @@ class TextToMotion:
             InputError: no such model, or no such device.
             FormatError: a damaged model folder.
         """
-        return cls(Bundle.find(name_or_path), device)
+        return cls(ModelFolder.open(name_or_path, ClipConfig), device)
 
     def __call__(
         self,

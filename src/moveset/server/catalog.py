@@ -9,13 +9,12 @@ from typing import Any
 import torch
 
 from moveset.errors import InputError
-from moveset.pipelines.bundle import DEFAULT_MODEL, Bundle
 from moveset.pipelines.device import pick_device
-from moveset.pipelines.model_folder import STREAM, find_folder, shipped, task_of
+from moveset.pipelines.model_config import DEFAULT_MODEL, DEFAULT_STREAM, ClipConfig, StreamConfig
+from moveset.pipelines.model_folder import ModelFolder, find_folder, shipped
 from moveset.pipelines.request import TEACHER_STEPS, Method, check_method
 from moveset.pipelines.role import is_student
 from moveset.pipelines.stream_batch import StreamBatch
-from moveset.pipelines.stream_bundle import DEFAULT_STREAM, StreamBundle
 from moveset.pipelines.stream_settings import StreamRequest, StreamSettings, check_stream
 from moveset.pipelines.text_to_motion import TextToMotion
 from moveset.server.failures import RequestError
@@ -43,16 +42,16 @@ class Catalog:
     def __init__(self, models: Sequence[str | Path] = (), device: torch.device | str = "auto") -> None:
         self.device = pick_device(str(device))
         self.clips: dict[str, TextToMotion] = {}
-        self.streams: dict[str, StreamBundle] = {}
+        self.streams: dict[str, ModelFolder[StreamConfig]] = {}
         for folder in map(find_folder, models or shipped()):
-            bundle = StreamBundle(folder) if task_of(folder) == STREAM else Bundle(folder)
+            bundle = ModelFolder.open(folder)
             name = bundle.config.name
             if name in self.clips or name in self.streams:
                 raise InputError(f"two models are called {name!r}; give one of them")
-            if isinstance(bundle, StreamBundle):
+            if isinstance(bundle.config, StreamConfig):
                 self.streams[name] = bundle
             else:
-                self.clips[name] = TextToMotion(bundle, self.device)
+                self.clips[name] = TextToMotion(ModelFolder.open(folder, ClipConfig), self.device)
         self._encoders: dict[str, TextEncoder] = {}
         self._batches: OrderedDict[tuple[str, StreamSettings], StreamBatch] = OrderedDict()
         self._suggestions: dict[str, list[str]] = {}
@@ -74,7 +73,7 @@ class Catalog:
         """
         return self._found(self.clips, "clip", name)
 
-    def stream(self, name: str | None) -> StreamBundle:
+    def stream(self, name: str | None) -> ModelFolder[StreamConfig]:
         """A model of streams; None is the default.
 
         Raises:
@@ -93,7 +92,12 @@ class Catalog:
         return check_method(t2m.bundle.config, "teacher" if teacher else "pcm", steps, guidance)
 
     def request(
-        self, bundle: StreamBundle, prompt: str | None, seed: int, steps: int | None, guidance: float | None
+        self,
+        bundle: ModelFolder[StreamConfig],
+        prompt: str | None,
+        seed: int,
+        steps: int | None,
+        guidance: float | None,
     ) -> StreamRequest:
         """A checked request of a stream.
 
@@ -104,7 +108,7 @@ class Catalog:
             _check_steps(_stream_row(bundle), steps)
         return check_stream(bundle.config, prompt, seed=seed, steps=steps, guidance=guidance)
 
-    def batch(self, bundle: StreamBundle, settings: StreamSettings) -> StreamBatch:
+    def batch(self, bundle: ModelFolder[StreamConfig], settings: StreamSettings) -> StreamBatch:
         """What makes streams of these settings, whatever their guidance; the last few that were asked for are kept."""
         key = (bundle.config.name, replace(settings, guidance=0.0))
         if key not in self._batches:
@@ -196,7 +200,7 @@ def _clip_row(t2m: TextToMotion) -> dict[str, Any]:
     }
 
 
-def _stream_row(bundle: StreamBundle) -> dict[str, Any]:
+def _stream_row(bundle: ModelFolder[StreamConfig]) -> dict[str, Any]:
     config = bundle.config
     settings = check_stream(config).settings
     return {
@@ -213,7 +217,7 @@ def _stream_row(bundle: StreamBundle) -> dict[str, Any]:
     }
 
 
-def _license(bundle: Bundle | StreamBundle) -> str | None:
+def _license(bundle: ModelFolder[ClipConfig] | ModelFolder[StreamConfig]) -> str | None:
     if bundle.path in shipped().values():
         return _SHIPPED_LICENSE
     found = bundle.config.provenance.get("license")

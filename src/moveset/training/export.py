@@ -21,10 +21,9 @@ from moveset.data.rewordings import all_words
 from moveset.errors import InputError
 from moveset.evaluation.evaluator import Evaluator, EvaluatorCard
 from moveset.motion.features import get_codec
-from moveset.pipelines.baseline_bundle import DENOISER, IDLE, BaselineConfig, save_baseline
-from moveset.pipelines.bundle import BundleConfig, save_folder
+from moveset.pipelines.model_config import DENOISER, FLOW, IDLE, BaselineConfig, ClipConfig, StreamConfig
+from moveset.pipelines.model_folder import save_model
 from moveset.pipelines.role import is_student, named
-from moveset.pipelines.stream_bundle import FLOW, StreamConfig, save_stream_bundle
 from moveset.text.encoder import get_text_encoder
 from moveset.text.glove import GloveWords
 from moveset.text.vocabulary import words_of
@@ -188,10 +187,10 @@ def _clips(
     latents = LatentSet.of(dataset, "train", store, vae.module, path)
     modules = {name: network.module for name, network in found.items() if name != DECODER}
     modules["vae"] = found.get(DECODER, vae).module
-    config = BundleConfig(**fields, latent=(vae.module.config.tokens, vae.module.config.token_dim), points=points)
+    config = ClipConfig(**fields, latent=(vae.module.config.tokens, vae.module.config.token_dim), points=points)
     statistics = {**_statistics(store), "latent_mean": latents.center, "latent_std": latents.scale}
     bases = dict.fromkeys(students, "teacher") if what.differences else None
-    return save_folder(out, config, modules, statistics, known, pooled, bases, trained_words(dataset, teacher.task))
+    return save_model(out, config, modules, statistics, known, pooled, bases, trained_words(dataset, teacher.task))
 
 
 def _stream(
@@ -220,7 +219,7 @@ def _stream(
     )
     bases = dict.fromkeys(students, RDM) if what.differences else None
     words = trained_words(dataset, rdm.task)
-    return save_stream_bundle(out, config, modules, _statistics(store), known, pooled, bases, words)
+    return save_model(out, config, modules, _statistics(store), known, pooled, bases, words)
 
 
 def _baseline(
@@ -240,7 +239,7 @@ def _baseline(
         sampling |= {"prefix": task["model"]["prefix"], "schedule": "cosine", "eta": 1.0, **every}
     else:
         sampling["predict"] = task["predict"]
-    return save_baseline(out, BaselineConfig(**fields, **sampling), network.module, statistics, known, pooled)
+    return save_model(out, BaselineConfig(**fields, **sampling), {DENOISER: network.module}, statistics, known, pooled)
 
 
 def _evaluator(what: Export, found: TrainedNetwork, out: Path) -> Path:
@@ -263,7 +262,7 @@ def _statistics(store: FeatureStore) -> dict[str, Tensor]:
 
 def _one_grid(students: Any) -> int:
     """The solver points that all students were distilled on."""
-    grids = {student.task["points"] for student in students} or {BundleConfig.points}
+    grids = {student.task["points"] for student in students} or {ClipConfig.points}
     if len(grids) > 1:
         raise InputError(f"the students were distilled on grids of {sorted(grids)} points; export those of one grid")
     return int(grids.pop())
@@ -306,7 +305,7 @@ def familiarity_limit(dataset: Dataset, known: list[str], pooled_PC: Tensor, tex
     """
     unseen = {caption for item in dataset.split("val") for caption in dataset.clip(item).captions} - set(known)
     if not unseen:
-        return BundleConfig.far_prompt
+        return ClipConfig.far_prompt
     chosen = sorted(unseen)[:: -(-len(unseen) // _JUDGED)]
     found = get_text_encoder(text_encoder).encode(chosen).pooled
     best = (_unit(found) @ _unit(pooled_PC).T).amax(dim=1)

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from moveset.pipelines.stored_weights import halved, restored, subtracted
+from moveset.pipelines.quantization import halved, restored, subtracted
 
 
 @pytest.fixture
