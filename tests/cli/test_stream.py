@@ -321,6 +321,7 @@ def test_one_file_that_fails_does_not_lose_the_others(tmp_path, monkeypatch):
         (("a", "--seed", "-1"), "seed -1"),
         (("a", "--device", "tpu"), "unknown device"),
         (("a", "-o", "w.mp4"), "cannot stream to 'w.mp4'"),
+        (("a", "-o", "w" * 248 + ".bvh"), "longer than 255 bytes"),
         (("a", "-o", "w.bvh", "w.bvh"), "written twice"),
         (("a", "-o", "nowhere/w.bvh"), "does not exist"),
         (("a", "--prompts", "nowhere.txt"), "there is no file 'nowhere.txt'"),

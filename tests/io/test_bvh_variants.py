@@ -38,6 +38,7 @@ SAME = {
     "one word": (TIMING, b"Frames: 4\nFrameTime: 0.033333333\n"),
     "no colons": (TIMING, b"FRAMES 4\nFRAME TIME 0.033333333\n"),
     "capitals": (TIMING, b"FRAMES:\t4\nFRAME TIME:\t0.033333333\n"),
+    "remarks": (TIMING, b"Frames: 4 in all\nFrame Time: 0.033333333 s\n"),
     "blank lines": (TIMING, b"\n\nFrames: 4\n\nFrame Time: 0.033333333\n\n\n"),
     "small letters": (b"HIERARCHY\nROOT", b"hierarchy\nroot"),
     "named ends": (b"End Site", b"End Site left_foot_end"),

@@ -332,6 +332,17 @@ def test_requests_that_make_no_sense_are_named(motion, tmp_path):
     assert len(load(tmp_path / "take.bvh")) == 2 * len(motion)
 
 
+def test_a_take_is_written_through_a_link_and_over_no_pipe(motion, tmp_path):
+    (tmp_path / "link.bvh").symlink_to("real.bvh")
+    with open_take(tmp_path / "link.bvh", HML22, 20.0, metadata={"prompt": "walks"}) as take:
+        take.append(motion)
+    assert (tmp_path / "link.bvh").is_symlink()
+    assert len(load(tmp_path / "real.bvh")) == len(motion)
+    os.mkfifo(tmp_path / "pipe.glb")
+    with pytest.raises(InputError, match="no regular file"):
+        open_take(tmp_path / "pipe.glb", HML22, 20.0)
+
+
 def test_a_take_on_any_skeleton_at_any_rate(tmp_path):
     from moveset.motion.skeleton import Skeleton
 

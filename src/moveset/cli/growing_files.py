@@ -20,11 +20,14 @@ def plan_takes(outputs: Sequence[Path]) -> None:
     Raises:
         InputError: an extension that cannot grow, a file named twice, or a folder that cannot be written to.
     """
+    from moveset.io import check_name
+    from moveset.io.growing import part_of
     from moveset.io.take_writer import SUFFIXES
 
     for path in outputs:
         if path.suffix.lower() not in SUFFIXES:
             raise InputError(f"cannot stream to {str(path)!r}: its extension is none of {' '.join(SUFFIXES)}; use one")
+        check_name(part_of(path))
     plan_outputs(outputs, [""])
 
 

@@ -201,14 +201,17 @@ def _timing(reader: _Reader, fps: float | None) -> tuple[int, float]:
     frames = reader.count(reader.token(), MAX_FRAMES, "frames")
     if frames < 1:
         reader.fail("the file declares no frames; export at least one")
+    if reader.tokens and not reader.tokens[0].upper().startswith(b"FRAME"):
+        reader.tokens.clear()  # a remark
     if reader.keywords(b"FRAME", b"FRAMES", b"FRAMETIME") != b"FRAMETIME":
         reader.keywords(b"TIME")
     token = reader.token()
     frame_time = 1.0 / fps if fps is not None else reader.number(token)
     if not _SECONDS[0] <= frame_time <= _SECONDS[1]:
         reader.fail(f"a frame time of {frame_time:g} s is not in {list(_SECONDS)}; give the true rate by --source-fps")
-    if reader.tokens:
+    if reader.tokens and _NUMBER.match(reader.tokens[0]):
         reader.fail(f"unexpected {_show(reader.tokens[0])} after the frame time; the file is damaged")
+    reader.tokens.clear()
     return frames, frame_time
 
 
