@@ -2,8 +2,8 @@
 
 python benchmarks/fuzz_readers.py --count 20000 --out results/fuzz.json
 
-A mutant that takes more than two seconds of the processor, more than a gigabyte, or raises anything but ``InputError`` is a fault; it is
-kept in the folder given by --keep. Every mutant follows from the seed and its number.
+A mutant that takes more than two seconds of the processor, more than a gigabyte, or raises anything but ``InputError``
+is a fault; it is kept in the folder given by --keep. Every mutant follows from the seed and its number.
 """
 
 import io

@@ -154,6 +154,7 @@ def test_origins_that_browsers_send_can_be_allowed(origin):
     from moveset.cli.serve import _options
 
     assert _options("127.0.0.1", (), "cpu", (origin,), 16, 120.0).origins == (origin,)
+    assert _options("127.0.0.1", (), "cpu", ("https://a.example/",), 16, 120.0).origins == ("https://a.example",)
 
 
 def test_without_the_extra_it_says_how_to_get_it():

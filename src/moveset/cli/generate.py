@@ -43,8 +43,8 @@ def generate(
 
     Args:
         prompt: What the person does, such as "a person walks forward and waves".
-        output: File to write: .bvh .glb .npz .amass.npz .npy .html .mp4 .gif or .png; give it several times for
-            several files. Without it motion.glb is written. An .html is a page that plays the motion, offline.
+        output: File to write: .bvh .glb .gltf .vrma .npz .amass.npz .npy .html .mp4 .gif or .png; give it several times
+            for several files. Without it motion.glb is written. An .html is a page that plays the motion, offline.
         seconds: Duration of a clip; once for all prompts, or once for each. Without it the text decides.
         model: A shipped model (see `moveset models`) or a model folder.
         steps: Network evaluations a clip takes: 1, 2 or 4; by default 1 (50 for the teacher).

@@ -84,6 +84,8 @@ def _options(
     from moveset.server.limits import Limits
     from moveset.server.service import Options
 
+    # An address as it is copied from a browser has a slash that its origin has not.
+    origins = tuple(origin.removesuffix("/") if origin.startswith("http") else origin for origin in origins)
     for origin in origins:
         if not _ORIGIN.fullmatch(origin):
             raise InputError(

@@ -80,7 +80,7 @@ def stream(
             finished predecessor, and a new prompt shows with the next segment. Fewer: segments overlap.
         past_lag: --network rdm, where segments wait for each other: steps that the finished one is told to be ahead.
         seed: The same seed gives the same bytes.
-        seed_motion: Go on from the end of this motion file (.bvh .glb .npz .npy) of at least 1.4 s.
+        seed_motion: Go on from the end of this motion file (as `moveset convert` reads) of at least 1.4 s.
         in_place: Without travel over the ground.
         foot_lock: Hold planted feet in place.
         stages: Take a sentence apart that says what comes after what ("walks, then waves"); its parts share its time
