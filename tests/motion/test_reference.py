@@ -63,6 +63,22 @@ def test_up_axis_and_facing_of_a_file_do_not_matter(axis, degrees):
     assert (back.joints - retarget(walk, there.skeleton).joints).abs().max() < 1e-4
 
 
+@pytest.mark.parametrize("turn", [("x", 90.0), ("x", -90.0), ("z", 90.0)])
+def test_a_world_turned_over_below_an_upright_rest_pose_is_seen(turn):
+    walk = foreign("mixamo")
+    over = walk.transformed(rotations.about(*turn), torch.zeros(3))
+    assert (retarget(over, "hml22").canonical().joints - retarget(walk, "hml22").canonical().joints).abs().max() < 1e-4
+
+
+@pytest.mark.parametrize("place", [(3.0, 0.1, 0.0), (-1.7, 0.1, 2.0)])
+def test_who_lies_all_the_time_is_left_lying(place):
+    walk = foreign("mixamo")
+    lying = walk.transformed(rotations.about("z", 90.0), torch.zeros(3))
+    lying = replace(lying, root=0.02 * (lying.root - lying.root[:1]) + torch.tensor(place))
+    assert upright(lying) is lying
+    assert upright(other := with_other_axes(lying, 1)) is other
+
+
 def test_a_frame_that_shows_a_t_pose_is_found_and_made_the_rest_pose():
     walk = with_other_axes(with_rest_first(foreign("mixamo")), 5)
     assert find_reference(walk).how == "T-pose"

@@ -45,7 +45,7 @@ from moveset.motion.skeleton import Skeleton
 AXES = ("x", "y", "z", "-x", "-y", "-z")
 _FRAMES = 400  # looked at, evenly spaced
 _NEAR = 1e-6
-_SURE = 0.7  # mean body axis along an axis of the world
+_SURE, _MOSTLY = 0.7, 0.85  # of the mean body axis, along an axis of the world
 _Y = torch.tensor((0.0, 1.0, 0.0), dtype=torch.float64)
 _SOLE, _FAR = 0.09, 0.5  # of a leg
 
@@ -288,13 +288,12 @@ def _world_up(rest: Reference | None, placed: Tensor, found: Roles) -> Tensor:
     expected = rest.up if rest is not None else rotations.identity().double()
     if torch.equal(rotations.rotate(expected, along).round(), _Y):
         return expected
-    if float(body.abs().max()) < _SURE:
+    # Somebody who lies all the time is not standing in a world turned over: there the feet would be at height zero.
+    leg = (hips - ankles).norm(dim=-1).median()
+    low, high = float((ankles @ along / leg).quantile(0.1)), float((hips @ along / leg).median())
+    sure = float(body.abs().max()) > (_SURE if rest is None else _MOSTLY)
+    if not (sure and -0.2 < low < 0.3 and 0.5 < high < 1.4):
         return expected
-    if rest is not None:
-        # Somebody who lies all the time is not standing in a world turned over: feet would be at height zero there.
-        legs = (hips - ankles).norm(dim=-1).median()
-        if float(body.abs().max()) < 0.85 or not 0.5 < float(((hips * along).sum(-1) / legs).median()) < 1.4:
-            return expected
     return _turn_up(along)
 
 
