@@ -17,7 +17,8 @@ def test_info_shows_counts_labels_and_sentences(corpus, capsys):
     assert main(["data", "info", str(corpus)]) == 0
     out = capsys.readouterr().out
     assert "12 clips" in out
-    assert "wave-left-hand" in out
+    assert "synthetic" in out
+    assert "wave 3" in out
     assert "a person walks forward" in out
 
 
@@ -25,27 +26,28 @@ def test_info_as_json_is_one_object(corpus, capsys):
     assert main(["data", "info", str(corpus), "--json"]) == 0
     summary = json.loads(capsys.readouterr().out)
     assert summary["clips"] == 12
-    assert sum(summary["contents"].values()) == sum(summary["lengths"].values()) == 12
+    assert sum(summary["lengths"].values()) == sum(row["told"] for row in summary["sources"].values()) == 12
     assert sum(row["clips"] for row in summary["splits"].values()) == 12
 
 
-def test_info_draws(corpus, tmp_path, capsys):
-    assert main(["data", "info", str(corpus), "--plot", str(tmp_path / "p.png")]) == 0
-    assert (tmp_path / "p.png").read_bytes().startswith(b"\x89PNG")
+def test_sheets_are_drawn_of_every_source(corpus, tmp_path, capsys):
+    assert main(["data", "info", str(corpus), "--sheets", str(tmp_path)]) == 0
+    names = {path.name for path in tmp_path.iterdir()}
+    assert {"synthetic-0.png", "synthetic-1.png"} <= names
+    assert (tmp_path / "synthetic-0.png").read_bytes().startswith(b"\x89PNG")
 
 
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
         (["info", "nothing.safetensors"], "moveset data build"),
-        (["info", "{corpus}", "--captions", "-1"], "-1 sentences of each content cannot be shown; give 0 or more"),
+        (["info", "{corpus}", "--captions", "-1"], "-1 sentences of each source cannot be shown; give 0 or more"),
         (["info", "README.md"], "corpus"),
-        (["info", "{corpus}", "--plot", "a.pdf"], ".png"),
         (["info", "{folder}"], "new_joint_vecs"),
         (["build", "--raw", "{folder}"], "raw data"),
         (["build", "--workers", "0"], "0 workers"),
         (["build", "--compositions", "-1"], "-1 compositions"),
-        (["build", "--continuations", "100001"], "100001 continuations"),
+        (["build", "--sources", "cmu,octopus"], "octopus"),
         (["build", "-o", "corpus.npz"], "corpus.npz"),
     ],
 )

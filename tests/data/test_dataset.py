@@ -136,7 +136,7 @@ def test_a_corpus_is_numbered_with_its_mirror_images(corpus):
 
 def test_what_does_not_fit_is_said(humanml3d, corpus, tmp_path):
     source = open_for_training(humanml3d)
-    with pytest.raises(InputError, match=r"'hml' features .* not 'native' ones.*--set codec=hml"):
+    with pytest.raises(InputError, match=r"'hml' features .* not 'native' ones.*codec=auto"):
         FeatureStore.of(source, get_codec("native"), tmp_path / "native")
     assert {path.name for path in tmp_path.iterdir()} <= {".lock"}  # nothing half made
     FeatureStore.of(source, get_codec("hml"), tmp_path / "store")

@@ -21,7 +21,7 @@ from tests.training.hml_folder import write_folder
 from tests.training.segment_corpus import write_corpus
 
 N = 14
-PLAIN = CuttingConfig(continuations=0, whole_caption=0.0)
+PLAIN = CuttingConfig(whole_caption=0.0)
 ALIGNED = replace(PLAIN, aligned=True)
 
 
@@ -150,17 +150,16 @@ def test_a_segment_lies_in_the_time_of_its_sentence(corpus):
     frames = np.arange(100, dtype=np.float32)[:, None]
     found.rows = [
         Row(frames, (50, 100), (("one",), ("two",)), ("both",)),
-        Row(frames, (40, 100), (("on",), ("on",)), ("on",), looped=True),
     ]
-    found.weights = torch.ones(2, dtype=torch.float64)
+    found.weights = torch.ones(1, dtype=torch.float64)
     batch, seen = found.batch(400, seed=0, step=0), set()
-    spans = {"one": (0, 50), "two": (50, 100), "both": (0, 100), "on": (0, 100)}
+    spans = {"one": (0, 50), "two": (50, 100), "both": (0, 100)}
     for clean, caption, (behind, ahead) in zip(batch.clean, batch.captions, batch.place.tolist(), strict=True):
         start, (begin, end) = float(clean[0, 0]), spans[caption]
         assert (behind, ahead) == (max(start - begin, 0), end - start)
         seen.add((caption, start < begin))
     # Of a segment in which a sentence begins, the time begins with the segment.
-    assert seen == {("one", False), ("two", False), ("two", True), ("both", False), ("on", False)}
+    assert seen == {("one", False), ("two", False), ("two", True), ("both", False)}
 
 
 def test_a_segment_knows_how_far_its_way_has_turned_since_its_sentence_began(corpus):
@@ -195,16 +194,8 @@ def test_the_sentence_before_is_that_of_the_segment_before(corpus):
     assert pairs == {("one", "one"), ("one", "two"), ("two", "two")}
 
 
-def test_added_clips_get_their_shares(corpus):
-    more = [Row(np.zeros((40, 1), np.float32), (40,), (("added",),), ("added",))] * 4
-    found = corpus.cut(PLAIN, added=[(more[:3], 0.5), ([], 0.3), (more[3:], 0.25)])
-    weights = found.weights.split([len(found.rows) - 4, 3, 1])
-    assert [float(part.sum()) for part in weights] == pytest.approx([0.375, 0.375, 0.25])
-    assert "added" in found.all_captions()
-
-
 def test_batches_are_functions_of_seed_and_step(corpus):
-    cutting = replace(PLAIN, continuations=6)
+    cutting = PLAIN
     one, other = (corpus.cut(cutting, disturbance=Disturbance(paraphrased=0.5)) for _ in range(2))
     a, b = one.batch(16, 3, 7), other.batch(16, 3, 7)
     for name, value in vars(a).items():

@@ -66,7 +66,7 @@ def test_the_published_settings():
     assert (task.optimizer, task.lr, task.flow_lr, task.constant_lr) == ("momo", 2e-4, 1e-4, True)
     assert (task.batch, task.ema, task.text_drop, task.weight, task.root, task.velocity) == (512, 0.9999, 0, "x0", 1, 0)
     assert task.grid.clean_share == 0
-    assert (task.cutting.aligned, task.cutting.continuations, task.cutting.whole_caption) == (True, 0, 1.0)
+    assert (task.cutting.aligned, task.cutting.whole_caption) == (True, 1.0)
     assert (task.flow.blocks, task.flow.hidden, task.flow.log_scale, task.noise) == (6, 256, 0.1, "white")
     assert recipe.engine.grad_clip == 0.5
     # The paper's reading, setting by setting.
@@ -163,7 +163,7 @@ def test_a_course_is_learned_from_a_bent_past(folder, tmp_path):
 
 
 def test_settings_of_the_printed_algorithm_train(folder, tmp_path):
-    task, _ = trained(folder, "rdm-7", tmp_path / "run", *LITERAL, "cutting.aligned=true", "cutting.continuations=0")
+    task, _ = trained(folder, "rdm-7", tmp_path / "run", *LITERAL, "cutting.aligned=true")
     assert task.transport.depth_cap == 6
     assert task.denoiser.index.weight.shape[0] == 7
 
@@ -171,7 +171,7 @@ def test_settings_of_the_printed_algorithm_train(folder, tmp_path):
 def test_twenty_steps_are_ten_a_stop_and_ten(folder, tmp_path):
     """To the last bit, for both networks, their averages and optimisers, by AdamW and by MoMo-Adam."""
     for optimizer in ("adamw", "momo"):
-        settings = (f"optimizer={optimizer}", "frozen_flow=0.2", "batch=3", "cutting.continuations=0")
+        settings = (f"optimizer={optimizer}", "frozen_flow=0.2", "batch=3")
         straight, halves = tmp_path / f"straight-{optimizer}", tmp_path / f"halves-{optimizer}"
         trained(folder, "rdm-7", straight, *settings, steps=20, save_every=10)
         halves.mkdir()
@@ -186,7 +186,7 @@ def test_twenty_steps_are_ten_a_stop_and_ten(folder, tmp_path):
 
 
 def test_reworded_captions_resume_too_and_workers_change_nothing(folder, tmp_path):
-    settings = ("disturbance.paraphrased=0.2", "disturbance.reworded=0.6", "batch=6", "cutting.continuations=0")
+    settings = ("disturbance.paraphrased=0.2", "disturbance.reworded=0.6", "batch=6")
     straight, halves = tmp_path / "straight", tmp_path / "halves"
     trained(folder, "rdm-7", straight, *settings, steps=6, save_every=3)
     halves.mkdir()
@@ -206,7 +206,7 @@ def test_shares_of_captions_may_not_exceed_all_of_them(folder, tmp_path):
 
 
 def test_the_flow_rests_at_the_end_and_ignores_the_denoiser(folder, tmp_path):
-    settings = ("frozen_flow=0.5", "cutting.continuations=0")
+    settings = ("frozen_flow=0.5",)
     run_folder = tmp_path / "run"
     trained(folder, "rdm-7", run_folder, *settings, steps=4, save_every=2, keep_last=5)
     rested = [checkpoint.read_tensors(run_folder / f"step_{n}", "flow") for n in (2, 4)]

@@ -22,7 +22,6 @@ def build(
     workers: int | None = None,
     sources: str = "cmu,cmu-more,more-mocap",
     compositions: int = 3000,
-    continuations: int = 0,
     keep_work: tyro.conf.FlagCreatePairsOff[bool] = False,
     json: tyro.conf.FlagCreatePairsOff[bool] = False,
 ) -> int:
@@ -34,8 +33,7 @@ def build(
         workers: Processes (default: one a core).
         sources: Of cmu, cmu-more, more-mocap and bandai-namco, separated by commas. Without the last, which is for
             non-commercial use only, the result is free for any use.
-        compositions: Training clips to add that are composed of two takes each.
-        continuations: Training clips to add in which one action goes on for longer than its takes last.
+        compositions: Training clips to add: one action after another, bent ways, other paces.
         keep_work: Keep the imported takes, for a faster next build.
         json: Print one JSON object on stdout and nothing else.
     """
@@ -51,8 +49,6 @@ def build(
         raise InputError(f"{workers} workers on {cores} cores; use 1 to {4 * cores}")
     if not 0 <= compositions <= 100_000:
         raise InputError(f"{compositions} compositions are not in [0, 100000]; 3000 is usual")
-    if not 0 <= continuations <= 100_000:
-        raise InputError(f"{continuations} continuations are not in [0, 100000]; 1500 is usual")
     if output.suffix != ".safetensors":
         raise InputError(f"a corpus is a .safetensors file, not {output.name!r}; choose such a name")
     begin = time.monotonic()
@@ -62,7 +58,6 @@ def build(
         workers=workers,
         sources=wanted,
         compositions=compositions,
-        continuations=continuations,
         keep_work=keep_work,
     )
     took = time.monotonic() - begin
@@ -95,37 +90,34 @@ def info(
     corpus: tyro.conf.Positional[Path] = Path("data/corpus.safetensors"),
     *,
     captions: int = 2,
-    plot: Path | None = None,
+    sheets: Path | None = None,
     json: tyro.conf.FlagCreatePairsOff[bool] = False,
 ) -> int:
     """Show what a corpus, or a HumanML3D or KIT-ML folder, holds.
 
     Args:
         corpus: A file made by `moveset data build`, or a folder with new_joint_vecs and texts.
-        captions: Sentences to show per content.
-        plot: Draw lengths, labels and sources into this .png.
+        captions: Sentences to show per source.
+        sheets: Draw filmstrips of ten clips of every source into this folder, each under its sentence.
         json: Print one JSON object on stdout and nothing else.
     """
-    if plot is not None and plot.suffix != ".png":
-        raise InputError(f"a plot is a .png file, not {plot.name!r}; choose such a name")
     if captions < 0:
-        raise InputError(f"{captions} sentences of each content cannot be shown; give 0 or more")
+        raise InputError(f"{captions} sentences of each source cannot be shown; give 0 or more")
     if corpus.is_dir():
-        if plot is not None:
-            raise InputError("a plot is drawn of a corpus file only; leave --plot away for a folder")
+        if sheets is not None:
+            raise InputError("sheets are drawn of a corpus file only; leave --sheets away for a folder")
         return _folder_info(corpus, captions, json)
     from moveset.data.corpus import Corpus
-    from moveset.data.summary import draw, summarize
+    from moveset.data.summary import rejections, summarize, write_sheets
 
     opened = Corpus.open(corpus)
-    summary = summarize(opened)
+    summary = {**summarize(opened), "rejected": rejections(corpus)}
     if json:
         print(jsonlib.dumps({"corpus": str(corpus), **summary}))
     else:
         _print_summary(corpus, summary, opened, captions)
-    if plot is not None:
-        draw(opened, plot)
-        print(f"drew {plot}", file=sys.stderr)
+    if sheets is not None:
+        print(f"drew {len(write_sheets(opened, sheets))} sheets into {sheets}", file=sys.stderr)
     return 0
 
 
@@ -168,23 +160,25 @@ def import_evaluator(
 
 def _print_summary(path: Path, summary: dict[str, Any], corpus: "Corpus", captions: int) -> None:
     print(f"{path}: {summary['clips']} clips, {summary['hours']:.2f} h, {summary['compositions']} compositions")
-    print("          clips   hours   in time   bodies")
-    for name, row in summary["splits"].items():
-        print(f"  {name:<6}{row['clips']:>7}{row['hours']:>8.2f}{row['in_time']:>10}{row['body']:>9}")
-    print(f"  sentences: {summary['sentences']} distinct; styles: {', '.join(summary['styles'])}")
-    print(f"  sources: {', '.join(f'{name} {count}' for name, count in summary['sources'].items())}")
+    print("                  clips   hours  with sentences   hours  sentences")
+    for name, row in (*summary["splits"].items(), *summary["sources"].items()):
+        told = f"{row['told']:>16}{row['told_hours']:>8.2f}{row['sentences']:>11}"
+        print(f"  {name:<15}{row['clips']:>6}{row['hours']:>8.2f}{told}")
+        clips = [i for i, r in enumerate(corpus.records) if r.source == name and r.captions and r.kind == "take"]
+        for clip in clips[:: max(1, len(clips) // max(captions, 1))][:captions]:
+            print(f"        {corpus.captions(clip)[0]}")
+    print(f"  {summary['sentences']} distinct sentences; clips that say a verb:")
+    said = [f"{verb} {count}" for verb, count in summary["verbs"].items()]
+    for start in range(0, len(said), 12):
+        print(f"    {', '.join(said[start : start + 12])}")
     print("  length (frames):")
     most = max(summary["lengths"].values())
     for label, count in summary["lengths"].items():
         print(f"    {label:>8} {count:>6} {'█' * round(40 * count / most)}")
-    print("  contents (clips):")
-    for content, count in summary["contents"].items():
-        print(f"    {content:<22}{count:>5}")
-        clip = next(i for i, r in enumerate(corpus.records) if r.contents == (content,))
-        sentences = corpus.captions(clip)
-        step = max(1, len(sentences) // max(captions, 1))
-        for sentence in sentences[: step * captions : step]:
-            print(f"        {sentence}")
+    if summary["rejected"]:
+        print("  left out:")
+        for reason, count in summary["rejected"].items():
+            print(f"    {count:>5}  {reason}")
 
 
 def _folder_info(folder: Path, captions: int, json: bool) -> int:

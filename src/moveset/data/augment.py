@@ -1,20 +1,30 @@
-"""New clips out of takes: one after the other, or the arms of one on the legs of another.
+"""New clips out of takes: one after the other, the arms of one on the legs of another, bent ways, other paces.
 
 F frames, J joints. Both work on ``hml22`` at one frame rate.
 """
 
+import math
 from dataclasses import replace
 from typing import Literal
 
 import torch
 from torch import Tensor
 
+from moveset.data.glitches import runs
+from moveset.data.posture import standing
 from moveset.errors import InputError
-from moveset.motion import rotations
+from moveset.motion import bend, rotations
 from moveset.motion.clip import Motion
+from moveset.motion.features import get_codec
 from moveset.motion.skeleton import HML22
 
 MAX_FRAMES = 196
+
+_QUIET = 0.25  # m/s that no joint exceeds
+_HANGING = 0.15  # metres over the pelvis that no wrist is
+_WRISTS = [HML22.index(f"{side}_wrist") for side in ("left", "right")]
+_CORNER = 0.6  # metres of the radius of a corner, at least
+_TURNING = math.radians(100.0)  # a second
 
 Arms = Literal["left", "right", "both"]
 
@@ -136,3 +146,48 @@ def compose_body(upper: Motion, lower: Motion, arms: Arms = "both") -> Motion:
     joints = _upper_joints(arms)
     local[:, joints] = stretched(upper, len(lower)).rotations[:, joints]
     return replace(lower, rotations=local).canonical()
+
+
+def bent(motion: Motion, turn: float, sharp: bool) -> Motion:
+    """The same steps on a way that turns by ``turn`` radians to the left in all, as far as feet can follow.
+
+    Args:
+        motion: of somebody who goes somewhere.
+        turn: radians.
+        sharp: in the middle of the way, as around a corner; otherwise all along it.
+    """
+    codec = get_codec("native")
+    features = codec.encode(motion)
+    way = float(bend.steps(features[:-1], codec).sum())
+    width = min(abs(turn) * corner_radius(motion), way) if sharp else way
+
+    def heading(gone: Tensor) -> Tensor:
+        return turn * ((gone - 0.5 * (way - width)) / max(width, 1e-6)).clamp(0.0, 1.0)
+
+    return codec.decode(bend.led(features, codec, heading)).canonical()
+
+
+def corner_radius(motion: Motion) -> float:
+    """Metres of the radius of the sharpest corner that somebody goes round who is as fast as this."""
+    path = motion.root[:, [0, 2]]
+    return max(_CORNER, float(path.diff(dim=0).norm(dim=1).mean()) * motion.fps / _TURNING)
+
+
+def quiet_moments(motion: Motion, least: int) -> list[tuple[int, int]]:
+    """Stretches (start, stop) of at least so many frames in which somebody stands upright with hanging hands."""
+    joints = motion.joints
+    if len(joints) < least:
+        return []
+    speed = joints.diff(dim=0).norm(dim=-1).amax(dim=1) * motion.fps
+    hanging = (joints[:, _WRISTS, 1] < joints[:, :1, 1] + _HANGING).all(dim=1)
+    still = (speed < _QUIET) & hanging[1:] & hanging[:-1] & standing(motion.global_rotations, joints)[:-1]
+    return [(start, stop + 1) for start, stop in runs(still) if stop + 1 - start >= least]
+
+
+def legs_differ(a: Motion, b: Motion) -> bool:
+    """Whether pelvis and thighs of two motions point so differently that the arms of one look wrong on the other."""
+    frames = min(len(a), len(b))
+    down = a.root.new_tensor((0.0, -1.0, 0.0))
+    tilt = [rotations.rotate(m.global_rotations[:frames, 0], down)[:, 1].amax() for m in (a, b)]
+    height = [m.root[:frames, 1].amin() for m in (a, b)]
+    return bool(max(tilt) > -0.9 or min(height) < 0.75)

@@ -10,17 +10,18 @@ import sys
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from hashlib import sha256
 from itertools import groupby, pairwise
 from pathlib import Path
 
 from torch import Tensor
 
 from moveset.data import posture
-from moveset.data.augment import MAX_FRAMES
+from moveset.data.augment import MAX_FRAMES, quiet_moments
 from moveset.data.captions import train_captions
-from moveset.data.compose import add_compositions, add_continuations
+from moveset.data.compose import add_compositions
 from moveset.data.corpus import CorpusWriter
-from moveset.data.descriptions import described, said_otherwise
+from moveset.data.descriptions import STANDING_STILL, described, said_otherwise, spelled_out
 from moveset.data.importing import import_all, read_cached
 from moveset.data.labels import canonical_style
 from moveset.data.raw import FREE, find_spans, find_takes, unpacked
@@ -36,7 +37,7 @@ from moveset.motion.clip import Motion
 
 FPS = 20.0
 #: Frames of the shortest clip that sentences tell of, and of one that nothing is told about.
-MIN_FRAMES, MIN_UNTOLD = 24, 40
+MIN_FRAMES, MIN_UNTOLD, MAX_STAND = 24, 40, 100
 #: The share of a span that a clean run has to hold for the span's sentences to be true of it.
 _WHOLE = 0.8
 #: Sets whose takes are long and alike count as so many clips, whatever they are cut into.
@@ -164,23 +165,43 @@ def _pieces(ref: TakeRef, runs: Sequence[_Run], spans: _Spans) -> Iterator[tuple
                 continue
             parts = cut(b - a)
             # What is told in order is not told of each piece.
-            sentences = whole if len(parts) == 1 or not _in_order(whole) else ()
+            sentences = whole if len(parts) == 1 else tuple(said for said in whole if not _in_order(said))
             for start, stop in parts:
                 yield number, _Piece(f"{ref.name}#{a + start}", a + start, a + stop, default, sentences)
+    if default == "train":
+        yield from _stands(ref, runs, spans.held_out(ref))
     for _, _, _, span in told:
         if span.name not in done:
             spans.failed[span.name] = "too few of its frames are clean"
+
+
+def _stands(ref: TakeRef, runs: Sequence[_Run], held_out: list[tuple[int, int]]) -> Iterator[tuple[int, _Piece]]:
+    """The longest moment of a take in which somebody just stands, where nobody may look at it in testing."""
+    found = [
+        (b - a, number, a, b)
+        for number, (first, motion) in enumerate(runs)
+        for start, stop in quiet_moments(motion, MIN_UNTOLD)
+        for a, b in free_parts(first + start, first + stop, held_out)
+        if b - a >= MIN_UNTOLD
+    ]
+    if found:
+        length, number, start, _ = max(found)
+        order = int.from_bytes(sha256(ref.name.encode()).digest()[:4], "big")
+        said = tuple(STANDING_STILL[(order + 5 * k) % len(STANDING_STILL)] for k in range(4))
+        yield number, _Piece(f"{ref.name}~{start}", start, start + min(length, MAX_STAND), "train", said)
 
 
 def _said_of_all(ref: TakeRef) -> tuple[str, ...]:
     """Sentences for all of a take, from what its set says about it."""
     if ref.source.startswith("bandai"):
         return train_captions(ref.content, canonical_style(ref.style) if ref.style else None)
-    return said_otherwise(ref.sentence) if ref.sentence else described(ref.description or "")
+    if ref.sentence:
+        return tuple(dict.fromkeys(said for told in spelled_out(ref.sentence) for said in said_otherwise(told)))
+    return described(ref.description or "")
 
 
-def _in_order(sentences: Sequence[str]) -> bool:
-    return any(re.search(r"\bthen\b|\bafter|\bbefore\b|, \w+s\b", sentence) for sentence in sentences)
+def _in_order(sentence: str) -> bool:
+    return bool(re.search(r"\bthen\b|\bafter|\bbefore\b|, \w+s\b", sentence))
 
 
 def build_corpus(
@@ -190,7 +211,6 @@ def build_corpus(
     workers: int,
     sources: Sequence[str] = FREE,
     compositions: int = 3000,
-    continuations: int = 0,
     keep_work: bool = False,
 ) -> BuildReport:
     """Import every take, make it upright, cut, tell, compose, and write the corpus with its report beside it.
@@ -204,7 +224,6 @@ def build_corpus(
         workers: processes.
         sources: of ``raw.SOURCES``; those that ``raw`` does not hold are left out.
         compositions: composed training clips to add.
-        continuations: training clips to add in which one action goes on for longer than its takes last.
         keep_work: keep the imported takes for the next build.
 
     Raises:
@@ -232,7 +251,6 @@ def build_corpus(
             _add(writer, ref, runs, pieces, words, mended)
     clips = len(writer.records)
     composed = add_compositions(writer, train=compositions, progress=sys.stderr.isatty())
-    composed += add_continuations(writer, train=continuations)
     writer.records[:] = _weighed(writer.records)
     writer.write(output)
     report = BuildReport(

@@ -19,7 +19,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from moveset.data.augment import compose_body, compose_in_time
+from moveset.data.augment import bent, compose_body, compose_in_time, stretched
 from moveset.data.captions import mirror_text
 from moveset.data.labels import mirror_label
 from moveset.data.quantize import pack, unpack
@@ -123,13 +123,7 @@ class Corpus:
         return motion.mirrored() if mirrored else motion
 
     def run_motion(self, run: int) -> Motion:
-        """All of a run, starting above the origin and facing +Z.
-
-        Raises:
-            InputError: there is no such run.
-        """
-        if not 0 <= run < len(self.runs):
-            raise InputError(f"there is no run {run} in a corpus of {len(self.runs)}; use 0 to {len(self.runs) - 1}")
+        """All of a run, starting above the origin and facing +Z."""
         fps = next(record.fps for record in self.records if record.run == run)
         return self._frames(run, self.runs[run].first_frame, self.runs[run].frames, fps)
 
@@ -188,10 +182,11 @@ def compose(kind: str, recipe: Recipe, parts: Sequence[Motion]) -> Motion:
     """The composition of its parts that a recipe describes."""
     if kind == "in_time":
         return reduce(lambda first, second: compose_in_time(first, second, recipe.blend), parts)
+    if kind == "bent":
+        return bent(parts[0], recipe.turn, recipe.sharp)
+    if kind == "paced":
+        return stretched(parts[0], max(2, round(len(parts[0]) / recipe.speed)))
     return compose_body(*parts, recipe.arms)
-
-
-# ------------------------------------------------------------------------------------------------------- checking
 
 
 def _checked_index(path: Path) -> dict[str, Any]:
@@ -266,9 +261,6 @@ def _check_recipes(records: Sequence[ClipRecord]) -> None:
                 raise FormatError(f"clip {record.name!r} is composed of frames it may not use; build the corpus again")
 
 
-# -------------------------------------------------------------------------------------------------------- writing
-
-
 @dataclass(frozen=True, eq=False)
 class TakeEntry:
     """A clip to be stored with a run of its own: fields as in ``ClipRecord``, captions as sentences."""
@@ -293,6 +285,7 @@ class CorpusWriter:
         self._runs: list[Run] = []
         self._motions: list[Motion] = []
         self._strings: dict[str, int] = {}
+        self._told: list[str] = []
 
     def add_run(self, take: str, motion: Motion, first_frame: int = 0) -> int:
         """Store frames of a take, which clips are to show; returns the run's number.
@@ -314,8 +307,13 @@ class CorpusWriter:
         """
         if record.kind == "take" and self.records and self.records[-1].kind != "take":
             raise InputError(f"clip {record.name!r} comes after compositions; add every take before composing")
-        numbers = tuple(self._strings.setdefault(s, len(self._strings)) for s in captions)
-        self.records.append(replace(record, captions=numbers))
+        numbers = []
+        for sentence in captions:
+            if sentence not in self._strings:
+                self._strings[sentence] = len(self._told)
+                self._told.append(sentence)
+            numbers.append(self._strings[sentence])
+        self.records.append(replace(record, captions=tuple(numbers)))
         return len(self.records) - 1
 
     def add_take(self, entry: TakeEntry) -> int:
@@ -341,6 +339,10 @@ class CorpusWriter:
             run=self.add_run(entry.take, entry.motion, entry.first_frame),
         )
         return self.add_clip(record, entry.captions)
+
+    def sentences(self, record: ClipRecord) -> tuple[str, ...]:
+        """The captions of a stored clip."""
+        return tuple(self._told[k] for k in record.captions)
 
     @property
     def frames(self) -> int:
@@ -373,7 +375,7 @@ class CorpusWriter:
         index = {
             "version": VERSION,
             "skeleton": skeleton.name,
-            "strings": list(self._strings),
+            "strings": self._told,
             "caption_sets": [list(s) for s in sets],
             "runs": [[run.take, run.first_frame, run.frames] for run in self._runs],
             "records": records,

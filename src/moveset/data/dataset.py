@@ -5,6 +5,7 @@ A dataset numbers its clips as networks see them: a mirror image is a clip of it
 
 import hashlib
 import os
+from collections import Counter
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -47,7 +48,6 @@ class Clip:
         contents: labels of what is shown; None where unknown. Clips of equal ones are never told apart.
         parts: where it shows one thing after another, each with sentences of its own.
         croppable: whether its sentences also hold for most of it, so that a window of it may be learned from.
-        looped: whether it shows one thing over and over, for longer than that lasts.
         tagged: its sentences with their words' parts of speech, where these are known.
         stored: name of the codec of the features that are all a set holds of it; None where it holds the motion.
     """
@@ -62,7 +62,6 @@ class Clip:
     contents: tuple[str, ...] | None = None
     parts: tuple[Span, ...] = ()
     croppable: bool = False
-    looped: bool = False
     tagged: tuple[Caption, ...] = ()
     stored: str | None = None
 
@@ -81,8 +80,10 @@ class Dataset(Protocol):
     def __len__(self) -> int:
         """Number of clips, mirror images counted."""
 
-    def split(self, name: Split, *, captured_only: bool = False) -> tuple[int, ...]:
+    def split(self, name: Split, *, captured_only: bool = False, untold: bool = False) -> tuple[int, ...]:
         """Clips of a split; with ``captured_only`` those that stand for the captures: not composed, not our mirrorings.
+
+        With ``untold`` also those about which no sentence tells, which are for learning motion alone.
 
         Raises:
             InputError: an unknown split.
@@ -155,14 +156,24 @@ class CorpusDataset:
     def __init__(self, corpus: Corpus, path: Path = Path("corpus")) -> None:
         self.corpus, self._path, self.name = corpus, path, path.name
         self._clips: dict[int, Clip] = {}
+        # Sentences of labelled sets are shared by all takes of a label: those may answer each other's.
+        users: dict[int, str] = {}
+        self._shared = {
+            caption
+            for record in corpus.records
+            if record.kind == "take"
+            for caption in record.captions
+            if users.setdefault(caption, record.group) != record.group
+        }
 
     def __len__(self) -> int:
         return 2 * len(self.corpus)
 
-    def split(self, name: Split, *, captured_only: bool = False) -> tuple[int, ...]:
+    def split(self, name: Split, *, captured_only: bool = False, untold: bool = False) -> tuple[int, ...]:
+        captioned = None if untold else True
         if captured_only:
-            return tuple(2 * record for record in self.corpus.indices(name, composed=False))
-        return tuple(2 * record + mirrored for record in self.corpus.indices(name) for mirrored in (0, 1))
+            return tuple(2 * record for record in self.corpus.indices(name, False, captioned))
+        return tuple(2 * record + side for record in self.corpus.indices(name, None, captioned) for side in (0, 1))
 
     def clip(self, item: int) -> Clip:
         # Kept, because mirroring sentences takes long.
@@ -175,7 +186,8 @@ class CorpusDataset:
         record = corpus.records[number]
         captions, contents = corpus.captions(number, mirrored), corpus.contents(number, mirrored)
         parts: tuple[Span, ...] = ()
-        if record.kind == "in_time" and record.recipe is not None and len(contents) == 2:
+        own = bool(record.captions) and not self._shared.intersection(record.captions)
+        if record.kind == "in_time" and record.recipe is not None and len(record.recipe.parts) == 2:
             stops = (record.recipe.seam, record.frames)
             said = (corpus.captions(part.clip, part.mirrored != mirrored) for part in record.recipe.parts)
             parts = tuple(Span(stop, sentences) for stop, sentences in zip(stops, said, strict=True))
@@ -183,15 +195,14 @@ class CorpusDataset:
             name=record.name + " mirrored" * mirrored,
             frames=record.frames,
             captions=captions,
-            group=contents,
+            group=(record.group, mirrored) if own else contents,
             motion=lambda: corpus.motion(number, mirrored),
             features=lambda codec: codec.encode(corpus.motion(number, mirrored)),
             joints=lambda: corpus.motion(number, mirrored).joints,
             contents=contents,
             parts=parts,
             # A window of a clip that shows two things may miss half of what its caption says.
-            croppable=len(contents) == 1,
-            looped=record.goes_on,
+            croppable=len(contents) == 1 and record.kind in ("take", "paced"),
         )
 
     def weights(self, items: Sequence[int], power: float, composed_share: float) -> Tensor:
@@ -202,7 +213,9 @@ class CorpusDataset:
 
     def normalizer(self, codec: FeatureCodec, features: Callable[[int], Tensor]) -> Normalizer:
         """From the takes of the training split and their mirror images."""
-        fitted = (clip + mirrored for clip in self.split("train", captured_only=True) for mirrored in (0, 1))
+        fitted = (
+            clip + mirrored for clip in self.split("train", captured_only=True, untold=True) for mirrored in (0, 1)
+        )
         return Normalizer.fit((features(clip) for clip in fitted), codec.groups)
 
     @property
@@ -242,7 +255,7 @@ class FolderDataset:
     def __len__(self) -> int:
         return len(self.items)
 
-    def split(self, name: Split, *, captured_only: bool = False) -> tuple[int, ...]:
+    def split(self, name: Split, *, captured_only: bool = False, untold: bool = False) -> tuple[int, ...]:
         if name not in self._splits:
             raise InputError(f"there is no split {name!r}; use 'train', 'val' or 'test'")
         return self._splits[name]
@@ -320,14 +333,14 @@ def folder_clip(data: HumanML3D, name: str, start: int, stop: int, captions: tup
 
 
 def corpus_weights(corpus: Corpus, records: Sequence[int], power: float, composed_share: float) -> Tensor:
-    """Sampling weights of records: each content by count^(1 - power), those that show two things together
-    ``composed_share``."""
+    """Sampling weights of records: what they show first by count^(1 - power), compositions ``composed_share`` in all.
+
+    Takes that are long and alike have less weight of their own.
+    """
     chosen = [corpus.records[k] for k in records]
-    counts: dict[tuple[str, ...], int] = {}
-    for record in chosen:
-        counts[record.contents] = counts.get(record.contents, 0) + 1
-    weights = torch.tensor([counts[record.contents] ** -power for record in chosen], dtype=torch.float64)
-    composed = torch.tensor([len(record.contents) > 1 for record in chosen])
+    counts = Counter(record.contents[:1] for record in chosen)
+    weights = torch.tensor([r.weight * counts[r.contents[:1]] ** -power for r in chosen], dtype=torch.float64)
+    composed = torch.tensor([record.kind in ("in_time", "body", "bent") for record in chosen])
     for part, share in ((composed, composed_share), (~composed, 1.0 - composed_share)):
         if part.any():
             weights[part] *= share / weights[part].sum()

@@ -15,6 +15,37 @@ _PERSON = re.compile(r"^(?:a|the) (?:person|man|woman|figure)\b|^someone\b", re.
 _SHORT = 3  # letters of a part that may be a word
 
 
+STANDING_STILL = (
+    "a person stands still", "a person stands", "a person is standing still", "someone stands still", "stand still",
+    "a man stands still", "a woman stands still", "standing still", "stands still", "a person stands and waits",
+    "a person waits", "a person does nothing", "a person stands idle", "the person is standing", "a person is standing",
+    "someone is standing in place", "a figure stands in place", "a person stays where they are",
+)  # fmt: skip
+_ABBREVIATED = {
+    "rt": "right", "lf": "left", "rturn": "right turn", "lturn": "left turn", "lhand": "left hand", "rarm": "right arm",
+}  # fmt: skip
+
+
+def spelled_out(sentence: str) -> tuple[str, ...]:
+    """Sentences for one that ends in the name of a file; any other as it is.
+
+    >>> spelled_out("a person: walk circle rt 01")[0], spelled_out("a person punches: punch left 45 low")[:2]
+    ('a person walks circle right', ('a person punches', 'a person punches left 45 degrees low'))
+    """
+    head, _, name = sentence.partition(": ")
+    if not name:
+        words = sentence.split()
+        if len(words) > 2 and words[:2] == ["a", "person"] and words[2] in VERBS:
+            words[2] = inflect(words[2], "present")
+        return (" ".join(words),)
+    words = [_ABBREVIATED.get(word, word) for word in name.split() if not re.fullmatch(r"0\d+", word)]
+    name = re.sub(r"\b(\d\d+)\b", r"\1 degrees", " ".join(words))
+    if head == "a person":
+        return described(name)
+    told = _inflected(name)
+    return (head, f"a person {told}" if told else f"{head}, {name}")
+
+
 def said_otherwise(sentence: str) -> tuple[str, ...]:
     """A sentence about a person, and the same about others and about nobody.
 
@@ -27,6 +58,16 @@ def said_otherwise(sentence: str) -> tuple[str, ...]:
     return tuple(dict.fromkeys((sentence, f"someone {rest}", f"the person {rest}", rest)))
 
 
+def without_person(sentence: str) -> str | None:
+    """What a sentence says that a person does; None if it does not begin with a person.
+
+    >>> without_person("the man walks."), without_person("walking")
+    ('walks.', None)
+    """
+    found = _PERSON.match(sentence)
+    return sentence[found.end() :].strip() or None if found else None
+
+
 def described(description: str) -> tuple[str, ...]:
     """Sentences for CMU's description of a trial; none where it says nothing.
 
@@ -36,7 +77,7 @@ def described(description: str) -> tuple[str, ...]:
     text = re.sub(r"\(.*?subject.*?\)|CleanedGRS|\(repeated\)", "", description.replace("\xa0", " "))
     animal = "human subject" in description
     text = re.sub(r"(?<=[a-z])(?=[A-Z])|(?<=[A-Za-z])(?=\d)|(?<=\d)(?=[A-Za-z])|/", " ", text).lower()
-    text = re.sub(r"\s+", " ", re.sub(r"\b\d{3}$", "", text)).strip(" .")
+    text = re.sub(r"\s+", " ", re.sub(r" \d{1,3}$", "", text)).strip(" .")
     if _NOTHING.search(description) or len(text) < _SHORT or re.search(r"\b[ab]\b.*\b[ab]\b", text):
         return ()
     if animal:

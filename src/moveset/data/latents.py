@@ -63,7 +63,7 @@ class LatentSet:
         self.frames, self.clip = tensors["frames"], tensors["clip"]
         self.center, self.scale = tensors["center"], tensors["scale"]
         clips = dataset.split(split)
-        weight = dict(zip(clips, dataset.weights(clips, power=0.5, composed_share=0.4).tolist(), strict=True))
+        weight = dict(zip(clips, dataset.weights(clips, power=0.25, composed_share=0.4).tolist(), strict=True))
         copies = torch.bincount(self.clip, minlength=len(dataset)).double()
         self.weights = torch.tensor([weight[int(c)] for c in self.clip], dtype=torch.float64) / copies[self.clip]
         self._captions = {clip: dataset.clip(clip).captions for clip in set(self.clip.tolist())}

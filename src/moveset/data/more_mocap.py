@@ -1,6 +1,7 @@
 """Eleven small sets of motion capture as BVH, each on skeletons of its own, with a sentence for every take."""
 
 import json
+import warnings
 from pathlib import Path
 
 import torch
@@ -39,6 +40,7 @@ def list_takes(root: Path) -> list[TakeRef]:
                 group=name,
                 sentence=str(take["sentence"]),
                 unit=float(take["unit_m"]),
+                leave_out="its joints jump" if take.get("quality") == "spikes" else "",
             )
         except (ValueError, KeyError, TypeError) as error:
             raise FormatError(f"{listing}, line {number}: not a take ({error}); restore the original file") from error
@@ -50,12 +52,17 @@ def read_take(ref: TakeRef) -> ImportedTake:
     """A take on ``hml22`` at 20 fps, not on the floor yet, without the poses for calibration at its ends.
 
     Raises:
-        RejectedTake: it is nothing but such poses.
+        RejectedTake: the take should not be trained on, or is nothing but such poses.
         InputError: the file cannot be read, or its skeleton is no humanoid.
         FormatError: it is damaged.
     """
+    if ref.leave_out:
+        raise RejectedTake(f"{ref.name}: {ref.leave_out}")
     bvh = read_bvh(ref.path)
-    motion = retarget(bvh_motion(bvh, scale=ref.unit), HML22)
+    with warnings.catch_warnings():
+        # These skeletons have no telling rest pose; how they stand is found from the motion.
+        warnings.simplefilter("ignore", UserWarning)
+        motion = retarget(bvh_motion(bvh, scale=ref.unit), HML22)
     local, root = motion.rotations.double(), motion.root.double()
     if len(root) < 4:
         raise RejectedTake(f"{ref.name}: only {len(root)} frames")

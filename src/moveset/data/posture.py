@@ -17,7 +17,7 @@ from moveset.motion.clip import Motion
 from moveset.motion.kinematics import fk, global_to_local
 from moveset.motion.skeleton import HML22
 
-_PELVIS, _CHEST, _HEAD = (HML22.index(name) for name in ("pelvis", "spine3", "head"))
+_PELVIS, _CHEST, _NECK, _HEAD = (HML22.index(name) for name in ("pelvis", "spine3", "neck", "head"))
 _FEET = list(HML22.feet)
 _SOLES = {"ankle": [HML22.index("left_ankle"), HML22.index("right_ankle")], "toe": [10, 11]}
 _KNEES = [HML22.index("left_knee"), HML22.index("right_knee")]
@@ -80,6 +80,8 @@ def upright(local: Tensor, root: Tensor, degrees: dict[str, float]) -> tuple[Ten
     moved = rotations.rotate(turned[:, 0], HIPS.to(turned))
     for joints, name in (([_PELVIS], "pelvis"), ([_HEAD], "head"), ([*_SOLES["ankle"], *_SOLES["toe"]], "ankle")):
         turned[:, joints] = rotations.mul(turned[:, joints], turn("x", -degrees[name]).to(turned))
+    # The neck is halfway between chest and head.
+    turned[:, _NECK] = rotations.mul(turned[:, _NECK], turn("x", -0.5 * degrees["head"]).to(turned))
     moved = moved - rotations.rotate(turned[:, 0], HIPS.to(turned))
     return rotations.unroll(global_to_local(turned, HML22)), root + moved
 

@@ -7,7 +7,7 @@ from moveset.data.augment import MAX_FRAMES
 from moveset.data.splits import Split
 from moveset.errors import FormatError
 
-Kind = Literal["take", "in_time", "body"]
+Kind = Literal["take", "in_time", "body", "bent", "paced"]
 
 
 @dataclass(frozen=True)
@@ -25,14 +25,21 @@ class Recipe:
     """How a composed clip is made from parts.
 
     Args:
-        parts: two or more one after the other; or upper body and legs.
+        parts: two or more one after the other; or upper body and legs; or the one that is bent, or played at another
+            pace.
         blend: frames of overlap, for compositions in time.
         arms: which arms the first part gives ("left", "right", "both"), for compositions of bodies.
+        turn: radians to the left by which a way is bent in all.
+        sharp: whether it is bent in its middle, like a corner, and not all along.
+        speed: how many times as fast it is played.
     """
 
     parts: tuple[Part, ...]
     blend: int = 0
     arms: Literal["left", "right", "both"] = "both"
+    turn: float = 0.0
+    sharp: bool = False
+    speed: float = 1.0
 
     @property
     def seam(self) -> int:
@@ -97,11 +104,6 @@ class ClipRecord:
     run: int | None = None
     weight: float = 1.0
 
-    @property
-    def goes_on(self) -> bool:
-        """Whether one action is shown over and over, for longer than its takes last."""
-        return self.recipe is not None and len(self.contents) == 1
-
 
 def record_to_json(record: ClipRecord, caption_set: int) -> dict[str, Any]:
     """The record as plain JSON values, its captions replaced by the number of a shared set."""
@@ -124,7 +126,8 @@ def record_to_json(record: ClipRecord, caption_set: int) -> dict[str, Any]:
     }
     if record.recipe is not None:
         parts = [[p.clip, p.start, p.stop, p.mirrored] for p in record.recipe.parts]
-        out["recipe"] = {"parts": parts, "blend": record.recipe.blend, "arms": record.recipe.arms}
+        recipe = {name: getattr(record.recipe, name) for name in ("blend", "arms", "turn", "sharp", "speed")}
+        out["recipe"] = {"parts": parts, **recipe}
     return out
 
 
@@ -143,6 +146,9 @@ def record_from_json(data: Any, caption_sets: list[tuple[int, ...]]) -> ClipReco
                 tuple(_part(p) for p in data["recipe"]["parts"]),
                 int(data["recipe"]["blend"]),
                 _one_of(data["recipe"]["arms"], ("left", "right", "both")),
+                float(data["recipe"]["turn"]),
+                bool(data["recipe"]["sharp"]),
+                float(data["recipe"]["speed"]),
             )
         record = ClipRecord(
             name=_text(data["name"]),
@@ -171,8 +177,10 @@ def record_from_json(data: Any, caption_sets: list[tuple[int, ...]]) -> ClipReco
         recipe is not None and record.frames > MAX_FRAMES
     ):
         raise FormatError(f"clip {record.name!r} of the corpus has no valid recipe; build the corpus again")
-    if recipe is not None and (len(recipe.parts) < 2 or (record.kind == "body" and len(recipe.parts) > 2)):
-        raise FormatError(f"clip {record.name!r} of the corpus has {len(recipe.parts)} parts; build the corpus again")
+    if recipe is not None:
+        least, most = {"in_time": (2, 100), "body": (2, 2)}.get(record.kind, (1, 1))
+        if not (least <= len(recipe.parts) <= most and abs(recipe.turn) <= 100 and 0.1 <= recipe.speed <= 10):
+            raise FormatError(f"the recipe of clip {record.name!r} cannot be followed; build the corpus again")
     return record
 
 

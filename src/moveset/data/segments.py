@@ -35,27 +35,13 @@ class CuttingConfig:
         horizon: when aligned, the longest clip; of longer ones so many frames in a row are shown.
         first_share: share of first segments, when not aligned; most of them start where their clip does.
         whole_caption: share of segments of clips in two parts that get the sentence for all of it.
-        continuations: clips to add in which an action goes on; 0 for none. Like bodies and stills, of corpora alone: a
-            folder holds no motions to make others of.
-        continuation_share: share of segments from them.
-        bodies: clips to add in which the arms do one thing and the legs another, each pair of contents as often; 0 for
-            none.
-        body_share: share of segments from them.
-        stills: clips to add in which a person stands still (``training.stills``); 0 for none.
-        still_share: share of segments from them.
-        composed_share: share of segments from compositions, among the others.
+        composed_share: share of segments from compositions.
     """
 
     aligned: bool = False
     horizon: int = MAX_FRAMES
     first_share: float = 0.2
     whole_caption: float = 0.2
-    continuations: int = 1200
-    continuation_share: float = 0.2
-    bodies: int = 0
-    body_share: float = 0.2
-    stills: int = 0
-    still_share: float = 0.1
     composed_share: float = 0.35
 
 
@@ -110,20 +96,18 @@ class SegmentBatch:
 @dataclass(frozen=True, eq=False)
 class Row:
     """A clip: its normalised features (F, D), the sentences of each part, which ends at a frame, and those of all of
-    it, if any. Of a clip that is ``looped`` all parts are one thing, and its time is that of the clip."""
+    it, if any."""
 
     features: np.ndarray
     ends: tuple[int, ...]
     said: tuple[tuple[str, ...], ...]
     whole: tuple[str, ...]
-    looped: bool = False
 
 
 class ClipSet:
     """Clips of one split with their sentences by part, drawn by weight.
 
     Args:
-        added: clips besides those of the dataset, and what share of all that is drawn each kind of them gets.
         disturbance: what share of captions is said otherwise.
     """
 
@@ -135,20 +119,14 @@ class ClipSet:
         codec: FeatureCodec,
         cutting: CuttingConfig,
         disturbance: Disturbance = AS_WRITTEN,
-        added: Sequence[tuple[list[Row], float]] = (),
     ) -> None:
         self.cutting, self.disturbance = cutting, disturbance
         yaw = codec.groups["root_yaw"]
         self._yaw = (yaw.start, float(store.normalizer.mean[yaw]), float(store.normalizer.std[yaw]))
         clips = dataset.split(split)
-        weights = dataset.weights(clips, power=0.5, composed_share=cutting.composed_share)
+        weights = dataset.weights(clips, power=0.25, composed_share=cutting.composed_share)
         self.rows = [_row(dataset, clip, store) for clip in clips]
         self.weights = weights / weights.sum()
-        for rows, share in added:
-            if rows:
-                more = torch.full((len(rows),), share / len(rows), dtype=torch.float64)
-                self.weights = torch.cat(((1 - share) * self.weights, more))
-                self.rows += rows
 
     def all_captions(self) -> list[str]:
         """Every caption in use."""
@@ -168,7 +146,7 @@ class ClipSet:
 
     def span(self, clip: Row, start: int, frames: int, chance: Sequence[float]) -> tuple[int, int]:
         """First and last frame, exclusive, of what the sentence is said to that the same numbers choose."""
-        if self._of_all(clip, chance) or clip.looped:
+        if self._of_all(clip, chance):
             return 0, clip.ends[-1]
         part = _part(clip, start, frames)
         return (0, *clip.ends)[part], clip.ends[part]
@@ -195,9 +173,8 @@ class SegmentSet(ClipSet):
         cutting: CuttingConfig,
         frames: int,
         disturbance: Disturbance = AS_WRITTEN,
-        added: Sequence[tuple[list[Row], float]] = (),
     ) -> None:
-        super().__init__(dataset, split, store, codec, cutting, disturbance, added)
+        super().__init__(dataset, split, store, codec, cutting, disturbance)
         self.frames = frames
 
     def batch(self, size: int, seed: int, step: int) -> SegmentBatch:

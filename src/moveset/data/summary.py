@@ -1,71 +1,105 @@
-"""What is in a corpus, as numbers and as a picture."""
+"""What is in a corpus: numbers, a picture of its clips, and why takes are not in it."""
 
+import json
+import random
+import re
 from collections import Counter
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from moveset.data.corpus import Corpus
+from moveset.data.verbs import count_verbs
+
+if TYPE_CHECKING:
+    from PIL import Image
 
 _EDGES = (24, 40, 60, 80, 100, 120, 140, 160, 180, 197)
+_STRIPS = 5  # on a sheet
+_WIDTH = 1400  # of a sheet
 
 
 def summarize(corpus: Corpus) -> dict[str, Any]:
-    """Counts and hours by split, source, style, content and length; plain JSON values."""
-    takes = [r for r in corpus.records if r.kind == "take"]
-    splits = {}
-    for split in ("train", "val", "test"):
-        of_split = [r for r in corpus.records if r.split == split]
-        splits[split] = {
-            "clips": sum(r.kind == "take" for r in of_split),
-            "hours": round(sum(r.frames / r.fps for r in of_split if r.kind == "take") / 3600, 3),
-            "in_time": sum(r.kind == "in_time" for r in of_split),
-            "body": sum(r.kind == "body" for r in of_split),
+    """Clips, hours and sentences by split and source, clips that say each verb, lengths; plain JSON values.
+
+    Seconds that several clips share count once in the hours of all, and with each of them elsewhere.
+    """
+    takes = [record for record in corpus.records if record.kind == "take"]
+
+    def row(**chosen: str) -> dict[str, Any]:
+        found = [r for r in takes if all(getattr(r, name) == value for name, value in chosen.items())]
+        told = [r for r in found if r.captions]
+        return {
+            "clips": len(found),
+            "hours": round(sum(r.frames / r.fps for r in found) / 3600, 3),
+            "told": len(told),
+            "told_hours": round(sum(r.frames / r.fps for r in told) / 3600, 3),
+            "sentences": sum(len(r.captions) for r in told),
         }
-    lengths = {f"{low}-{high - 1}": sum(low <= r.frames < high for r in takes) for low, high in pairwise(_EDGES)}
+
+    told = [[corpus.strings[k] for k in record.captions] for record in takes if record.captions]
     return {
         "clips": len(takes),
         "compositions": len(corpus) - len(takes),
         "hours": round(corpus.seconds / 3600, 3),
         "sentences": len(corpus.strings),
-        "splits": splits,
-        "sources": dict(Counter(r.source for r in takes).most_common()),
-        "styles": dict(Counter(r.style for r in takes if r.style is not None).most_common()),
-        "contents": dict(Counter(r.contents[0] for r in takes).most_common()),
-        "lengths": lengths,
+        "splits": {split: row(split=split) for split in ("train", "val", "test")},
+        "sources": {source: row(source=source) for source in dict.fromkeys(record.source for record in takes)},
+        "composed": dict(Counter(record.kind for record in corpus.records if record.kind != "take")),
+        "verbs": dict(count_verbs(told).most_common(100)),
+        "lengths": {
+            f"{low}-{high - 1}": sum(low <= record.frames < high for record in takes) for low, high in pairwise(_EDGES)
+        },
     }
 
 
-def draw(corpus: Corpus, path: Path) -> None:
-    """Draw lengths, contents and styles into a PNG file.
+def rejections(corpus: Path) -> dict[str, int]:
+    """Why takes and spans are not in a corpus, with how many, from the report beside it; empty where there is none."""
+    path = corpus.with_name(f"{corpus.name}.report.json")
+    if not path.is_file():
+        return {}
+    report = json.loads(path.read_text(encoding="utf-8"))
+    reasons = Counter(re.sub(r"\d+", "N", str(reason).split(": ")[-1]) for reason in report["rejected"].values())
+    reasons.update(f"span: {reason}" for reason in report.get("spans", {}).values())
+    return dict(reasons.most_common())
+
+
+def write_sheets(corpus: Corpus, folder: Path, count: int = 10, seed: int = 0) -> list[Path]:
+    """Filmstrips of ``count`` clips with sentences of every source and kind of composition, five on each picture.
 
     Raises:
-        InputError: the file cannot be written.
+        InputError: a picture cannot be written.
     """
-    from io import BytesIO
+    from moveset.io.filmstrip import filmstrip
 
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
+    by_source: dict[str, list[int]] = {}
+    for number, record in enumerate(corpus.records):
+        if record.captions:
+            by_source.setdefault(record.source if record.kind == "take" else record.kind, []).append(number)
+    folder.mkdir(parents=True, exist_ok=True)
+    paths = []
+    for source, clips in by_source.items():
+        chosen = sorted(random.Random(f"{source} {seed}").sample(clips, min(count, len(clips))))
+        for start in range(0, len(chosen), _STRIPS):
+            strips = []
+            for number in chosen[start : start + _STRIPS]:
+                record, sentences = corpus.records[number], corpus.captions(number)
+                strips.append(filmstrip(corpus.motion(number), f"{record.name} {record.split}: {sentences[0]}"))
+            paths.append(folder / f"{source}-{start // _STRIPS}.png")
+            _write_sheet(strips, paths[-1])
+    return paths
+
+
+def _write_sheet(strips: "list[Image.Image]", path: Path) -> None:
+    from PIL import Image
 
     from moveset.io.limits import atomic_write
 
-    summary = summarize(corpus)
-    figure = Figure(figsize=(12, 8), layout="constrained")
-    FigureCanvasAgg(figure)
-    length, contents, styles = figure.subplot_mosaic("AB\nCB").values()
-    length.set_title(f"{summary['clips']} takes ({summary['hours']:.2f} h), {summary['compositions']} compositions")
-    for kind, label in (("take", "takes"), ("in_time", "one after the other"), ("body", "arms on legs")):
-        seconds = [r.frames / r.fps for r in corpus.records if r.kind == kind]
-        length.hist(seconds, bins=40, range=(0, 10), alpha=0.6, label=label)
-    length.set_xlabel("seconds")
-    length.set_ylabel("clips")
-    length.legend()
-    for axes, title, counts in ((contents, "content", summary["contents"]), (styles, "style", summary["styles"])):
-        names = list(counts)[::-1]
-        axes.barh(names, [counts[n] for n in names], log=True)
-        axes.set_title(f"clips by {title}")
-        axes.tick_params(axis="y", labelsize=7)
-    buffer = BytesIO()
-    figure.savefig(buffer, format="png", dpi=100)
+    sized = [strip.resize((_WIDTH, round(strip.height * _WIDTH / strip.width))) for strip in strips]
+    sheet = Image.new("RGB", (_WIDTH, sum(strip.height for strip in sized)))
+    top = 0
+    for strip in sized:
+        sheet.paste(strip, (0, top))
+        top += strip.height
     with atomic_write(path) as file:
-        file.write(buffer.getvalue())
+        sheet.save(file, format="PNG")

@@ -20,10 +20,13 @@ _LIST = """
     tread wade trip slip slide skate ski surf bowl pitch golf juggle fish hunt aim toss pass give take put place
     set get rise straighten hunch slump rest sleep wait pause relax laugh cry cough sneeze yawn shiver tremble
     wiggle shimmy waltz tango moonwalk thrust uppercut jab guard defend parry stab slash attack retreat approach
-    return rock lay extend cross clasp fold tilt nudge shift shove squeeze grind peck peek hide avoid chase escape veer
-    land hurdle hug kiss pray exercise
+    return rock lay extend cross clasp fold tilt nudge shift shove squeeze grind peck peek hide avoid chase escape
+    veer strafe land hurdle hug kiss pray exercise
 """
 VERBS = tuple(_LIST.split())
+#: Verbs of getting somewhere on one's feet, and that of doing nothing.
+LOCOMOTION = ("walk", "run", "jog", "march", "sneak", "limp", "stroll", "strut", "stride", "sprint", "pace")
+STANDING = "stand"
 _ALSO = {"laying": "lie", "lays": "lie", "laid": "lie", "lay": "lie", "fell": "fall", "hopscotch": "hop"}
 #: Forms that mostly are no verbs in such sentences.
 _LOOKALIKES = """

@@ -116,7 +116,7 @@ def train_rdm(segments: int = 7) -> Recipe:
         grid=GridConfig(frames=frames),
         depth_cap=1,
         codec="published",
-        cutting=CuttingConfig(aligned=True, whole_caption=1.0, continuations=0),
+        cutting=CuttingConfig(aligned=True, whole_caption=1.0),
         batch=512,
         optimizer="momo",
         lr=2e-4,
@@ -160,7 +160,7 @@ def train_dip() -> Recipe:
     task = DiPConfig(
         model=DipDecoderConfig(text_dim=512),
         codec="published",
-        cutting=CuttingConfig(whole_caption=1.0, continuations=0),
+        cutting=CuttingConfig(whole_caption=1.0),
         constant_lr=True,
         text_encoder=CLIP,
         max_tokens=77,

@@ -188,7 +188,7 @@ GUIDANCE = (1.0, 4.0)
 DISTURBANCE = Disturbance(paraphrased=0.5, word_drop=0.12, blur=0.12)
 # Streams walk straight and stand still (docs/streaming.md).
 HEADING, BENT = 5.0, 0.1
-STREAMED = CuttingConfig(stills=800)
+STREAMED = CuttingConfig()
 
 
 def _recurrent(steps: int = 4600) -> EngineConfig:
@@ -199,7 +199,7 @@ def _recurrent(steps: int = 4600) -> EngineConfig:
 
 def _volume(task: RDMConfig) -> Recipe:
     """One segment as long as the longest clip: whole clips, and no flow."""
-    cutting = CuttingConfig(aligned=True, continuations=0, whole_caption=1.0)
+    cutting = CuttingConfig(aligned=True, whole_caption=1.0)
     grid = GridConfig(frames=SEGMENT_FRAMES[1])
     return Recipe(task=replace(task, flow=None, grid=grid, cutting=cutting, batch=16), engine=_recurrent())
 

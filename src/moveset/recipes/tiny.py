@@ -55,7 +55,7 @@ def student(phases: int = 1) -> Recipe:
     return Recipe(task=task, engine=_ENGINE)
 
 
-_CUTTING = CuttingConfig(continuations=8)
+_CUTTING = CuttingConfig()
 _RECURRENT = SegmentTransformerConfig(width=32, heads=2, hidden=32, blocks=2)
 _PUBLISHED = SegmentDenoiserConfig(
     width=32, layers=1, heads=2, feed_forward=32, conditioning=32, text_width=16, text_layers=1, text_heads=2,
@@ -138,7 +138,7 @@ def length() -> Recipe:
 
 
 def _volume(task: RDMConfig) -> Recipe:
-    cutting = CuttingConfig(aligned=True, whole_caption=1.0, continuations=0)
+    cutting = CuttingConfig(aligned=True, whole_caption=1.0)
     grid = GridConfig(frames=SEGMENT_FRAMES[1])
     return Recipe(
         task=replace(task, flow=None, grid=grid, cutting=cutting, batch=2, warmup=1, disturbance=_ROUGH),

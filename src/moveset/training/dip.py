@@ -4,7 +4,6 @@ Shapes: B rows, m clean frames, n frames to be denoised after them, D features.
 Source: CLoSD (Tevet et al. 2024, arXiv 2410.03441), Section 4.1.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -14,7 +13,7 @@ from torch import Tensor, nn
 from moveset.data.dataset import Dataset
 from moveset.data.disturbance import AS_WRITTEN, Disturbance
 from moveset.data.feature_store import FeatureStore
-from moveset.data.segments import ClipSet, CuttingConfig, Row
+from moveset.data.segments import ClipSet, CuttingConfig
 from moveset.data.splits import Split
 from moveset.diffusion.schedule import cosine
 from moveset.diffusion.steps import add_noise
@@ -30,7 +29,7 @@ from moveset.training.engine import Loop, Task
 from moveset.training.optim import cosine_lr
 from moveset.training.rdm import feature_weights
 from moveset.training.reading import MAX_TOKENS
-from moveset.training.segment_data import Added, SegmentData
+from moveset.training.segment_data import SegmentData
 from moveset.training.tasks import Sources
 
 
@@ -108,10 +107,9 @@ class PieceSet(ClipSet):
         cutting: CuttingConfig,
         model: DipDecoderConfig,
         disturbance: Disturbance = AS_WRITTEN,
-        added: Sequence[tuple[list[Row], float]] = (),
         standing: float = 0.0,
     ) -> None:
-        super().__init__(dataset, split, store, codec, cutting, disturbance, added)
+        super().__init__(dataset, split, store, codec, cutting, disturbance)
         self.prefix, self.frames, self.standing = model.prefix, model.frames, standing
         if standing:
             self.idle = idle_pose(dataset, store, codec).expand(self.prefix, -1)
@@ -146,12 +144,9 @@ class PieceData(SegmentData):
         split: Split,
         store: FeatureStore,
         disturbance: Disturbance,
-        added: Added,
     ) -> PieceSet:
         """Pieces of a split."""
-        return PieceSet(
-            dataset, split, store, self.codec, config.cutting, config.model, disturbance, added, config.standing
-        )
+        return PieceSet(dataset, split, store, self.codec, config.cutting, config.model, disturbance, config.standing)
 
 
 def idle_pose(dataset: Dataset, store: FeatureStore, codec: FeatureCodec) -> Tensor:

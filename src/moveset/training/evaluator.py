@@ -176,7 +176,7 @@ class EvaluatorTask(Task):
         trained = [parameter for parameter in self.evaluator.parameters() if parameter.requires_grad]
         self.optimizer = torch.optim.Adam(trained, config.lr)
         train, self.val = self.dataset.split("train"), self.dataset.split("val")
-        weights = self.dataset.weights(train, power=0.5, composed_share=0.4)
+        weights = self.dataset.weights(train, power=0.25, composed_share=0.4)
         self.seed = loop.config.seed * 64 + loop.rank
         # Whole clips, or for those that may be divided most of them: a shorter window may miss what its sentence says.
         self.sampler = CropSampler(self.store, train, weights, config.batch, self.seed, whole=0.5, shortest=(0.7, 24))

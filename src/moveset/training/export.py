@@ -274,7 +274,7 @@ def known_captions(dataset: Dataset) -> list[str]:
     for item in dataset.split("train"):
         clip = dataset.clip(item)
         # What shows one thing after another is made of clips that are there, too.
-        if not clip.parts and not clip.looped:
+        if not clip.parts:
             by_group.setdefault(clip.group, {}).update(dict.fromkeys(clip.captions))
     each = max(1, KNOWN_CAPTIONS // len(by_group))
     chosen: set[str] = set()

@@ -103,7 +103,7 @@ class LengthTask(Task):
 def _pairs(dataset: Dataset, split: Split) -> list[tuple[tuple[str, ...], int]]:
     """Sentences of clips with how many frames these last; those that go on and on say nothing of that."""
     clips = [dataset.clip(item) for item in dataset.split(split)]
-    found = [(clip.captions, clip.frames) for clip in clips if not clip.looped]
+    found = [(clip.captions, clip.frames) for clip in clips]
     if not found:
-        raise InputError(f"{dataset.name} has no {split} clip but looped ones; build it from more takes")
+        raise InputError(f"{dataset.name} has no {split} clip; build it from more takes")
     return found

@@ -1,27 +1,23 @@
 """What trainings of segments read: segments of both splits, and their captions as embeddings."""
 
-from pathlib import Path
 from typing import Any
 
 import torch
 from torch import Tensor
 
-from moveset.data.dataset import CorpusDataset, Dataset, choose_codec, open_for_training
+from moveset.data.dataset import Dataset, choose_codec, open_for_training
 from moveset.data.disturbance import AS_WRITTEN, Disturbance
 from moveset.data.feature_store import FeatureStore
 from moveset.data.loader import Ahead
-from moveset.data.segments import CuttingConfig, Row, SegmentSet
+from moveset.data.segments import SegmentSet
 from moveset.data.splits import Split
 from moveset.diffusion.coloured import temporal_spectrum
 from moveset.errors import InputError
-from moveset.motion.features import FeatureCodec
 from moveset.text.cache import EmbeddingCache
 from moveset.text.encoder import TextEmbedding
 from moveset.text.live import LiveEmbeddings
-from moveset.training.compositions import composed_rows
 from moveset.training.engine import Loop
 from moveset.training.reading import MAX_TOKENS, open_text, read_captions
-from moveset.training.stills import make_stills
 from moveset.training.tasks import Sources
 
 
@@ -50,10 +46,8 @@ class SegmentData:
         codec = choose_codec(dataset, config.codec)
         store = FeatureStore.cached(dataset, codec.name, sources.cache, progress)
         self.codec, self.normalizer = codec, store.normalizer
-        folder = sources.cache / f"features-{codec.name}"
-        added = {split: _added(config.cutting, dataset, split, store, codec, folder) for split in ("train", "val")}
-        self.train = self.cut(config, dataset, "train", store, config.disturbance, added["train"])
-        self.val = self.cut(config, dataset, "val", store, AS_WRITTEN, added["val"])
+        self.train = self.cut(config, dataset, "train", store, config.disturbance)
+        self.val = self.cut(config, dataset, "val", store, AS_WRITTEN)
         captions, others = self.train.all_captions(), self.val.all_captions()
         return open_text(sources.cache, config.text_encoder, captions, others, config.disturbance, self.device)
 
@@ -64,10 +58,9 @@ class SegmentData:
         split: Split,
         store: FeatureStore,
         disturbance: Disturbance,
-        added: "Added",
     ) -> Any:
         """Segments of a split."""
-        return SegmentSet(dataset, split, store, self.codec, config.cutting, config.grid.frames, disturbance, added)
+        return SegmentSet(dataset, split, store, self.codec, config.cutting, config.grid.frames, disturbance)
 
     def training_batch(self, size: int, step: int) -> Any:
         """The batch of a training step, where the training computes, its text ready to be read."""
@@ -84,32 +77,6 @@ class SegmentData:
     def pooled(self, captions: list[str]) -> Tensor:
         """Sentence embeddings (B, C) of captions."""
         return self.text.pooled_of(captions)
-
-
-Added = list[tuple[list[Row], float]]
-
-
-def _added(
-    cutting: CuttingConfig, dataset: Dataset, split: Split, store: FeatureStore, codec: FeatureCodec, folder: Path
-) -> Added:
-    """Clips that are made besides those of the dataset, and what share of segments they get."""
-    wanted = {
-        "continuations": (cutting.continuations, cutting.continuation_share),
-        "bodies": (cutting.bodies, cutting.body_share),
-        "stills": (cutting.stills, cutting.still_share),
-    }
-    made = []
-    for kind, (count, share) in wanted.items():
-        # A folder of features has no motions to make others of.
-        if not count or not isinstance(dataset, CorpusDataset):
-            continue
-        count = count if split == "train" else count // 10
-        if kind == "stills":
-            rows = make_stills(dataset.corpus, split, codec, store.normalizer, count)
-        else:
-            rows = composed_rows(kind, dataset.corpus, split, store, codec, count, folder)
-        made.append((rows, share))
-    return made
 
 
 def spectrum(data: SegmentSet, segments: int = 4096) -> Tensor:

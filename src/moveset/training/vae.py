@@ -99,11 +99,11 @@ class VAETask(Task):
         self.optimizer = torch.optim.AdamW(
             self.vae.parameters(), config.lr, betas=(0.9, 0.99), weight_decay=config.weight_decay
         )
-        clips = dataset.split("train")
+        clips = dataset.split("train", untold=True)
         weights = dataset.weights(clips, power=config.balance, composed_share=config.composed_share)
         seed = loop.config.seed * 64 + loop.rank
         self.sampler = CropSampler(self.store, clips, weights, config.batch, seed)
-        held_out = (self.store.whole(clip) for clip in dataset.split("val", captured_only=True))
+        held_out = (self.store.whole(clip) for clip in dataset.split("val", captured_only=True, untold=True))
         self.held_out = sorted(held_out, key=lambda crop: crop.frames)
 
     def modules(self) -> dict[str, nn.Module]:

@@ -1,0 +1,125 @@
+"""Compositions: what sentences say of them is done, and nothing jumps."""
+
+import math
+from itertools import pairwise
+
+import pytest
+import torch
+
+from moveset.data.augment import bent, quiet_moments
+from moveset.data.compose import add_compositions
+from moveset.data.corpus import Corpus, CorpusWriter, TakeEntry
+from moveset.data.synthetic import synthetic_motion
+from moveset.motion import rotations
+from moveset.motion.clip import Motion
+from moveset.motion.skeleton import HML22
+
+SENTENCES = {
+    "walk": ("a person walks forward", "someone is walking"),
+    "wave": ("a person waves", "a man waves with the left hand"),
+    "run": ("the person runs",),
+    "stand": ("a person stands still", "standing"),
+}
+
+
+def standing(frames: int) -> Motion:
+    turned = rotations.identity(frames, len(HML22)).clone()
+    for side, down in (("left", -75.0), ("right", 75.0)):
+        turned[:, HML22.index(f"{side}_shoulder")] = rotations.about("z", torch.tensor(down))
+    still = Motion(turned, torch.zeros(frames, 3), 20.0, HML22)
+    return Motion(turned, still.root - still.joints[..., 1].amin() * torch.tensor((0.0, 1.0, 0.0)), 20.0, HML22)
+
+
+@pytest.fixture(scope="module")
+def corpus(tmp_path_factory) -> Corpus:
+    writer = CorpusWriter()
+    for k in range(32):
+        content = list(SENTENCES)[k % 4]
+        kind = {"wave": "wave-left-hand", "stand": "bow"}.get(content, content)
+        motion = standing(50 + k) if content == "stand" else synthetic_motion(kind, 60 + 2 * k, seed=k)
+        split = "train" if k < 24 else "test"
+        name = f"{content}{k}"
+        writer.add_take(TakeEntry(name, name, "test", content, None, SENTENCES[content], split, "s", motion))
+    assert add_compositions(writer, train=60) == 60
+    return Corpus.open(writer.write(tmp_path_factory.mktemp("composed") / "corpus.safetensors"))
+
+
+def composed(corpus: Corpus, kind: str) -> list[int]:
+    found = [i for i in corpus.indices(composed=True) if corpus.records[i].kind == kind]
+    assert found, kind
+    return found
+
+
+def test_only_training_clips_are_composed_and_lengths_are_right(corpus):
+    for i in corpus.indices(composed=True):
+        record = corpus.records[i]
+        assert record.split == "train"
+        assert all(corpus.records[part.clip].split == "train" for part in record.recipe.parts)
+        assert len(corpus.motion(i)) == record.frames <= 196
+        assert corpus.captions(i)
+
+
+def test_one_after_the_other_is_told_by_halves_of_both_sentences(corpus):
+    for i in composed(corpus, "in_time"):
+        first, second = (corpus.records[part.clip].contents[0] for part in corpus.records[i].recipe.parts)
+        assert corpus.contents(i) == (first, second)
+        stem = {"walk": "walk", "wave": "wave", "run": "run", "stand": ("stand", "stop", "halt")}
+        for sentence in corpus.captions(i):
+            for content in (first, second):
+                options = stem[content] if isinstance(stem[content], tuple) else (stem[content],)
+                assert any(option in sentence for option in options), sentence
+        steps = corpus.motion(i).joints.diff(dim=0).norm(dim=-1).amax(dim=1)
+        parts = [
+            corpus.motion(part.clip).joints.diff(dim=0).norm(dim=-1).max() for part in corpus.records[i].recipe.parts
+        ]
+        assert steps.max() < 1.4 * max(parts) + 0.03
+
+
+def test_ways_turn_as_sentences_say(corpus):
+    for i in composed(corpus, "bent"):
+        recipe, motion = corpus.records[i].recipe, corpus.motion(i)
+        yaw = rotations.heading_angle(motion.rotations[:, 0])
+        steps = torch.remainder(yaw.diff() + math.pi, 2 * math.pi) - math.pi
+        assert float(steps.sum()) == pytest.approx(recipe.turn, abs=0.15)
+        side = "left" if recipe.turn > 0 else "right"
+        other = "right" if recipe.turn > 0 else "left"
+        for sentence in corpus.captions(i):
+            assert other not in sentence
+            assert side in sentence or "circle" in sentence or "back" in sentence or "around" in sentence
+
+
+def test_a_way_that_is_not_bent_stays_and_steps_keep_their_length():
+    motion = synthetic_motion("walk", 100, seed=1)
+    assert (bent(motion, 0.0, False).joints - motion.canonical().joints).abs().max() < 1e-4
+    corner = bent(motion, math.pi / 2, True)
+    lengths = [m.root.diff(dim=0).norm(dim=1) for m in (motion, corner)]
+    assert (lengths[0] - lengths[1]).abs().max() < 1e-4
+
+
+def test_another_pace_keeps_the_sentences(corpus):
+    for i in composed(corpus, "paced"):
+        (part,) = corpus.records[i].recipe.parts
+        assert corpus.captions(i) == corpus.captions(part.clip, part.mirrored)
+        speed = (part.stop - part.start) / corpus.records[i].frames
+        assert 0.84 < speed < 1.17
+
+
+def test_moments_of_standing_are_found():
+    walk, still = synthetic_motion("walk", 30, seed=2), standing(60)
+    motion = Motion(
+        torch.cat((walk.rotations, still.rotations, walk.rotations)),
+        torch.cat((walk.root, still.root, walk.root)),
+        20.0,
+        walk.skeleton,
+    )
+    ((start, stop),) = quiet_moments(motion, 40)
+    assert 28 <= start <= 33
+    assert 86 <= stop <= 91
+    assert quiet_moments(walk, 10) == []
+
+
+def test_the_same_clips_give_the_same_recipes(corpus):
+    kept = [corpus.records[i] for i in corpus.indices(composed=True)]
+    assert len({record.recipe for record in kept}) == len(kept)
+    assert all(a.name < b.name or a.kind != b.kind for a, b in pairwise(kept))
+    assert add_compositions(CorpusWriter(), train=10) == 0
