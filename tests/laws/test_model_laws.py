@@ -166,7 +166,11 @@ class TestDenoiser:
         z, t, whole = self._inputs(guidance)
         expected = model(z, t, whole)
         rows = [
-            Condition(whole.text[k : k + 1], whole.length[k : k + 1], whole.scale[k : k + 1] if guidance else None)
+            Condition(
+                whole.text[k : k + 1],
+                length=whole.length[k : k + 1],
+                scale=whole.scale[k : k + 1] if guidance else None,
+            )
             for k in range(4)
         ]
         for k, row in enumerate(rows):

@@ -77,13 +77,13 @@ def test_without_a_flow_the_target_is_that_of_motionpcm(phases):
     told, untold, averaged = Noise(0), Noise(1), Noise(2)
     grid, w = PhaseGrid(10, phases), torch.linspace(0, 3, B)
 
-    def teacher(x, t, w):
+    def teacher(x, t):
         return predict_z0(SCHEDULE, x, cfg(told(x, t), untold(x, t), w), t)
 
-    def ema(x, t, w):
+    def ema(x, t):
         return predict_z0(SCHEDULE, x, averaged(x, t, w), t)
 
-    target, share = clean_target(SCHEDULE, grid, teacher, ema, same, same, Z, EVERY_POINT, w)
+    target, share = clean_target(SCHEDULE, grid, teacher, ema, same, same, Z, EVERY_POINT)
     landed = phased_target(
         SCHEDULE, grid, lambda z, t: cfg(told(z, t), untold(z, t), w), lambda z, t: averaged(z, t, w), Z, EVERY_POINT
     )
@@ -96,7 +96,7 @@ def test_without_a_flow_the_target_is_that_of_motionpcm(phases):
 def test_a_student_that_says_the_truth_has_reached_its_target():
     """If teacher and average know the clean segment, so does the target, at every point and in any coordinates."""
 
-    def truth(x, t, w):
+    def truth(x, t):
         return CLEAN
 
     push, pull = (lambda y: 2 * y + 1), (lambda x: (x - 1) / 2)
@@ -104,7 +104,7 @@ def test_a_student_that_says_the_truth_has_reached_its_target():
         z = over(SCHEDULE.alpha(PhaseGrid().time(EVERY_POINT)), Z) * pull(CLEAN)
         z = z + over(SCHEDULE.sigma(PhaseGrid().time(EVERY_POINT)), Z) * _rand(B, 4, 3, seed=4)
         grid = PhaseGrid(10, phases)
-        target, _ = clean_target(SCHEDULE, grid, truth, truth, push, pull, z, EVERY_POINT, torch.zeros(B))
+        target, _ = clean_target(SCHEDULE, grid, truth, truth, push, pull, z, EVERY_POINT)
         torch.testing.assert_close(target, CLEAN, rtol=1e-2, atol=1e-2)
 
 
@@ -113,13 +113,13 @@ def test_at_the_lowest_point_of_a_phase_the_average_is_not_asked():
     lowest = grid.previous(EVERY_POINT) == grid.lower(EVERY_POINT)
     assert lowest.tolist() == [k in (0, 5) for k in range(B)]
 
-    def nonsense(x, t, w):
+    def nonsense(x, t):
         return torch.full_like(x, 1e3)
 
-    def teacher(x, t, w):
+    def teacher(x, t):
         return CLEAN
 
-    target, _ = clean_target(SCHEDULE, grid, teacher, nonsense, same, same, Z, EVERY_POINT, torch.zeros(B))
+    target, _ = clean_target(SCHEDULE, grid, teacher, nonsense, same, same, Z, EVERY_POINT)
     torch.testing.assert_close(target[lowest], CLEAN[lowest], rtol=1e-3, atol=1e-3)
     assert (target[~lowest] - CLEAN[~lowest]).abs().amin(dim=(1, 2)).min() > 1
 
@@ -127,7 +127,7 @@ def test_at_the_lowest_point_of_a_phase_the_average_is_not_asked():
 def test_no_gradient_reaches_teacher_or_average():
     teacher, ema = Noise(0), Noise(1)
     z = Z.clone().requires_grad_()
-    target, share = clean_target(SCHEDULE, PhaseGrid(), teacher, ema, same, same, z, EVERY_POINT, torch.zeros(B))
+    target, share = clean_target(SCHEDULE, PhaseGrid(), teacher, ema, same, same, z, EVERY_POINT)
     assert not target.requires_grad
     assert not share.requires_grad
     student = Noise(2)
@@ -147,17 +147,17 @@ def test_a_jump_is_differentiable_in_the_clean_segment():
 def test_the_whole_way_is_the_teachers_sampling_down_to_the_edge(phases):
     grid, network = PhaseGrid(10, phases), Noise(0)
 
-    def teacher(x, t, w):
+    def teacher(x, t):
         return predict_z0(SCHEDULE, x, network(x, t), t)
 
-    target = whole_target(SCHEDULE, grid, teacher, same, same, Z, EVERY_POINT, torch.zeros(B))
+    target = whole_target(SCHEDULE, grid, teacher, same, same, Z, EVERY_POINT)
     for k in range(B):
         point = EVERY_POINT[k : k + 1]
         start, edge = grid.time(point), grid.lower(point)
         z, t = Z[k : k + 1], start
         while int(t) > int(edge):
             before = grid.previous(point)
-            z = denoise_step(SCHEDULE, z, teacher(z, t, None), t, before)
+            z = denoise_step(SCHEDULE, z, teacher(z, t), t, before)
             point, t = point - 1, before
         assert not target.requires_grad
         landed = denoise_step(SCHEDULE, Z[k : k + 1], target[k : k + 1], start, edge)
@@ -167,17 +167,17 @@ def test_the_whole_way_is_the_teachers_sampling_down_to_the_edge(phases):
 def test_where_one_step_is_the_whole_way_both_targets_agree():
     grid, network = PhaseGrid(10, 2), Noise(0)
 
-    def teacher(x, t, w):
+    def teacher(x, t):
         return predict_z0(SCHEDULE, x, network(x, t), t)
 
     lowest = grid.previous(EVERY_POINT) == grid.lower(EVERY_POINT)
-    whole = whole_target(SCHEDULE, grid, teacher, same, same, Z, EVERY_POINT, torch.zeros(B))
-    short, _ = clean_target(SCHEDULE, grid, teacher, teacher, same, same, Z, EVERY_POINT, torch.zeros(B))
+    whole = whole_target(SCHEDULE, grid, teacher, same, same, Z, EVERY_POINT)
+    short, _ = clean_target(SCHEDULE, grid, teacher, teacher, same, same, Z, EVERY_POINT)
     assert torch.equal(whole[lowest], short[lowest])
     assert (whole[~lowest] - short[~lowest]).abs().max() > 1e-3
 
 
 def test_the_whole_way_of_one_who_knows_the_truth_is_the_truth_in_any_coordinates():
     push, pull = (lambda y: 2 * y + 1), (lambda x: (x - 1) / 2)
-    target = whole_target(SCHEDULE, PhaseGrid(10, 2), lambda x, t, w: CLEAN, push, pull, Z, EVERY_POINT, torch.zeros(B))
+    target = whole_target(SCHEDULE, PhaseGrid(10, 2), lambda x, t: CLEAN, push, pull, Z, EVERY_POINT)
     torch.testing.assert_close(target, CLEAN, rtol=1e-2, atol=1e-2)
