@@ -12,7 +12,7 @@ TOE_HEIGHT = 0.05
 ANKLE_HEIGHT = 0.12
 SPEED = 0.5
 #: Above this a network's contact feature is a planted foot: far below one half, since what blurs feet blurs contacts
-#: too, and a doubtful foot is better held than let slide (docs/decisions.md).
+#: too, and a doubtful foot is better held than let slide (docs/decisions/motion.md).
 PLANTED = 0.15
 
 
