@@ -176,18 +176,52 @@ FAMILIES = {
         root=p chest=3* neck=n /
         left_hip=h left_knee=k left_ankle=a /
         left_shoulder=s left_elbow=e""",
+    "Genesis 8": """
+        hip=p pelvis=1 abdomenLower abdomenUpper=2 chestLower chestUpper=3* neckLower=n neckUpper head=h /
+        lThighBend=h lThighTwist lShin=k lFoot=a lMetatarsals lToe=f /
+        lCollar=c lShldrBend=s lShldrTwist lForearmBend=e lForearmTwist lHand=w""",
+    "MakeHuman": """
+        root=p spine05=1 spine04 spine03=2 spine02 spine01=3* neck01=n neck02 head=h /
+        upperleg01.L=h upperleg02.L lowerleg01.L=k lowerleg02.L foot.L=a /
+        clavicle.L=c shoulder01.L upperarm01.L=s upperarm02.L lowerarm01.L=e lowerarm02.L wrist.L=w""",
+    "Perception Neuron": """
+        Robot_Hips=p Robot_Spine=1 Robot_Spine1=2 Robot_Spine2=3* Robot_Neck=n Robot_Head=h /
+        Robot_LeftUpLeg=h Robot_LeftLeg=k Robot_LeftFoot=a /
+        Robot_LeftShoulder=c Robot_LeftArm=s Robot_LeftForeArm=e Robot_LeftHand=w""",
+    "Xsens": """
+        Pelvis=p L5=1 L3 T12=2 T8=3* Neck=n Head=h / LeftUpperLeg=h LeftLowerLeg=k LeftFoot=a LeftToe=f /
+        LeftShoulder=c LeftUpperArm=s LeftForeArm=e LeftHand=w""",
+    "Auto-Rig Pro": """
+        root.x=p spine_01.x=1 spine_02.x=3* neck.x=n head.x=h / thigh_stretch.l=h leg_stretch.l=k foot.l=a toes_01.l=f /
+        shoulder.l=c arm_stretch.l=s forearm_stretch.l=e hand.l=w""",
+    "OptiTrack": """
+        Hip=p Ab=1 Chest=3* Neck=n Head=h / LThigh=h LShin=k LFoot=a LToe=f / LShoulder=c LUArm=s LFArm=e LHand=w""",
+    "MikuMikuDance": """
+        センター=p 下半身=1 上半身=2 上半身2=3* 首=n 頭=h / 左足=h 左ひざ=k 左足首=a 左つま先=f /
+        左肩=c 左腕=s 左ひじ=e 左手首=w""",
 }
 TRUNK = {"p": "pelvis", "1": "spine1", "2": "spine2", "3": "spine3", "n": "neck", "h": "head"}
 LEG = {"h": "hip", "k": "knee", "a": "ankle", "f": "foot"}
 ARM = {"c": "collar", "s": "shoulder", "e": "elbow", "w": "wrist"}
-SWAPS = (("left", "right"), ("Left", "Right"), ("_l_", "_r_"), (".L", ".R"), ("_L_", "_R_"), ("L_", "R_"), ("Lf", "Rt"))
+SWAPS = (
+    ("左", "右"),
+    ("left", "right"),
+    ("Left", "Right"),
+    ("_l_", "_r_"),
+    (".L", ".R"),
+    ("_L_", "_R_"),
+    ("L_", "R_"),
+    ("Lf", "Rt"),
+)
 
 
 def other_side(name):
     for left, right in SWAPS:
         if left in name:
             return name.replace(left, right, 1)
-    return f"{name[:-2]}_r" if name.endswith("_l") else {"l": "r", "L": "R"}.get(name[0], name[0]) + name[1:]
+    if name.endswith(("_l", ".l")):
+        return name[:-1] + "r"
+    return {"l": "r", "L": "R"}.get(name[0], name[0]) + name[1:]
 
 
 def tree(text):

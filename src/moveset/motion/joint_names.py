@@ -8,6 +8,7 @@ Nothing but Python in here: the Blender add-on carries this file as it is.
 """
 
 import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -32,6 +33,7 @@ _TRUNK = (
 _SIDED = {*_HIP, *_KNEE, *_TOE, *_SHOULDER, *_ELBOW, *_WRIST, *_COLLAR, "leg", "ankle", "foot"}
 
 _LEFT, _RIGHT = {"l", "left", "lf", "lft"}, {"r", "right", "rt", "rgt"}
+_NAMESPACE = re.compile(r"^.*[:|]")
 _PREFIX = re.compile(
     r"^(?:.*[:|]|mixamorig\d*_?|character\d*_|(?:valvebiped\.)?bip\d+[ _]|cc_base_|rl_|def[-_]|org[-_]|mch[-_]|"
     r"j_bip_(?:c_)?|jt(?=[A-Z])|bn_|b_|sk_|armature_|(?-i:[A-Za-z]+_rig_)|bind_|jnt_|joint_(?=[a-z]))",
@@ -39,6 +41,14 @@ _PREFIX = re.compile(
 )
 # Copies of a joint (".001"), numbers that exporters append ("_02").
 _SUFFIX = re.compile(r"(?:\.\d{3}|_\d+|_jnt|_bone|_joint)+$", re.IGNORECASE)
+# Parts of a limb's name that say how it is rigged, letters for the middle.
+_RIGGING = re.compile(r"(?:bend|stretch)$")
+_MIDDLE = {"x", "c", "m"}
+_JAPANESE = {
+    "足": "thigh", "ひざ": "knee", "膝": "knee", "足首": "ankle", "つま先": "toe", "肩": "collar", "腕": "upperarm",
+    "ひじ": "elbow", "肘": "elbow", "手首": "wrist", "首": "neck", "頭": "head", "上半身": "spine", "下半身": "waist",
+}  # fmt: skip
+_SHARED = 0.6  # of all joints: so many share what stands before "_" where it is no part of their names
 _TOKEN = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+")
 
 # Families, for people: a name for a set of names, found by a prefix or by words that only it has together.
@@ -81,14 +91,16 @@ def take_apart(name: str) -> Name:
     while (cut := _PREFIX.sub("", rest, count=1)) != rest and cut:
         rest = cut
     rest = _SUFFIX.sub("", rest)
+    if rest.lstrip("左右").rstrip("0123456789") in _JAPANESE:
+        return Name({"左": "left", "右": "right"}.get(rest[0], ""), _JAPANESE[rest.lstrip("左右").rstrip("0123456789")])
     side, words = "", []
     for token in _TOKEN.findall(rest):
         lower = token.lower()
-        if not side and lower in _LEFT | _RIGHT:
+        if not side and lower in _LEFT | _RIGHT and token != "LF":  # "LFArm" is a left forearm
             side = "left" if lower in _LEFT else "right"
-        else:
+        elif lower not in _MIDDLE:
             words.append(lower)
-    word = "".join(words)
+    word = _RIGGING.sub("", "".join(words))
     if not side:
         # Sides without a border: "lfemur", "rightupleg", "LEFTUPLEG".
         for start in ("left", "right", "l", "r"):
@@ -125,7 +137,7 @@ def recognise(joints: Sequence[str], parents: Sequence[int]) -> Recognition:
         joints: names, parents before their children.
         parents: index of each joint's parent, -1 for a root.
     """
-    names = [take_apart(name) for name in joints]
+    names = [take_apart(name) for name in _without_shared(joints)]
     only = [name.upper().startswith("DEF-") for name in joints]
     tree = _Tree(parents)
     found: dict[str, int] = {}
@@ -141,6 +153,18 @@ def recognise(joints: Sequence[str], parents: Sequence[int]) -> Recognition:
         if names[joint].word in (*_HEAD, *_NECK, *_TRUNK, "hips", "hip", "pelvis", "root"):
             reasons[role] = names[joint].word
     return Recognition(found, reasons, family_of(joints))
+
+
+def _without_shared(joints: Sequence[str]) -> list[str]:
+    """Names without their namespaces, and without what most of them begin with ("Robot_Hips")."""
+    names = [_NAMESPACE.sub("", name) for name in joints]
+    starts = Counter(name.split("_")[0] for name in names if "_" in name and not _PREFIX.match(name))
+    if not starts:
+        return names
+    start, count = starts.most_common(1)[0]
+    if count < max(_SHARED * len(names), len(NEEDED)) or start.lower() in _LEFT | _RIGHT:
+        return names
+    return [name.removeprefix(f"{start}_") for name in names]
 
 
 def family_of(joints: Sequence[str]) -> str:
@@ -190,11 +214,11 @@ class _Words:
         return None
 
     def above(self, joint: int | None, words: Sequence[str]) -> int | None:
-        """The nearest joint with one of the words that ``joint`` hangs on; where none does, the first."""
-        if joint is not None:
-            known = {j for word in words for j in self.by_word.get(word, ())}
-            for above in reversed(self.tree.path(joint)[:-1]):
-                if above in known:
+        """The joint of the most telling word that ``joint`` hangs on, the upper one of two; else the first."""
+        path = [] if joint is None else self.tree.path(joint)[:-1]
+        for word in words:
+            for above in path:
+                if above in self.by_word.get(word, ()):
                     return above
         return self.first(words)
 
