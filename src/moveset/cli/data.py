@@ -1,4 +1,4 @@
-"""``moveset data``: build and inspect training data; import the published evaluators."""
+"""``moveset data``: build, inspect and export training data; import the published evaluators."""
 
 import json as jsonlib
 import os
@@ -121,6 +121,36 @@ def info(
     return 0
 
 
+def export(
+    corpus: tyro.conf.Positional[Path],
+    output: tyro.conf.Positional[Path],
+    *,
+    format: Literal["humanml3d", "kit-ml"] = "humanml3d",
+    json: tyro.conf.FlagCreatePairsOff[bool] = False,
+) -> int:
+    """Write a corpus as a HumanML3D or KIT-ML folder, for `moveset train`, `moveset evaluate` and whatever reads those.
+
+    Args:
+        corpus: A file made by `moveset data build`.
+        output: The folder to make.
+        format: humanml3d: 263 features at 20 fps. kit-ml: 251 at 12.5 fps.
+        json: Print one JSON object on stdout and nothing else.
+    """
+    from moveset.data.corpus import Corpus
+    from moveset.data.humanml3d import HUMANML3D, KIT, HumanML3D
+    from moveset.data.humanml3d_writer import write_humanml3d
+
+    layout = KIT if format == "kit-ml" else HUMANML3D
+    write_humanml3d(Corpus.open(corpus), output, layout, progress=not json)
+    made = HumanML3D.open(output)
+    splits = {name: len(names) for name, names in made.splits.items()}
+    if json:
+        print(jsonlib.dumps({"folder": str(output), "layout": layout.name, "clips": len(made), "splits": splits}))
+    else:
+        print(f"{output}: {len(made)} motions; " + ", ".join(f"{name} {count}" for name, count in splits.items()))
+    return 0
+
+
 def import_evaluator(
     checkpoints: tyro.conf.Positional[Path],
     glove: tyro.conf.Positional[Path],
@@ -197,4 +227,4 @@ def _folder_info(folder: Path, captions: int, json: bool) -> int:
     return 0
 
 
-COMMANDS = {"build": build, "info": info, "import-evaluator": import_evaluator}
+COMMANDS = {"build": build, "info": info, "export": export, "import-evaluator": import_evaluator}

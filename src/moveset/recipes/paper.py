@@ -190,7 +190,7 @@ TRAINING: dict[str, Callable[[], Recipe]] = {
 
 EXPORTS: tuple[Export, ...] = (
     ClipExport(
-        name="motionpcm",
+        name="motionpcm-paper",
         runs={
             **{name: name for name in ("vae", "teacher", "length", "lcm-1", "pcm-1", "pcm-2", "pcm-4")},
         },
@@ -198,14 +198,14 @@ EXPORTS: tuple[Export, ...] = (
     ),
     *(
         StreamExport(
-            name=f"rdm-{n}", runs={"rdm": f"rdm-{n}"} | ({"md": f"md-{n}"} if n in (4, 7) else {}),
+            name=f"rdm-{n}-paper", runs={"rdm": f"rdm-{n}"} | ({"md": f"md-{n}"} if n in (4, 7) else {}),
             sampler_steps=1000, start=n,
         )
         for n in (4, 7, 14)
     ),
     *(
-        BaselineExport(name=run, runs={"denoiser": run}, steps=1000)
+        BaselineExport(name=f"{run}-paper", runs={"denoiser": run}, steps=1000)
         for run in ("rdm-1", "light-rdm-1", "motiondiffuse", "dip")
     ),
-    EvaluatorExport(name="t2m", runs={"evaluator": "evaluator"}),
+    EvaluatorExport(name="t2m-paper", runs={"evaluator": "evaluator"}),
 )  # fmt: skip

@@ -165,7 +165,7 @@ TRAINING: dict[str, Callable[[], Recipe]] = {
 
 EXPORTS: tuple[Export, ...] = (
     ClipExport(
-        name="clips-tiny",
+        name="motionpcm-tiny",
         runs={
             "vae": "vae", "decoder": "decoder", "teacher": "teacher", "length": "length", "lcm-1": "lcm-1",
             "pcm-1": "pcm-1", "pcm-2": "pcm-2", "pcm-4": "pcm-4",
@@ -173,7 +173,7 @@ EXPORTS: tuple[Export, ...] = (
         guidance=dict.fromkeys(("teacher", "lcm-1", "pcm-1", "pcm-2", "pcm-4"), 2.0),
     ),
     StreamExport(
-        name="stream-tiny",
+        name="rdm-tiny",
         runs={"rdm": "rdm-7", "md": "md-7", "pcm-1": "rdm-student"},
         guidance={"rdm": 1.5, "md": 1.5, "pcm-1": 1.5},
         network="pcm-1",
@@ -184,5 +184,5 @@ EXPORTS: tuple[Export, ...] = (
         BaselineExport(name=f"{run}-tiny", runs={"denoiser": run}, steps=4)
         for run in ("rdm-1", "light-rdm-1", "motiondiffuse", "dip")
     ),
-    EvaluatorExport(name="evaluator-tiny", runs={"evaluator": "evaluator"}),
+    EvaluatorExport(name="t2m-tiny", runs={"evaluator": "evaluator"}),
 )  # fmt: skip
