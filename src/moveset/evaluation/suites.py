@@ -7,6 +7,7 @@ so. Folders given that no row asks for become rows of their own.
 N segments, K sampler steps, R steps that a later segment takes (``rdm.staircase``).
 """
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -220,7 +221,7 @@ def find_weights(row: Row, folders: Mapping[str, Path]) -> tuple[Path | None, st
     """
     if row.model == REAL:
         return None, ""
-    folder = folders.get(row.model) or shipped().get(row.model)
+    folder = folders.get(_stem(row.model)) or shipped().get(row.model)
     if folder is None:
         return None, "no weights given"
     if row.network not in networks(folder):
@@ -229,7 +230,7 @@ def find_weights(row: Row, folders: Mapping[str, Path]) -> tuple[Path | None, st
 
 
 def named_folders(paths: Sequence[Path]) -> dict[str, Path]:
-    """Model folders by the name in their configuration.
+    """Model folders by the name in their configuration, without that of their recipe.
 
     Raises:
         InputError: no model folder, or two of one name.
@@ -238,10 +239,12 @@ def named_folders(paths: Sequence[Path]) -> dict[str, Path]:
     found: dict[str, Path] = {}
     for path in paths:
         if not (path / "config.json").is_file():
-            raise InputError(f"{path} is no model folder: it has no config.json; give a folder that a packing wrote")
-        name = str(_config(path).get("name", path.name))
+            raise InputError(
+                f"{path} is no model folder: it has no config.json; give one that moveset train export wrote"
+            )
+        name = _stem(str(_config(path).get("name", path.name)))
         if name in found:
-            raise InputError(f"{found[name]} and {path} are both called {name!r}; pack one of them by another --name")
+            raise InputError(f"{found[name]} and {path} are both called {name!r}; give one of them another name")
         found[name] = path
     return found
 
@@ -254,13 +257,13 @@ def networks(folder: Path) -> tuple[str, ...]:
     """
     models = _config(folder).get("models")
     if not isinstance(models, dict):
-        raise FormatError(f"{folder / 'config.json'} names no models; give a folder that a packing wrote")
+        raise FormatError(f"{folder / 'config.json'} names no models; give one that moveset train export wrote")
     return tuple(models)
 
 
 def extra_rows(suite: Suite, folders: Mapping[str, Path]) -> list[Row]:
     """Rows for folders that no row of a suite asks for, one for each of their denoisers, in the folder's order."""
-    asked = {row.model for row in suite.rows}
+    asked = {_stem(row.model) for row in suite.rows}
     return [
         given_row(suite, name, network)
         for name, path in folders.items() if name not in asked
@@ -276,6 +279,15 @@ def given_row(suite: Suite, model: str, network: str) -> Row:
         key=f"{model}-{network}", label=f"{model}, {network}", group="Others given", model=model, network=network,
         steps=steps, repeats=None if student else FEW, against=suite.references,
     )  # fmt: skip
+
+
+def _stem(name: str) -> str:
+    """The name of a model without its recipe's: models of all recipes stand in the same rows.
+
+    >>> _stem("rdm-small"), _stem("rdm-paper"), _stem("mine")
+    ('rdm', 'rdm', 'mine')
+    """
+    return re.sub(r"-(small|paper|tiny)$", "", name)
 
 
 def _config(folder: Path) -> dict:
