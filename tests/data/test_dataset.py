@@ -126,7 +126,9 @@ def test_a_corpus_is_numbered_with_its_mirror_images(corpus):
     source, records = CorpusDataset(opened), opened.indices("train")
     assert len(source) == 2 * len(opened)
     assert source.split("train") == tuple(k for record in records for k in (2 * record, 2 * record + 1))
-    assert source.split("val", captured_only=True) == tuple(2 * k for k in opened.indices("val", composed=False))
+    assert source.split("val", composed=False, mirrored=False) == tuple(
+        2 * k for k in opened.indices("val", composed=False)
+    )
     assert source.clip(2 * records[0] + 1).captions == opened.captions(records[0], mirrored=True)
     want = corpus_weights(opened, records, power=0.25, composed_share=0.3).repeat_interleave(2)
     assert torch.equal(source.weights(source.split("train"), 0.25, 0.3), want)

@@ -5,7 +5,7 @@ import hashlib
 import torch
 
 from moveset.evaluation.evaluator import EvaluatorCard
-from moveset.evaluation.items import text_of
+from moveset.evaluation.samples import text_of
 
 
 class Oracle:

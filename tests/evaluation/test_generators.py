@@ -9,9 +9,9 @@ import torch
 
 from moveset.errors import FormatError, InputError
 from moveset.evaluation.generators import Generated, Given, Reconstruction, Wanted, check_made, resampled
-from moveset.evaluation.items import open_items
 from moveset.evaluation.motion_files import folder_motions
 from moveset.evaluation.run import EvaluationConfig, open_source
+from moveset.evaluation.samples import open_test_set
 from moveset.motion.features import get_codec
 from moveset.pipelines.clip_generator import ClipGenerator, clip_method
 from moveset.pipelines.model_config import ClipConfig, StreamConfig
@@ -40,7 +40,7 @@ def streams(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def items(tmp_path_factory):
-    return open_items(content_corpus(tmp_path_factory.mktemp("corpus") / "corpus.safetensors"), "test")
+    return open_test_set(content_corpus(tmp_path_factory.mktemp("corpus") / "corpus.safetensors"), "test")
 
 
 def clips(bundle, solver="pcm", steps=None, **options):

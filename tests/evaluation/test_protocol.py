@@ -8,10 +8,10 @@ import torch
 from moveset.errors import InputError
 from moveset.evaluation import metrics
 from moveset.evaluation.generators import Given, Reconstruction
-from moveset.evaluation.items import open_items
 from moveset.evaluation.metrics import frechet_distance
 from moveset.evaluation.motion_files import folder_motions
 from moveset.evaluation.protocol import Protocol, Session, encoded, physical, random_of, run_repeat, seed_of
+from moveset.evaluation.samples import open_test_set
 from moveset.motion.features import get_codec
 from moveset.motion.measures import jerk, measure
 from moveset.pipelines.model_config import ClipConfig
@@ -27,7 +27,7 @@ QUICK = Protocol(repeats=2, multimodality=0)
 
 @pytest.fixture(scope="module")
 def items(tmp_path_factory):
-    return open_items(content_corpus(tmp_path_factory.mktemp("corpus") / "corpus.safetensors"), "test")
+    return open_test_set(content_corpus(tmp_path_factory.mktemp("corpus") / "corpus.safetensors"), "test")
 
 
 @pytest.fixture(scope="module")
@@ -182,7 +182,7 @@ def test_given_motion_is_judged_by_its_own_prompts(items, tmp_path):
 
 
 def test_folders_are_cropped_anew_in_every_repeat(tmp_path):
-    items = open_items(write_folder(tmp_path / "data"), "train")
+    items = open_test_set(write_folder(tmp_path / "data"), "train")
     judge = Oracle(items)
     protocol = Protocol(group=4, multimodality=0)
     one = session(items, Given("real"), judge, protocol)

@@ -13,10 +13,10 @@ import pytest
 from moveset.errors import FormatError, InputError, MovesetError
 from moveset.evaluation import results as results_module
 from moveset.evaluation import run as running
-from moveset.evaluation.items import open_items
 from moveset.evaluation.protocol import Protocol, Session, run_repeat
 from moveset.evaluation.results import Results, summary
 from moveset.evaluation.run import EvaluationConfig, evaluate, open_session
+from moveset.evaluation.samples import open_test_set
 from tests.bundles import tiny_bundle
 from tests.evaluation.corpora import content_corpus
 from tests.evaluation.judges import Oracle, Painter
@@ -27,7 +27,7 @@ PROTOCOL = Protocol(repeats=4, multimodality=1, samples=10, group=8)
 
 @pytest.fixture(scope="module")
 def items(tmp_path_factory):
-    return open_items(content_corpus(tmp_path_factory.mktemp("corpus") / "corpus.safetensors"), "test").limited(24)
+    return open_test_set(content_corpus(tmp_path_factory.mktemp("corpus") / "corpus.safetensors"), "test").limited(24)
 
 
 @pytest.fixture(scope="module")

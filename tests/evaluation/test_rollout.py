@@ -9,9 +9,9 @@ from moveset.data.humanml3d import KIT
 from moveset.errors import InputError
 from moveset.evaluation import metrics
 from moveset.evaluation.generators import Given
-from moveset.evaluation.items import open_items, text_of
 from moveset.evaluation.protocol import Protocol, Session
 from moveset.evaluation.rollout import WINDOW, Rollout, apart, cut, drift, rollouts, run_rollout, spread_change, starts
+from moveset.evaluation.samples import open_test_set, text_of
 from moveset.motion.features import get_codec
 from tests.data.test_humanml3d import folder as humanml3d
 from tests.evaluation.corpora import content_corpus
@@ -23,7 +23,7 @@ PROTOCOL = Protocol(split="rollout", group=8)
 
 @pytest.fixture(scope="module")
 def items(tmp_path_factory):
-    return open_items(content_corpus(tmp_path_factory.mktemp("corpus") / "corpus.safetensors", frames=90), "test")
+    return open_test_set(content_corpus(tmp_path_factory.mktemp("corpus") / "corpus.safetensors", frames=90), "test")
 
 
 def draws(items, seed=0):
@@ -126,7 +126,7 @@ def test_groups_of_different_rollouts_stay_as_they_were():
 
 def test_a_caption_with_tokens_is_read_with_them(tmp_path):
     folder = humanml3d(tmp_path, KIT, {f"{k}": 230 for k in range(3)}, test=["0", "1", "2"])
-    long = open_items(folder, "test", long=True)
+    long = open_test_set(folder, "test", long=True)
     (draw, *_) = draws(long)
     assert Rollout((draw,), (230,)).said(0, WINDOW)[0] == draw.caption
     assert draw.caption.tokens

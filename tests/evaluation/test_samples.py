@@ -6,7 +6,7 @@ import torch
 from moveset.data.captions import mirror_text, train_captions
 from moveset.data.humanml3d import HUMANML3D, KIT, HumanML3D
 from moveset.errors import FormatError, InputError
-from moveset.evaluation.items import LONGEST, Draw, open_items
+from moveset.evaluation.samples import LONGEST, Sample, open_test_set
 from moveset.motion.features import get_codec
 from tests.evaluation.corpora import content_corpus
 from tests.training.hml_folder import write_folder
@@ -19,7 +19,7 @@ def corpus(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def items(corpus):
-    return open_items(corpus, "test")
+    return open_test_set(corpus, "test")
 
 
 def generator(seed=0):
@@ -33,7 +33,7 @@ def test_every_clip_and_its_mirror_image_is_an_item(items):
 
 
 def test_plain_items_alone(corpus):
-    plain = open_items(corpus, "test", composed=False, mirrored=False)
+    plain = open_test_set(corpus, "test", composed=False, mirrored=False)
     assert len(plain) == 39
     assert plain.dropped == {"fewer than 24 frames": 3}
 
@@ -46,7 +46,7 @@ def test_lengths_are_honest(items):
 
 def test_a_crop_has_the_joints_of_its_features(items):
     item = max(items.items, key=lambda item: item.rows)
-    draw = Draw(item, item.captions[0], start=7, rows=12)
+    draw = Sample(item, item.captions[0], start=7, rows=12)
     assert torch.equal(draw.joints(), item.joints()[7:20])
     assert torch.equal(draw.features(), item.features()[7:19])
 
@@ -81,8 +81,8 @@ def test_all_captions_are_drawn_alike(items):
 def test_a_corpus_is_known_by_its_bytes(items, corpus, tmp_path):
     copy = tmp_path / "other name.safetensors"
     copy.write_bytes(corpus.read_bytes())
-    assert open_items(copy, "test").sha256 == items.sha256
-    assert open_items(content_corpus(tmp_path / "b.safetensors", frames=41), "test").sha256 != items.sha256
+    assert open_test_set(copy, "test").sha256 == items.sha256
+    assert open_test_set(content_corpus(tmp_path / "b.safetensors", frames=41), "test").sha256 != items.sha256
 
 
 def test_a_few_items_at_random(items):
@@ -95,14 +95,14 @@ def test_a_few_items_at_random(items):
 
 def test_an_empty_split_is_refused(corpus):
     with pytest.raises(InputError, match="no val clips of 24"):
-        open_items(corpus, "val")
+        open_test_set(corpus, "val")
 
 
 def test_a_damaged_corpus_is_refused(corpus, tmp_path):
     broken = tmp_path / "broken.safetensors"
     broken.write_bytes(corpus.read_bytes()[:-100])
     with pytest.raises(FormatError):
-        open_items(broken, "test")
+        open_test_set(broken, "test")
 
 
 # ---------------------------------------------------------------------------------------------------------- folders
@@ -112,7 +112,7 @@ def test_a_damaged_corpus_is_refused(corpus, tmp_path):
 def test_folders_follow_the_sets_own_rules(tmp_path, layout):
     folder = write_folder(tmp_path / "data", layout)
     data = HumanML3D.open(folder)
-    items = open_items(folder, "train")
+    items = open_test_set(folder, "train")
     assert [item.rows for item in items.items] == [item.stop - item.start for item in data.items("train")]
     assert items.labels is None
     assert items.codec.name == layout.codec
@@ -123,7 +123,7 @@ def test_folders_follow_the_sets_own_rules(tmp_path, layout):
 
 
 def test_crops_are_whole_tokens_single_or_double(tmp_path):
-    items = open_items(write_folder(tmp_path / "data"), "train")
+    items = open_test_set(write_folder(tmp_path / "data"), "train")
     long = next(k for k, item in enumerate(items.items) if item.rows == 199)
     draws = [items.draw(generator(k)) for k in range(120)]
     for drawn in draws:
@@ -138,7 +138,7 @@ def test_crops_are_whole_tokens_single_or_double(tmp_path):
 
 
 def test_kit_joints_are_turned_to_the_axes_of_motion(tmp_path):
-    items = open_items(write_folder(tmp_path / "data", KIT), "train")
+    items = open_test_set(write_folder(tmp_path / "data", KIT), "train")
     codec, item = get_codec("kit"), items.items[1]
     assert torch.equal(item.joints()[..., 0], -codec.joints(item.features())[..., 0])
     assert torch.equal(item.joints()[..., 1:], codec.joints(item.features())[..., 1:])
@@ -146,10 +146,10 @@ def test_kit_joints_are_turned_to_the_axes_of_motion(tmp_path):
 
 def test_long_motions_are_for_rollouts(tmp_path):
     folder = write_folder(tmp_path / "data")
-    with pytest.raises(InputError, match="200 frames or more"):
-        open_items(folder, "train", long=True)
+    with pytest.raises(InputError, match=r"no train motion of a length .*200 frames"):
+        open_test_set(folder, "train", long=True)
     import numpy as np
 
     np.save(folder / "new_joint_vecs" / "long.npy", np.zeros((333, 263), dtype=np.float32))
-    items = open_items(folder, "train", long=True)
+    items = open_test_set(folder, "train", long=True)
     assert [(item.rows, item.cropped) for item in items.items] == [(333, False)]

@@ -16,9 +16,10 @@ import torch
 from torch import Tensor
 
 from moveset.data.corpus import Corpus
-from moveset.data.humanml3d import Caption, HumanML3D
+from moveset.data.humanml3d import Caption, HumanML3D, Item
 from moveset.data.splits import Split
 from moveset.errors import InputError
+from moveset.io.numpy_file import array_shape
 from moveset.motion.clip import Motion
 from moveset.motion.features import FeatureCodec, Normalizer, get_codec
 
@@ -40,6 +41,8 @@ class Clip:
     Args:
         name: unique in its dataset.
         frames: of its motion; some codecs make one row of features less. Of a folder, rows of features.
+        fps: frames per second.
+        skeleton: its name.
         captions: sentences for all of it.
         group: what it shows: clips of one group may answer each other's sentences.
         motion: itself; where a set holds features alone, what they decode to.
@@ -54,6 +57,8 @@ class Clip:
 
     name: str
     frames: int
+    fps: float
+    skeleton: str
     captions: tuple[str, ...]
     group: Hashable
     motion: Callable[[], Motion]
@@ -80,8 +85,10 @@ class Dataset(Protocol):
     def __len__(self) -> int:
         """Number of clips, mirror images counted."""
 
-    def split(self, name: Split, *, captured_only: bool = False, untold: bool = False) -> tuple[int, ...]:
-        """Clips of a split; with ``captured_only`` those that stand for the captures: not composed, not our mirrorings.
+    def split(
+        self, name: Split, *, composed: bool = True, mirrored: bool = True, untold: bool = False
+    ) -> tuple[int, ...]:
+        """Clips of a split; without those that are composed, or without our mirrorings, if so asked.
 
         With ``untold`` also those about which no sentence tells, which are for learning motion alone.
 
@@ -104,6 +111,9 @@ class Dataset(Protocol):
 
     def sha256(self, split: Split) -> str:
         """A hash of everything that a judgement by this split depends on, sentences included."""
+
+    def left_out(self, split: Split) -> dict[str, int]:
+        """How many motions of a split are no clips, by the reason."""
 
     def describe(self) -> str:
         """How much it is, for people."""
@@ -129,7 +139,7 @@ def open_for_training(path: Path) -> Dataset:
     found = open_dataset(path)
     needed: tuple[Split, ...] = ("train", "val")
     for split in needed:
-        if not found.split(split, captured_only=True):
+        if not found.split(split, composed=False):
             raise InputError(
                 f"{path} has no usable clip of the {split} split; training needs some in train and in val: build a "
                 f"corpus from more performers, or give a folder whose {split}.txt names motions with sentences"
@@ -169,11 +179,11 @@ class CorpusDataset:
     def __len__(self) -> int:
         return 2 * len(self.corpus)
 
-    def split(self, name: Split, *, captured_only: bool = False, untold: bool = False) -> tuple[int, ...]:
-        captioned = None if untold else True
-        if captured_only:
-            return tuple(2 * record for record in self.corpus.indices(name, False, captioned))
-        return tuple(2 * record + side for record in self.corpus.indices(name, None, captioned) for side in (0, 1))
+    def split(
+        self, name: Split, *, composed: bool = True, mirrored: bool = True, untold: bool = False
+    ) -> tuple[int, ...]:
+        records = self.corpus.indices(name, None if composed else False, None if untold else True)
+        return tuple(2 * record + flip for record in records for flip in range(1 + mirrored))
 
     def clip(self, item: int) -> Clip:
         # Kept, because mirroring sentences takes long.
@@ -194,6 +204,8 @@ class CorpusDataset:
         return Clip(
             name=record.name + " mirrored" * mirrored,
             frames=record.frames,
+            fps=record.fps,
+            skeleton=corpus.skeleton.name,
             captions=captions,
             group=(record.group, mirrored) if own else contents,
             motion=lambda: corpus.motion(number, mirrored),
@@ -213,10 +225,9 @@ class CorpusDataset:
 
     def normalizer(self, codec: FeatureCodec, features: Callable[[int], Tensor]) -> Normalizer:
         """From the takes of the training split and their mirror images."""
-        fitted = (
-            clip + mirrored for clip in self.split("train", captured_only=True, untold=True) for mirrored in (0, 1)
+        return Normalizer.fit(
+            (features(clip) for clip in self.split("train", composed=False, untold=True)), codec.groups
         )
-        return Normalizer.fit((features(clip) for clip in fitted), codec.groups)
 
     @property
     def fingerprint(self) -> str:
@@ -225,6 +236,9 @@ class CorpusDataset:
     def sha256(self, split: Split) -> str:
         with self._path.open("rb") as file:
             return hashlib.file_digest(file, "sha256").hexdigest()
+
+    def left_out(self, split: Split) -> dict[str, int]:
+        return {}
 
     def describe(self) -> str:
         return f"{len(self.corpus.indices(composed=False))} clips, {self.corpus.seconds / 3600:.2f} h"
@@ -255,14 +269,16 @@ class FolderDataset:
     def __len__(self) -> int:
         return len(self.items)
 
-    def split(self, name: Split, *, captured_only: bool = False, untold: bool = False) -> tuple[int, ...]:
+    def split(
+        self, name: Split, *, composed: bool = True, mirrored: bool = True, untold: bool = False
+    ) -> tuple[int, ...]:
         if name not in self._splits:
             raise InputError(f"there is no split {name!r}; use 'train', 'val' or 'test'")
         return self._splits[name]
 
     def clip(self, item: int) -> Clip:
-        return folder_clip(self.data, self.items[item].name, self.items[item].start, self.items[item].stop,
-                           self.items[item].captions, item)  # fmt: skip
+        first = max(clips[0] for clips in self._splits.values() if clips and clips[0] <= item)
+        return _folder_clip(self.data, self.items[item], item - first)
 
     def weights(self, items: Sequence[int], power: float, composed_share: float) -> Tensor:
         """All alike: nothing is known of their contents."""
@@ -298,13 +314,29 @@ class FolderDataset:
                 sha.update(path.read_bytes() if path.is_file() else b"")
         return sha.hexdigest()
 
+    def left_out(self, split: Split) -> dict[str, int]:
+        used, layout = {self.items[item].name for item in self._splits[split]}, self.data.layout
+        unused = [name for name in self.data.splits[split] if name not in used]
+        span = f"not of {layout.shortest} to {layout.too_long - 1} frames, or without a sentence for the whole"
+        return {span: len(unused)} if unused else {}
+
+    def long_clips(self, split: Split) -> list[Clip]:
+        """Motions of 200 rows or more with a sentence for the whole, which the sets' own loaders leave out."""
+        found = []
+        for name in self.data.splits[split]:
+            rows = array_shape(self.data.folder / "new_joint_vecs" / f"{name}.npy")[0]
+            whole = tuple(c for c in self.data.captions(name) if c.start == 0 and c.end == 0)
+            if rows >= self.data.layout.too_long and whole:
+                found.append(_folder_clip(self.data, Item(name, 0, rows, whole), len(found)))
+        return found
+
     def describe(self) -> str:
         frames = sum(item.stop - item.start for item in self.items)
         return f"{len(self)} clips of {self.name}, {frames / self.data.layout.fps / 3600:.2f} h"
 
 
-def folder_clip(data: HumanML3D, name: str, start: int, stop: int, captions: tuple[Caption, ...], number: int) -> Clip:
-    """Rows [start, stop) of a motion of a folder with the sentences that tell just them.
+def _folder_clip(data: HumanML3D, item: Item, number: int) -> Clip:
+    """Some rows of a motion of a folder with the sentences that tell just them.
 
     Sentences tell of one thing after another, and a window may miss some of it; nothing is known of what clips show.
     """
@@ -317,17 +349,19 @@ def folder_clip(data: HumanML3D, name: str, start: int, stop: int, captions: tup
                 f"{data.folder} holds {layout.codec!r} features ({layout.features} a frame), not {wanted.name!r} ones; "
                 f"leave the recipe's own choice, codec=auto"
             )
-        return data.features(name)[start:stop]
+        return data.features(item.name)[item.start : item.stop]
 
     return Clip(
-        name=f"{number} {name}",
-        frames=stop - start,
-        captions=tuple(caption.text for caption in captions),
-        group=name,
+        name=f"{number} {item.name}",
+        frames=item.stop - item.start,
+        captions=tuple(caption.text for caption in item.captions),
+        fps=layout.fps,
+        skeleton=codec.skeleton.name,
+        group=item.name,
         motion=lambda: codec.decode(features(codec)),
         features=features,
         joints=lambda: codec.joints(features(codec)) * codec.reflection.float(),
-        tagged=captions,
+        tagged=item.captions,
         stored=layout.codec,
     )
 

@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from moveset.errors import InputError
-from moveset.evaluation.items import Draw, ItemSet
+from moveset.evaluation.samples import Sample, TestSet
 from moveset.motion.clip import Motion
 from moveset.motion.features import get_codec
 from moveset.pipelines.device import pick_device
@@ -39,7 +39,7 @@ class Wanted:
 
     parts: tuple[tuple[str, int], ...]
     seed: int
-    draw: Draw | None = None
+    draw: Sample | None = None
 
     @property
     def frames(self) -> int:
@@ -93,7 +93,7 @@ class Given:
 
     network, steps, random, segment = None, None, False, 0.0
 
-    def __init__(self, slug: str, items: ItemSet | None = None) -> None:
+    def __init__(self, slug: str, items: TestSet | None = None) -> None:
         self.slug = self.model = slug
         self.items = items
 
@@ -215,7 +215,7 @@ def resampled(joints: Tensor, fps: float, rate: float) -> Tensor:
     return torch.lerp(joints[low], joints[low + 1], (where - low).clamp(0.0, 1.0).to(joints)[:, None, None])
 
 
-def check_made(made: Sequence[Tensor], asked: Sequence[Draw], who: str, shape: tuple[int, int]) -> None:
+def check_made(made: Sequence[Tensor], asked: Sequence[Sample], who: str, shape: tuple[int, int]) -> None:
     """Refuse motions that cannot be judged.
 
     Raises:

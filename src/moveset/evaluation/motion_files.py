@@ -19,7 +19,7 @@ from torch import Tensor
 from moveset.data.humanml3d import Caption, parse_caption
 from moveset.errors import FormatError, InputError
 from moveset.evaluation.generators import resampled
-from moveset.evaluation.items import Item, ItemSet, text_of
+from moveset.evaluation.samples import Item, TestSet, text_of
 from moveset.io.limits import read_limited
 from moveset.io.numpy_file import read_array
 from moveset.motion.features import get_codec
@@ -32,7 +32,7 @@ MIN_FRAMES = 5
 BONES = (0.5, 50.0)
 
 
-def folder_motions(folder: Path, prompts: Path | None, fps: float, codec: str = "hml") -> ItemSet:
+def folder_motions(folder: Path, prompts: Path | None, fps: float, codec: str = "hml") -> TestSet:
     """The motions of a folder as items that are judged by their own prompts.
 
     Args:
@@ -63,7 +63,7 @@ def folder_motions(folder: Path, prompts: Path | None, fps: float, codec: str = 
         sha.update(f"{path.name}\0{caption}\0".encode())
         sha.update(joints.numpy().tobytes())
         items.append(_item(path.stem, joints, caption, features))
-    return ItemSet(tuple(items), folder.resolve().name, sha.hexdigest(), features)
+    return TestSet(tuple(items), folder.resolve().name, sha.hexdigest(), features)
 
 
 def _item(name: str, joints: Tensor, caption: Caption | str, codec: HmlCodec) -> Item:

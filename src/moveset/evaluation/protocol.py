@@ -22,7 +22,7 @@ from moveset.errors import InputError
 from moveset.evaluation import metrics
 from moveset.evaluation.evaluator import EvaluatorCard
 from moveset.evaluation.generators import Given, Reconstruction, Source, Wanted, check_made
-from moveset.evaluation.items import Draw, ItemSet
+from moveset.evaluation.samples import Sample, TestSet
 from moveset.motion.hml import HmlCodec
 from moveset.motion.measures import boundary_jerk, measure
 
@@ -80,7 +80,7 @@ class Protocol:
             if not low <= value <= high:
                 raise InputError(f"{name} {value} is not in {low} to {high}")
 
-    def fitted(self, items: ItemSet, random: bool) -> "Protocol":
+    def fitted(self, items: TestSet, random: bool) -> "Protocol":
         """With as many texts and pairs as there are items for; nothing that is random where nothing is.
 
         Raises:
@@ -109,7 +109,7 @@ class Session:
     """
 
     protocol: Protocol
-    items: ItemSet
+    items: TestSet
     generator: Source
     evaluator: Judge
 
@@ -123,12 +123,12 @@ class Session:
         self._real: Tensor | None = None
 
     @property
-    def judged(self) -> ItemSet:
+    def judged(self) -> TestSet:
         """The items that motions are made for: the real ones, unless motions come with prompts of their own."""
         given = self.generator.items if isinstance(self.generator, Given) else None
         return given or self.items
 
-    def real(self, draws: Sequence[Draw]) -> Tensor:
+    def real(self, draws: Sequence[Sample]) -> Tensor:
         """(M, E) of the real motions of a repeat; read once where crops do not change."""
         if any(draw.item.cropped for draw in draws):
             return self.evaluator.embed_motions(real_features(draws, self.items.codec))
@@ -194,14 +194,14 @@ def random_of(protocol: Protocol, number: int, *key: str | int) -> torch.Generat
     return torch.Generator().manual_seed(seed_of(protocol, number, *key))
 
 
-def features_of(generator: Source, asked: Sequence[Draw], made: Sequence[Tensor], codec: HmlCodec) -> list[Tensor]:
+def features_of(generator: Source, asked: Sequence[Sample], made: Sequence[Tensor], codec: HmlCodec) -> list[Tensor]:
     """(F - 1, D) features of joints; real motion has its own already."""
     if isinstance(generator, Given):
         return real_features(asked, codec)
     return encoded(made, codec)
 
 
-def real_features(draws: Sequence[Draw], codec: HmlCodec) -> list[Tensor]:
+def real_features(draws: Sequence[Sample], codec: HmlCodec) -> list[Tensor]:
     """(rows, D) features of items: those that are stored, or of many motions at once."""
     if any(draw.item.motion is None for draw in draws):
         return [draw.features() for draw in draws]
@@ -229,7 +229,7 @@ def physical(clips: Sequence[Tensor], codec: HmlCodec, segment: float = 0.0) -> 
     return out
 
 
-def _made(session: Session, wanted: Sequence[Wanted], asked: Sequence[Draw], progress: Progress) -> list[Tensor]:
+def _made(session: Session, wanted: Sequence[Wanted], asked: Sequence[Sample], progress: Progress) -> list[Tensor]:
     done = 0
 
     def tick(count: int) -> None:
@@ -242,7 +242,7 @@ def _made(session: Session, wanted: Sequence[Wanted], asked: Sequence[Draw], pro
     return made
 
 
-def _multimodality(session: Session, asked: Sequence[Draw], number: int, progress: Progress) -> tuple[float, int]:
+def _multimodality(session: Session, asked: Sequence[Sample], number: int, progress: Progress) -> tuple[float, int]:
     """Of texts drawn at random, each with the length of its item; and how many these are."""
     protocol = session.protocol
     order = torch.randperm(len(asked), generator=random_of(protocol, number, "texts")).tolist()
@@ -259,12 +259,12 @@ def _multimodality(session: Session, asked: Sequence[Draw], number: int, progres
     return metrics.multimodality(motion_TnE, random_of(protocol, number, "pairs"), protocol.pairs), len(chosen)
 
 
-def _shorter(made: Sequence[Tensor], asked: Sequence[Draw]) -> int:
+def _shorter(made: Sequence[Tensor], asked: Sequence[Sample]) -> int:
     """How many motions are shorter than asked for, because the model has a limit."""
     return sum(len(joints) < draw.frames for joints, draw in zip(made, asked, strict=True))
 
 
-def _errors(asked: Sequence[Draw], made: Sequence[Tensor]) -> dict[str, float]:
+def _errors(asked: Sequence[Sample], made: Sequence[Tensor]) -> dict[str, float]:
     """Mean joint errors of reconstructions, metres: where they are, and with the root put where it should be."""
     real = [draw.joints() for draw in asked]
     pairs = [(a[: len(b)], b[: len(a)]) for a, b in zip(made, real, strict=True)]

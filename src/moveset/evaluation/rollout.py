@@ -21,9 +21,9 @@ from moveset.data.humanml3d import Caption
 from moveset.errors import InputError
 from moveset.evaluation import metrics
 from moveset.evaluation.generators import Given, Reconstruction, Wanted
-from moveset.evaluation.items import Draw, text_of
 from moveset.evaluation.motion_files import then
 from moveset.evaluation.protocol import Progress, Session, encoded, physical, random_of, seed_of
+from moveset.evaluation.samples import Sample, text_of
 from moveset.motion.hml import HmlCodec
 from moveset.motion.join import join
 from moveset.motion.measures import windows as measured_windows
@@ -40,7 +40,7 @@ Told = tuple[Caption | str, tuple[str, ...]]  # a sentence, or a caption with it
 class Rollout:
     """A long motion to make: clips one after the other; the last may be cut."""
 
-    draws: tuple[Draw, ...]
+    draws: tuple[Sample, ...]
     frames: tuple[int, ...]
 
     @property
@@ -95,7 +95,7 @@ def cut(joints: Tensor) -> list[Tensor]:
     return [joints[start : start + WINDOW + 1] for start in starts(len(joints))]
 
 
-def rollouts(draws: Sequence[Draw], fps: float) -> list[Rollout]:
+def rollouts(draws: Sequence[Sample], fps: float) -> list[Rollout]:
     """Clips in their order, cut into rollouts of ``SECONDS``; no clip is used twice.
 
     Raises:
@@ -103,7 +103,7 @@ def rollouts(draws: Sequence[Draw], fps: float) -> list[Rollout]:
     """
     wanted = round(SECONDS * fps)
     out: list[Rollout] = []
-    chosen: list[Draw] = []
+    chosen: list[Sample] = []
     lengths: list[int] = []
     for draw in draws:
         left = wanted - sum(lengths)

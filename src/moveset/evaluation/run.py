@@ -16,10 +16,10 @@ from moveset.data.splits import Split
 from moveset.errors import InputError, MovesetError
 from moveset.evaluation.evaluator import DEFAULT_EVALUATOR, Evaluator
 from moveset.evaluation.generators import Generated, Given, Reconstruction, Source
-from moveset.evaluation.items import ItemSet, open_items
 from moveset.evaluation.protocol import Protocol, Session, run_repeat
 from moveset.evaluation.results import Results
 from moveset.evaluation.rollout import run_rollout
+from moveset.evaluation.samples import TestSet, open_test_set
 from moveset.io.process import end_with_parent
 from moveset.pipelines.device import pick_device
 from moveset.pipelines.generator import Sampler, open_generator
@@ -108,19 +108,19 @@ def open_session(config: EvaluationConfig) -> Session:
     evaluator = Evaluator.open(config.evaluator, pick_device(config.device))
     if isinstance(generator, Given) and generator.items is not None:
         generator.items = _as_read(generator.items, evaluator.card.max_frames)
-    judged: ItemSet = (generator.items if isinstance(generator, Given) else None) or items
+    judged: TestSet = (generator.items if isinstance(generator, Given) else None) or items
     _check_fit(config, generator, judged, items)
     return Session(config.protocol.fitted(judged, generator.random), items, generator, evaluator)
 
 
-def _as_read(given: ItemSet, most: int) -> ItemSet:
+def _as_read(given: TestSet, most: int) -> TestSet:
     """Given motions, with how many of them an evaluator of so many frames reads in part."""
     long = sum(item.rows > most for item in given.items)
     note = {f"what lies behind frame {most} of a motion, which the evaluator does not read": long} if long else {}
     return replace(given, dropped={**given.dropped, **note})
 
 
-def _check_fit(config: EvaluationConfig, generator: Source, judged: ItemSet, items: ItemSet) -> None:
+def _check_fit(config: EvaluationConfig, generator: Source, judged: TestSet, items: TestSet) -> None:
     """What no repeat could judge is refused before anything is made or written.
 
     Raises:
@@ -141,7 +141,7 @@ def _check_fit(config: EvaluationConfig, generator: Source, judged: ItemSet, ite
         raise InputError(f"{generator.slug} cannot be rolled out; evaluate a model that makes motion, or real motion")
 
 
-def open_set(config: EvaluationConfig) -> ItemSet:
+def open_set(config: EvaluationConfig) -> TestSet:
     """The real motion that models are judged by, no more items of it than were asked for.
 
     Raises:
@@ -152,7 +152,7 @@ def open_set(config: EvaluationConfig) -> ItemSet:
         raise InputError(f"{config.items} items are fewer than 1; leave --items out for all of them")
     long = config.protocol.split == "rollout"
     of = cast(Split, "test" if long else config.protocol.split)
-    items = open_items(config.data, of, long=long, composed=config.composed, mirrored=config.mirrored)
+    items = open_test_set(config.data, of, long=long, composed=config.composed, mirrored=config.mirrored)
     return items if config.items is None else items.limited(config.items)
 
 

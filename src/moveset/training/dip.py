@@ -154,7 +154,7 @@ def idle_pose(dataset: Dataset, store: FeatureStore, codec: FeatureCodec) -> Ten
 
     Of captures of the training split, no mirror images.
     """
-    starts = [store.clips[clip].start for clip in dataset.split("train", captured_only=True)]
+    starts = [store.clips[clip].start for clip in dataset.split("train", composed=False, mirrored=False)]
     first_ND = torch.from_numpy(np.array(store.features[starts], np.float32))
     nearest = first_ND[(first_ND - first_ND.mean(dim=0)).square().sum(dim=1).argmin()]
     pose = store.normalizer.denormalize(nearest)

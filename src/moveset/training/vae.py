@@ -103,7 +103,8 @@ class VAETask(Task):
         weights = dataset.weights(clips, power=config.balance, composed_share=config.composed_share)
         seed = loop.config.seed * 64 + loop.rank
         self.sampler = CropSampler(self.store, clips, weights, config.batch, seed)
-        held_out = (self.store.whole(clip) for clip in dataset.split("val", captured_only=True, untold=True))
+        val = dataset.split("val", composed=False, mirrored=False, untold=True)
+        held_out = (self.store.whole(clip) for clip in val)
         self.held_out = sorted(held_out, key=lambda crop: crop.frames)
 
     def modules(self) -> dict[str, nn.Module]:
