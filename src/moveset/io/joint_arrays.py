@@ -84,25 +84,27 @@ def read_npy(
 def _frames_first(path: str, values: np.ndarray, sample: str | None) -> np.ndarray:
     """(F, J, 3) or (F, D) of one motion."""
     shape = values.shape
-    several = (len(shape) == 4 and {shape[1], shape[2]} & (_JOINTS | _CODECS.keys())) or (
-        len(shape) == 3 and shape[2] in _CODECS
-    )
+    # The axes behind that of several motions, if there is one, tell whose they are.
+    several = len(shape) == 4 or (len(shape) == 3 and shape[2] in _CODECS)
+    one = shape[1:] if several else shape
+    order: tuple[int, ...] = ()
+    if len(one) == 3 and one[1] in _JOINTS and one[2] == 3:
+        order = (0, 1, 2)
+    elif len(one) == 3 and ((one[0] in _JOINTS and one[1] == 3) or (one[0] in _CODECS and one[1] == 1)):
+        order = (2, 0, 1)
+    elif len(one) == 2 and one[1] in _CODECS:
+        order = (0, 1)
+    if not order:
+        raise FormatError(
+            f"{path}: its shape {shape} is none of (frames, 22, 3), (22, 3, frames), (samples, 22, 3, frames) or "
+            "(frames, 263), nor KIT-ML's with 21 and 251; give joint positions or features in one of these orders"
+        )
     if several:
         values = values[_which(path, len(values), sample)]
     elif sample is not None:
         raise FormatError(f"{path}: there is no motion {sample!r} in an array of one; leave --animation out")
-    if values.ndim == 3 and values.shape[0] in _CODECS and values.shape[1] == 1:
-        values = values[:, 0].T
-    if values.ndim == 3 and values.shape[2] == 3 and values.shape[1] in _JOINTS:
-        return values
-    if values.ndim == 3 and values.shape[1] == 3 and values.shape[0] in _JOINTS:
-        return values.transpose(2, 0, 1)
-    if values.ndim == 2 and values.shape[1] in _CODECS:
-        return values
-    raise FormatError(
-        f"{path}: its shape {shape} is none of (frames, 22, 3), (22, 3, frames), (samples, 22, 3, frames) or (frames, "
-        "263), nor KIT-ML's with 21 and 251; give joint positions or features in one of these orders"
-    )
+    values = values.transpose(order)
+    return values[..., 0] if values.shape[2:] == (1,) else values
 
 
 def _which(path: str, count: int, sample: str | None) -> int:

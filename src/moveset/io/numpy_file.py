@@ -68,7 +68,9 @@ class Npz:
             self.zip = zipfile.ZipFile(BytesIO(read_limited(path, MAX_NPZ_BYTES)))
             members = self.zip.infolist()
         except (zipfile.BadZipFile, NotImplementedError, ValueError) as error:
-            raise FormatError(f"{path}: it is not an npz file or is truncated ({error}); save it again") from error
+            raise FormatError(
+                f"{path}: it is not an npz file or is truncated ({_one_line(error)}); save it again"
+            ) from error
         if len(members) > _MEMBERS:
             self.fail(f"{len(members)} arrays exceed the limit of {_MEMBERS}; it is no motion")
         self.names = {m.filename.removesuffix(".npy"): m for m in members if m.filename.endswith(".npy")}
@@ -93,7 +95,7 @@ class Npz:
             with self.zip.open(member) as file:
                 values = parse_array(file, member.file_size, f"{self.path}, {name!r}", kinds, finite=finite)
         except (zipfile.BadZipFile, zlib.error, EOFError, OSError, ValueError, NotImplementedError) as error:
-            raise FormatError(f"{self.path}: {name!r} is damaged ({error}); save it again") from error
+            raise FormatError(f"{self.path}: {name!r} is damaged ({_one_line(error)}); save it again") from error
         if shape is not None and (
             len(values.shape) != len(shape) or any(w not in (None, h) for h, w in zip(values.shape, shape, strict=True))
         ):
@@ -111,7 +113,7 @@ def _header(file: IO[bytes], size: int, where: str, kinds: str) -> tuple[tuple[i
         read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
         shape, fortran, dtype = read(file, max_header_size=10_000)
     except HEADER_ERRORS as error:
-        raise FormatError(f"{where}: no npy header ({str(error)[:80]}); save it again with numpy") from error
+        raise FormatError(f"{where}: no npy header ({_one_line(error)}); save it again with numpy") from error
     if dtype.hasobject:
         raise FormatError(f"{where}: its type is {dtype}, not numbers of the kind needed: {PICKLED}")
     if dtype.kind not in kinds:
@@ -144,6 +146,10 @@ def parse_array(file: IO[bytes], size: int, where: str, kinds: str, *, finite: b
     if finite and dtype.kind == "f" and not (np.abs(values) <= np.float64(MAX_NUMBER)).all():
         raise FormatError(f"{where}: it holds numbers that are not finite (NaN, infinite) or absurd; save it again")
     return values
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error)[:80].split())
 
 
 def _float32(values: np.ndarray) -> Tensor:
