@@ -172,6 +172,8 @@ def test_more_than_can_be_read_back_is_refused(walk, tmp_path, monkeypatch):
         (("scenes", 0, "skeleton", "parents"), [5] * 22),
         (("scenes", 0, "skeleton", "parents"), [float("inf")] * 22),
         (("scenes", 0, "skeleton", "offsets"), [["x"]]),
+        (("scenes", 0, "skeleton", "offsets"), [[float("nan")] * 3] * 22),
+        (("scenes", 0, "skeleton", "offsets"), [[1e30] * 3] * 22),
         (("scenes", 0, "skeleton", "joints"), ["a"]),
         (("scenes", 0, "skeleton"), 7),
     ],

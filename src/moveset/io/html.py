@@ -20,7 +20,7 @@ from typing import Any
 import torch
 
 from moveset.errors import FormatError, InputError
-from moveset.io.limits import MAX_BYTES, MAX_JOINTS, atomic_write, read_limited
+from moveset.io.limits import MAX_BYTES, MAX_JOINTS, MAX_NUMBER, atomic_write, read_limited
 from moveset.io.packets import HEADER, MAGIC, VERSION, pack_packet, skeleton_json, unpack_packets
 from moveset.motion.clip import Motion
 from moveset.motion.retarget import retarget
@@ -187,6 +187,8 @@ def read_html(path: str | Path) -> Motion:
         joints = tuple(str(name)[:64] for name in told["joints"][:MAX_JOINTS])
         parents = tuple(int(parent) for parent in told["parents"][:MAX_JOINTS])
         offsets = torch.tensor(told["offsets"][:MAX_JOINTS], dtype=torch.float32)
+        if not (offsets.abs() <= MAX_NUMBER).all():
+            raise ValueError("bones of no length, or of an absurd one")
         skeleton = as_skeleton(str(told["name"])[:64], joints, parents, offsets)
     except (LookupError, TypeError, ArithmeticError, ValueError, RuntimeError, AttributeError, InputError) as error:
         raise FormatError(f"{path} is a damaged page of motions; make it again") from error
