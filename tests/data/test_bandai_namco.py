@@ -5,13 +5,13 @@ import numpy as np
 import pytest
 import torch
 
-from moveset.data import bandai_namco, posture
+from moveset.data import bandai_namco
 from moveset.data.resample import resampled
 from moveset.errors import FormatError, InputError
 from moveset.io.bvh import local_frames, read_bvh
 from moveset.motion import rotations
-from moveset.motion.clip import Motion
 from moveset.motion.skeleton import HML22
+from tests.takes import motion_of
 
 
 @pytest.fixture(scope="module")
@@ -29,12 +29,7 @@ def takes(refs):
         "dataset-2_walk-turn-right_normal_002",
         "dataset-2_wave-left-hand_normal_001",
     ]
-    return {name: read(refs[name]) for name in names}
-
-
-def read(ref) -> Motion:
-    (run,) = bandai_namco.read_take(ref).runs
-    return posture.on_floor(run.rotations, run.root, posture.floor_of(run.rotations, run.root))
+    return {name: motion_of(refs[name]) for name in names}
 
 
 def test_what_a_take_says_about_itself(refs):

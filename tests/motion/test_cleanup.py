@@ -12,6 +12,7 @@ from moveset.motion.contacts import stances
 from moveset.motion.skeleton import HML22, Skeleton
 from moveset.motion.smoothing import decay, settle
 from tests.motions import gait, shaken, smooth_noise, wander
+from tests.takes import motion_of
 
 LEGS = [1, 2, 4, 5]
 ANKLES = [7, 8]
@@ -213,17 +214,17 @@ def test_settling_keeps_the_fixed_and_joins_them_smoothly():
 
 def test_real_takes(real_data):
     """Real feet slide little: locking holds them and adds no jerk; with noise it takes the sliding away again."""
-    takes = [bandai_namco.read_take(r) for r in bandai_namco.list_takes(real_data)[:6]]
-    takes += [cmu.read_take(r) for r in cmu.list_takes(real_data / "cmu") if r.name in ("02_01", "07_03")]
-    for take in takes:
-        planted = stances(take.motion.joints.double(), 20.0, HML22)
+    refs = bandai_namco.list_takes(real_data)[:6]
+    refs += [r for r in cmu.list_takes(real_data / "cmu") if r.name in ("02_01", "07_03")]
+    for take, motion in ((ref, motion_of(ref)) for ref in refs):
+        planted = stances(motion.joints.double(), 20.0, HML22)
         if not planted[:, [1, 3]].any():
             continue
-        locked = lock_feet(take.motion)
+        locked = lock_feet(motion)
         assert sliding(locked, planted) < 0.02, take.name
-        assert leg_jerk(locked).mean() < 1.15 * leg_jerk(take.motion).mean(), take.name
-        assert leg_jerk(locked).max() < 1.5 * leg_jerk(take.motion).max(), take.name
-        noisy = shaken(take.motion, 9, degrees=1.0, metres=0.006)
+        assert leg_jerk(locked).mean() < 1.15 * leg_jerk(motion).mean(), take.name
+        assert leg_jerk(locked).max() < 1.5 * leg_jerk(motion).max(), take.name
+        noisy = shaken(motion, 9, degrees=1.0, metres=0.006)
         planted = stances(noisy.joints.double(), 20.0, HML22)
         locked = lock_feet(noisy)
         assert sliding(locked, planted) < 0.2 * sliding(noisy, planted), take.name

@@ -16,6 +16,7 @@ from moveset.motion.retarget import retarget
 from moveset.motion.rigs import get_rig
 from moveset.motion.skeleton import HML22, KIT21
 from tests.motions import gait, wander
+from tests.takes import motion_of
 
 
 def jerk(motion: Motion) -> torch.Tensor:
@@ -214,7 +215,7 @@ def test_bad_requests_are_named(call, message):
 
 
 def test_real_takes_join_without_a_pop(real_data):
-    takes = [bandai_namco.read_take(r).motion for r in bandai_namco.list_takes(real_data)[:6]]
+    takes = [motion_of(r) for r in bandai_namco.list_takes(real_data)[:6]]
     takes = [motion for motion in takes if len(motion) >= 30]
     for a, b in pairwise(takes):
         around = jerk(join([a, b]))[len(a) - 15 : len(a) + 13]

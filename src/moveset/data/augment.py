@@ -10,11 +10,11 @@ from typing import Literal
 import torch
 from torch import Tensor
 
-from moveset.data.glitches import runs
 from moveset.data.posture import standing
 from moveset.errors import InputError
 from moveset.motion import bend, rotations
 from moveset.motion.clip import Motion
+from moveset.motion.contacts import spans
 from moveset.motion.features import get_codec
 from moveset.motion.skeleton import HML22
 
@@ -181,7 +181,7 @@ def quiet_moments(motion: Motion, least: int) -> list[tuple[int, int]]:
     speed = joints.diff(dim=0).norm(dim=-1).amax(dim=1) * motion.fps
     hanging = (joints[:, _WRISTS, 1] < joints[:, :1, 1] + _HANGING).all(dim=1)
     still = (speed < _QUIET) & hanging[1:] & hanging[:-1] & standing(motion.global_rotations, joints)[:-1]
-    return [(start, stop + 1) for start, stop in runs(still) if stop + 1 - start >= least]
+    return [(start, stop + 1) for start, stop in spans(still) if stop + 1 - start >= least]
 
 
 def legs_differ(a: Motion, b: Motion) -> bool:

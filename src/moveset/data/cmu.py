@@ -20,6 +20,7 @@ from moveset.errors import FormatError, InputError
 from moveset.io.asf_amc import read_amc, read_asf
 from moveset.io.bvh import local_frames, read_bvh
 from moveset.motion import rotations
+from moveset.motion.contacts import spans
 from moveset.motion.kinematics import fk
 from moveset.motion.skeleton import HML22
 
@@ -94,7 +95,7 @@ def read_take(ref: TakeRef) -> ImportedTake:
         bad = glitches.glitch_mask(local, root, joints, FPS)
         bad |= glitches.turned_head(turned) | glitches.impossible_foot(local)
         total += len(root)
-        for start, stop in glitches.runs(~bad):
+        for start, stop in spans(~bad):
             longest = max(longest, stop - start)
             if stop - start >= glitches.MIN_FRAMES:
                 calm = glitches.calm_wrists(local[start:stop])

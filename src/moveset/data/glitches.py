@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from moveset.motion import rotations
+from moveset.motion.contacts import spans
 from moveset.motion.kinematics import fk
 from moveset.motion.skeleton import HML22
 
@@ -63,16 +64,6 @@ def glitch_mask(local: Tensor, root: Tensor, joints: Tensor, fps: float) -> Tens
     return bad
 
 
-def runs(marks: Tensor) -> list[tuple[int, int]]:
-    """First and one-past-last frame of every run of set frames of (F,) bool.
-
-    >>> runs(torch.tensor([False, True, False, True, True]))
-    [(1, 2), (3, 5)]
-    """
-    edges = torch.diff(marks.int(), prepend=torch.zeros(1), append=torch.zeros(1)).nonzero()[:, 0].tolist()
-    return list(zip(edges[::2], edges[1::2], strict=True))
-
-
 def mended(local: Tensor, fps: float) -> Tensor:
     """Local rotations (F, J, 4) with flips of single joints interpolated.
 
@@ -94,7 +85,7 @@ def mended(local: Tensor, fps: float) -> Tensor:
             bad[step : step + 2] = True
             if k and step - found[k - 1] <= gap:
                 bad[found[k - 1] : step + 1] = True
-        for start, stop in runs(bad | impossible[j] if j in impossible else bad):
+        for start, stop in spans(bad | impossible[j] if j in impossible else bad):
             _mend(local[:, j], start, stop, gap, j in impossible and bool(impossible[j][start:stop].any()))
     return rotations.unroll(local)
 

@@ -13,6 +13,7 @@ from moveset.data.resample import resampled
 from moveset.data.takes import ImportedRun, ImportedTake, RejectedTake, TakeRef
 from moveset.errors import FormatError, InputError
 from moveset.io.bvh import bvh_motion, read_bvh
+from moveset.motion.contacts import spans
 from moveset.motion.retarget import retarget
 from moveset.motion.skeleton import HML22
 
@@ -98,7 +99,7 @@ def without_calibration(joints: Tensor, fps: float) -> tuple[int, int]:
     held &= ((out_left - out_right).abs() < 0.15) & (down > -0.2)
     speed = joints.diff(dim=0).norm(dim=-1).amax(dim=1) * fps
     held &= torch.cat((speed, speed[-1:])) < 0.6
-    found = glitches.runs(held)
+    found = spans(held)
     start, stop, out = 0, len(joints), round(0.5 * fps)
     if found and found[0][0] <= out // 4:
         start = min(found[0][1] + out, len(joints))

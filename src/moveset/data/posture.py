@@ -20,12 +20,15 @@ from moveset.motion.skeleton import HML22
 _PELVIS, _CHEST, _NECK, _HEAD = (HML22.index(name) for name in ("pelvis", "spine3", "neck", "head"))
 _FEET = list(HML22.feet)
 _SOLES = {"ankle": [HML22.index("left_ankle"), HML22.index("right_ankle")], "toe": [10, 11]}
+_OTHERS = [joint for joint in range(len(HML22)) if joint not in _FEET]
 _KNEES = [HML22.index("left_knee"), HML22.index("right_knee")]
 _LEANING = ("pelvis", "head", "ankle")
 # Somebody who stands looks down a little: degrees.
 _USUAL = {"pelvis": 0.0, "head": 6.0, "ankle": 0.0}
 _LEAST = 40  # frames of standing that say how a performer's markers sit
-_FLOOR_SPREAD = 0.06  # metres by which a take's floor may differ from that of its performer's others
+_FLOOR_SPREAD = 0.06  # metres by which a take's floor may be above that of its performer's others
+_LOWER = 0.3  # share of a performer's takes that are on the floor at some time
+_SKIN = 0.04  # metres of the body under a joint that lies on the floor
 
 
 def standing(turned: Tensor, joints: Tensor) -> Tensor:
@@ -87,9 +90,13 @@ def upright(local: Tensor, root: Tensor, degrees: dict[str, float]) -> tuple[Ten
 
 
 def floor_of(local: Tensor, root: Tensor) -> float:
-    """Height of the floor that a take seems to have: the 1st percentile over time of the lowest of ankles and toes."""
-    lowest = fk(local, root, HML22)[1][:, _FEET, 1].amin(dim=1)
-    return float(torch.quantile(lowest, 0.01))
+    """Height of the floor that a take seems to have: the 1st percentile over time of the lowest of ankles and toes.
+
+    No other joint is under it: who lies with the feet up lies on the floor.
+    """
+    heights = fk(local, root, HML22)[1][..., 1]
+    feet, body = heights[:, _FEET].amin(dim=1), heights[:, _OTHERS].amin(dim=1) - _SKIN
+    return min(float(torch.quantile(feet, 0.01)), float(torch.quantile(body, 0.01)))
 
 
 def on_floor(local: Tensor, root: Tensor, floor: float) -> Motion:
@@ -99,7 +106,9 @@ def on_floor(local: Tensor, root: Tensor, floor: float) -> Motion:
 
 
 def floors(takes: Sequence[float], where: Sequence[str]) -> list[float]:
-    """The floor of each take: its own where it is near the median of its performer's, else that.
+    """The floor of each take: its own, or that of its performer's lower takes if those are far below.
+
+    Whoever sits on a stool or climbs all the time never touches the floor, but nobody is under it.
 
     Args:
         takes: ``floor_of`` each take.
@@ -108,8 +117,8 @@ def floors(takes: Sequence[float], where: Sequence[str]) -> list[float]:
     by_performer: dict[str, list[float]] = {}
     for floor, performer in zip(takes, where, strict=True):
         by_performer.setdefault(performer, []).append(floor)
-    usual = {performer: float(torch.tensor(found).median()) for performer, found in by_performer.items()}
+    usual = {name: float(torch.quantile(torch.tensor(found), _LOWER)) for name, found in by_performer.items()}
     return [
-        floor if abs(floor - usual[performer]) < _FLOOR_SPREAD else usual[performer]
+        usual[performer] if floor > usual[performer] + _FLOOR_SPREAD else floor
         for floor, performer in zip(takes, where, strict=True)
     ]

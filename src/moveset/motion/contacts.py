@@ -11,6 +11,7 @@ from moveset.motion.smoothing import gaussian_smooth
 TOE_HEIGHT = 0.05
 ANKLE_HEIGHT = 0.12
 SPEED = 0.5
+_CARRYING = 0.6
 #: Above this a network's contact feature is a planted foot: far below one half, since what blurs feet blurs contacts
 #: too, and a doubtful foot is better held than let slide (docs/decisions/motion.md).
 PLANTED = 0.15
@@ -44,6 +45,24 @@ def stances(joints: Tensor, fps: float, skeleton: Skeleton, contacts: Tensor | N
         contacts = foot_contacts(flat.reshape(joints.shape), fps, skeleton)
     closed = _without_short_runs(~contacts.bool(), round(0.1 * fps), ends=False)
     return _without_short_runs(~closed, round(0.14 * fps) - 1, ends=True)
+
+
+def stands_on(joints: Tensor, skeleton: Skeleton) -> Tensor:
+    """(F,) bool: whether the hips of (F, J, 3) are so high above the lower foot that legs carry the body.
+
+    At least 0.6 of the length of thigh and shin, which a deep lunge has, and who sits on a chair or kneels has not.
+    """
+    ankles = [skeleton.feet[0], skeleton.feet[2]]
+    knees = [skeleton.parents[ankle] for ankle in ankles]
+    hips = [skeleton.parents[knee] for knee in knees]
+    leg = skeleton.offsets[[*knees, *ankles]].norm(dim=-1).sum() / 2
+    return joints[:, hips, 1].mean(dim=1) - joints[:, ankles, 1].amin(dim=1) > _CARRYING * leg.to(joints)
+
+
+def spans(marks: Tensor) -> list[tuple[int, int]]:
+    """First and one-past-last frame of every run of set frames of (F,) bool."""
+    edges = torch.diff(marks.int(), prepend=torch.zeros(1), append=torch.zeros(1)).nonzero()[:, 0].tolist()
+    return list(zip(edges[::2], edges[1::2], strict=True))
 
 
 def _without_short_runs(marks: Tensor, longest: int, ends: bool) -> Tensor:
