@@ -23,7 +23,7 @@ def tiny_stream(path: Path, *, seed: int = 0) -> Path:
         sizes = {"features": len(features), "frames": FRAMES, "width": 32, "heads": 2, "hidden": 32, "blocks": 1}
         # Two networks are told where in the time of a sentence a segment lies, and how far the way has turned.
         told = {
-            name: dict.fromkeys(("placed", "coursed"), name in ("rdm", "pcm-1"))
+            name: dict.fromkeys(("timing", "heading_change"), name in ("rdm", "pcm-1"))
             for name in ("rdm", "md", "pcm-1", "pcm-2")
         }
         modules = {

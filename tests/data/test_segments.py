@@ -8,10 +8,10 @@ import pytest
 import torch
 
 from moveset.data.dataset import CorpusDataset, open_for_training
-from moveset.data.disturbance import Disturbance
 from moveset.data.feature_store import FeatureStore
 from moveset.data.humanml3d import KIT
 from moveset.data.segments import SEGMENT_FRAMES, ClipSet, CuttingConfig, Row, SegmentSet
+from moveset.data.text_augmentation import TextAugmentation
 from moveset.errors import InputError
 from moveset.models.dip_decoder import DipDecoderConfig
 from moveset.motion.features import get_codec
@@ -196,7 +196,7 @@ def test_the_sentence_before_is_that_of_the_segment_before(corpus):
 
 def test_batches_are_functions_of_seed_and_step(corpus):
     cutting = PLAIN
-    one, other = (corpus.cut(cutting, disturbance=Disturbance(paraphrased=0.5)) for _ in range(2))
+    one, other = (corpus.cut(cutting, augmentation=TextAugmentation(paraphrased=0.5)) for _ in range(2))
     a, b = one.batch(16, 3, 7), other.batch(16, 3, 7)
     for name, value in vars(a).items():
         same = getattr(b, name)

@@ -13,14 +13,14 @@ from moveset.diffusion.steps import add_noise, ddim_step, predict_z0
 from moveset.pcm.consistency import (
     adversarial_pair,
     draw,
-    entered,
     lcm_prediction,
     lcm_scalings,
     lcm_target,
+    phase_entry,
     phased_prediction,
     phased_target,
     teacher_step,
-    whole_target,
+    trajectory_target,
 )
 from moveset.pcm.losses import pseudo_huber
 from moveset.pcm.sampler import lcm_timesteps, sample_lcm, sample_phased
@@ -255,7 +255,8 @@ def test_draws_stay_in_range_and_cover_it(grid):
 def test_draws_may_dwell_where_students_are_used_and_where_the_discriminator_sees(grid):
     z0, plain = torch.zeros(40_000, 1, 1), torch.Generator().manual_seed(2)
     uniform = draw(grid, z0, (5.0, 15.0), plain)
-    dwelt = draw(grid, z0, (5.0, 15.0), torch.Generator().manual_seed(2), sampled_share=0.5, judged_span=0.4)
+    again = torch.Generator().manual_seed(2)
+    dwelt = draw(grid, z0, (5.0, 15.0), again, inference_points=0.5, discriminator_max_noise=0.4)
     used = torch.tensor([edge for edge, _ in grid.jumps])
     share = torch.isin(grid.time(uniform.point_B), used).double().mean()
     assert abs(torch.isin(grid.time(dwelt.point_B), used).double().mean() - (share + (1 - share) * 0.5)) < 0.01
@@ -294,7 +295,7 @@ def test_the_whole_target_is_the_teachers_own_way_to_the_edge(grid):
     """From every point at once: rows arrive after unlike numbers of steps, and wait for each other unchanged."""
     point = torch.arange(grid.points)
     z, w = normal(grid.points, 1, 3), torch.linspace(0.0, 4.0, grid.points)
-    whole = whole_target(SCHEDULE, grid, teacher(w), z, point)
+    whole = trajectory_target(SCHEDULE, grid, teacher(w), z, point)
     for i in range(grid.points):
         one = slice(i, i + 1)
         alone = solved(z[one], w[one], int(grid.time(point[i])), int(grid.lower(point[i])), grid)
@@ -310,7 +311,7 @@ def test_phases_are_entered_where_sampling_enters_them(grid):
     """Each phase jumps from there as sampling does; rows of unlike phases do not disturb each other."""
     student, phases = TinyStudent(grid), torch.arange(grid.phases)
     noise, w = normal(1, 1, 3).expand(grid.phases, 1, 3), torch.full((grid.phases,), 2.0)
-    z = entered(SCHEDULE, grid, bound(student, w), noise, phases)
+    z = phase_entry(SCHEDULE, grid, bound(student, w), noise, phases)
     torch.testing.assert_close(z[-1], noise[-1], rtol=0, atol=0)
     below = phased_prediction(SCHEDULE, grid, bound(student, w), z, grid.highest_of(phases))
     torch.testing.assert_close(z[:-1], below[1:], rtol=1e-6, atol=1e-6)

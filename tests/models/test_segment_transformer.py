@@ -69,10 +69,10 @@ def test_who_is_alone_takes_every_segment_for_a_first_one(model, inputs):
 
 
 def test_a_place_in_the_time_of_the_sentence_is_read_where_it_is_known(model, inputs):
-    placed = replace(CONFIG, placed=True).build().eval()
+    placed = replace(CONFIG, timing=True).build().eval()
     lacking = placed.load_state_dict(model.state_dict(), strict=False)
     assert lacking.missing_keys == ["place.weight"]
-    assert placed.learned_later["place.weight"] == "placed"
+    assert placed.learned_later["place.weight"] == "timing"
     place = torch.tensor([[0.0, 98.0], [28.0, 70.0], [-1.0, -1.0], [28.0, 28.0]])
     # Fresh, it changes nothing; nor does it ever where nothing is told.
     assert torch.equal(call(placed, **inputs, place_B2=place), call(model, **inputs))
@@ -90,9 +90,9 @@ def test_a_place_in_the_time_of_the_sentence_is_read_where_it_is_known(model, in
 
 
 def test_how_far_a_way_has_turned_is_read_where_it_is_known(model, inputs):
-    coursed = replace(CONFIG, coursed=True).build().eval()
+    coursed = replace(CONFIG, heading_change=True).build().eval()
     assert coursed.load_state_dict(model.state_dict(), strict=False).missing_keys == ["course.weight"]
-    assert coursed.learned_later["course.weight"] == "coursed"
+    assert coursed.learned_later["course.weight"] == "heading_change"
     turned = torch.tensor([0.0, 1.5, float("nan"), -1.5])
     assert torch.equal(call(coursed, **inputs, turned_B=turned), call(model, **inputs))
     coursed = awake(coursed.config)

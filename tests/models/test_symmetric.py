@@ -79,7 +79,7 @@ def test_nothing_but_the_mean_over_frames_is_changed(network):
 
 
 def test_both_images_are_at_the_same_place():
-    network = awake(placed=True)
+    network = awake(timing=True)
     even, (x, t, prev, prev_t, index, said, mirrored) = Symmetric(network, ORDER, SIGNS), inputs()
     place = torch.tensor([[0.0, 40.0], [8.0, 32.0], [-1.0, -1.0]])
     made = even_call(even, x, t, prev, prev_t, index, said, mirrored, None, place_B2=place)
@@ -90,7 +90,7 @@ def test_both_images_are_at_the_same_place():
 
 
 def test_the_mirror_image_has_turned_to_the_other_side():
-    network = awake(coursed=True)
+    network = awake(heading_change=True)
     even, (x, t, prev, prev_t, index, said, mirrored) = Symmetric(network, ORDER, SIGNS), inputs()
     turned = torch.tensor([0.0, 1.0, -2.0])
     made = even_call(even, x, t, prev, prev_t, index, said, mirrored, None, turned_B=turned)

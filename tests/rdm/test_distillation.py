@@ -9,7 +9,7 @@ from moveset.diffusion.phases import PhaseGrid
 from moveset.diffusion.schedule import linear
 from moveset.diffusion.steps import denoise_step, over, predict_z0
 from moveset.pcm.consistency import phased_target
-from moveset.rdm.distillation import clean_target, implied_clean, share_of_clean, whole_target
+from moveset.rdm.distillation import clean_target, implied_clean, share_of_clean, trajectory_target
 
 SCHEDULE, B = linear(), 10
 EVERY_POINT = torch.arange(B)
@@ -150,7 +150,7 @@ def test_the_whole_way_is_the_teachers_sampling_down_to_the_edge(phases):
     def teacher(x, t):
         return predict_z0(SCHEDULE, x, network(x, t), t)
 
-    target = whole_target(SCHEDULE, grid, teacher, same, same, Z, EVERY_POINT)
+    target = trajectory_target(SCHEDULE, grid, teacher, same, same, Z, EVERY_POINT)
     for k in range(B):
         point = EVERY_POINT[k : k + 1]
         start, edge = grid.time(point), grid.lower(point)
@@ -171,7 +171,7 @@ def test_where_one_step_is_the_whole_way_both_targets_agree():
         return predict_z0(SCHEDULE, x, network(x, t), t)
 
     lowest = grid.previous(EVERY_POINT) == grid.lower(EVERY_POINT)
-    whole = whole_target(SCHEDULE, grid, teacher, same, same, Z, EVERY_POINT)
+    whole = trajectory_target(SCHEDULE, grid, teacher, same, same, Z, EVERY_POINT)
     short, _ = clean_target(SCHEDULE, grid, teacher, teacher, same, same, Z, EVERY_POINT)
     assert torch.equal(whole[lowest], short[lowest])
     assert (whole[~lowest] - short[~lowest]).abs().max() > 1e-3
@@ -179,5 +179,5 @@ def test_where_one_step_is_the_whole_way_both_targets_agree():
 
 def test_the_whole_way_of_one_who_knows_the_truth_is_the_truth_in_any_coordinates():
     push, pull = (lambda y: 2 * y + 1), (lambda x: (x - 1) / 2)
-    target = whole_target(SCHEDULE, PhaseGrid(10, 2), lambda x, t: CLEAN, push, pull, Z, EVERY_POINT)
+    target = trajectory_target(SCHEDULE, PhaseGrid(10, 2), lambda x, t: CLEAN, push, pull, Z, EVERY_POINT)
     torch.testing.assert_close(target, CLEAN, rtol=1e-2, atol=1e-2)

@@ -29,7 +29,7 @@ def in_sequence(net, how, transport, text, seeds, count):
 @pytest.mark.parametrize(
     "options",
     [{}, {"eta": 1.0}, {"past_lag": 1}, {"past_lag": 3, "eta": 0.5}, {"past_lag": 5}, {"colour": lambda z: 2 * z}],
-    ids=str,
+    ids=["ddim", "ddpm", "noisy past", "noisy past and steps", "clean past", "coloured"],
 )
 def test_in_sequence_is_the_staircase_that_waits_for_finished_segments(options, transport):
     """To the last bit, with the same evaluations."""

@@ -16,7 +16,7 @@ from moveset.data.synthetic import synthetic_corpus
 from moveset.errors import InputError
 from moveset.recipes import tiny
 from moveset.training import checkpoint
-from moveset.training.distill import DistillationConfig
+from moveset.training.distillation import DistillationConfig
 from moveset.training.engine import run
 from moveset.training.export import ClipExport, export
 from moveset.training.tasks import Sources, task_maker, with_settings
@@ -72,11 +72,11 @@ def test_a_resumed_distillation_equals_one_that_never_stopped(trained: Path, tmp
 
 def test_a_student_goes_on_with_a_discriminator_that_reads(trained: Path, tmp_path: Path) -> None:
     recipe = tiny.TRAINING["pcm-1"]()
-    task = replace(recipe.task, sampled_share=0.5, mismatched=0.5, judged_span=0.4)
+    task = replace(recipe.task, inference_points=0.5, mismatched_text=0.5, discriminator_max_noise=0.4)
     shutil.copytree(trained / "pcm-1", tmp_path / "pcm-1")
     last = checkpoint.resolve(trained / "pcm-1")
     steps = int(last.name.removeprefix("step_")) + 2
-    with pytest.warns(UserWarning, match="mismatched 0.0 -> 0.5"):
+    with pytest.warns(UserWarning, match="mismatched_text 0.0 -> 0.5"):
         run(task_maker("pcm-1", task, sources(trained)), replace(recipe.engine, steps=steps), tmp_path / "pcm-1", True)
     rows = [json.loads(line) for line in (tmp_path / "pcm-1" / "metrics.jsonl").read_text().splitlines()]
     assert all("mismatched_logit" in row for row in rows if row["split"] == "train" and row["step"] > steps - 2)
@@ -87,7 +87,8 @@ def test_a_student_goes_on_with_a_discriminator_that_reads(trained: Path, tmp_pa
 
 def test_a_student_waits_while_the_discriminator_learns_alone(trained: Path, tmp_path: Path) -> None:
     recipe = tiny.TRAINING["pcm-1"]()
-    task, engine = replace(recipe.task, judge_alone=2), replace(recipe.engine, steps=4, save_every=1, log_every=1)
+    task = replace(recipe.task, discriminator_warmup=2)
+    engine = replace(recipe.engine, steps=4, save_every=1, log_every=1)
     run(
         task_maker("pcm-1", task, sources(trained)),
         replace(engine, keep_last=4),
@@ -110,9 +111,9 @@ def test_a_student_waits_while_the_discriminator_learns_alone(trained: Path, tmp
     assert rates[2] > 0.0
 
 
-@pytest.mark.parametrize("wrong", [{"judge_alone": -1}, {"judge_alone": 5, "adversarial": 0.0}])
+@pytest.mark.parametrize("wrong", [{"discriminator_warmup": -1}, {"discriminator_warmup": 5, "adversarial": 0.0}])
 def test_a_discriminator_alone_must_exist(wrong: dict[str, Any]) -> None:
-    with pytest.raises(InputError, match="judge_alone"):
+    with pytest.raises(InputError, match="discriminator_warmup"):
         DistillationConfig(**wrong)
 
 
@@ -120,22 +121,24 @@ def test_a_discriminator_alone_must_exist(wrong: dict[str, Any]) -> None:
 def test_a_student_may_be_asked_for_all_of_its_teachers_steps(trained: Path, tmp_path: Path, what: str) -> None:
     recipe = tiny.TRAINING[what]()
     learned = []
-    for rehearsed in (0, 2):
-        task, folder = replace(recipe.task, rehearsed=rehearsed), tmp_path / f"{what}-{rehearsed}"
+    for trajectory_rows in (0, 2):
+        task, folder = replace(recipe.task, trajectory_rows=trajectory_rows), tmp_path / f"{what}-{trajectory_rows}"
         run(task_maker(what, task, sources(trained)), replace(recipe.engine, steps=2), folder)
         rows = [json.loads(line) for line in (folder / "metrics.jsonl").read_text().splitlines()]
-        assert all(("rehearsal" in row) == bool(rehearsed) for row in rows if row["split"] == "train")
+        assert all(("trajectory" in row) == bool(trajectory_rows) for row in rows if row["split"] == "train")
         learned.append(checkpoint.read_tensors(folder / "step_2", "student"))
     assert any(not torch.equal(learned[0][name], learned[1][name]) for name in learned[0])
 
 
-@pytest.mark.parametrize("wrong", [{"sampled_share": 1.5}, {"mismatched": -0.1}, {"judged_span": 2.0}])
+@pytest.mark.parametrize(
+    "wrong", [{"inference_points": 1.5}, {"mismatched_text": -0.1}, {"discriminator_max_noise": 2.0}]
+)
 def test_shares_beyond_one_are_refused(wrong: dict[str, Any]) -> None:
     with pytest.raises(InputError, match="is outside 0"):
         DistillationConfig(**wrong)
 
 
-@pytest.mark.parametrize("settings", [("batch=8", "rehearsed=6"), ("rehearsed=6", "batch=8")])
+@pytest.mark.parametrize("settings", [("batch=8", "trajectory_rows=6"), ("trajectory_rows=6", "batch=8")])
 def test_settings_come_in_any_order(trained: Path, tmp_path: Path, settings: tuple[str, ...]) -> None:
     recipe = tiny.TRAINING["pcm-1"]()
     task = with_settings(recipe.task, settings)
@@ -145,8 +148,8 @@ def test_settings_come_in_any_order(trained: Path, tmp_path: Path, settings: tup
 @pytest.mark.parametrize(
     ("what", "settings", "message"),
     [
-        ("pcm-1", ("rehearsed=9", "batch=8"), "rows that are rehearsed = 9 is outside 0"),
-        ("pcm-1", ("rehearsed=-1",), "rows that are rehearsed = -1 is outside 0"),
+        ("pcm-1", ("trajectory_rows=9", "batch=8"), "rows that are trajectory_rows = 9 is outside 0"),
+        ("pcm-1", ("trajectory_rows=-1",), "rows that are trajectory_rows = -1 is outside 0"),
         ("lcm-1", ("phases=2",), "phases=2 is for pcm"),
     ],
 )

@@ -21,7 +21,7 @@ from moveset.training import checkpoint
 from moveset.training.dip import DiPConfig
 from moveset.training.export import BaselineExport, StreamExport, export
 from moveset.training.rdm import RDMConfig
-from moveset.training.rdm_student import RDMStudentConfig
+from moveset.training.rdm_distillation import RDMStudentConfig
 
 FRAMES = 8
 MODEL = SegmentTransformerConfig(frames=FRAMES, width=32, heads=2, hidden=32, blocks=1)

@@ -64,7 +64,8 @@ def test_the_published_settings():
     recipe = paper.TRAINING["rdm-7"]()
     task = recipe.task
     assert (task.optimizer, task.lr, task.flow_lr, task.constant_lr) == ("momo", 2e-4, 1e-4, True)
-    assert (task.batch, task.ema, task.text_drop, task.weight, task.root, task.velocity) == (512, 0.9999, 0, "x0", 1, 0)
+    assert (task.batch, task.ema, task.condition_dropout) == (512, 0.9999, 0)
+    assert (task.weight, task.root, task.velocity) == ("x0", 1, 0)
     assert task.grid.clean_share == 0
     assert (task.cutting.aligned, task.cutting.whole_caption) == (True, 1.0)
     assert (task.flow.blocks, task.flow.hidden, task.flow.log_scale, task.noise) == (6, 256, 0.1, "white")
@@ -74,12 +75,12 @@ def test_the_published_settings():
     assert literal.grid == GridConfig(frames=28, anchor="first", share_noise=True, condition="previous")
     assert (literal.depth_cap, literal.model.max_index, literal.flow.max_index) == (6, 6, 6)
     diffuse = paper.TRAINING["motiondiffuse"]().task
-    assert (diffuse.text_drop, diffuse.optimizer, diffuse.batch) == (0.0, "adamw", 128)
+    assert (diffuse.condition_dropout, diffuse.optimizer, diffuse.batch) == (0.0, "adamw", 128)
     with torch.device("meta"):
         count = sum(parameter.numel() for parameter in diffuse.model.build().parameters())
     assert count == 87_152_135  # 81.2 M and 5.9 M of text
     dip = paper.TRAINING["dip"]().task
-    assert (dip.model.prefix, dip.model.frames, dip.levels, dip.text_drop, dip.ema) == (20, 40, 10, 0.1, 0.9999)
+    assert (dip.model.prefix, dip.model.frames, dip.levels, dip.condition_dropout, dip.ema) == (20, 40, 10, 0.1, 0.9999)
 
 
 @pytest.mark.parametrize("what", ["teacher", "lcm-1", "pcm-1"])
@@ -148,7 +149,7 @@ def test_every_kind_of_training_learns_and_can_be_loaded(what, folder, rdm7, tmp
 
 
 def test_a_course_is_learned_from_a_bent_past(folder, tmp_path):
-    task, _ = trained(folder, "md-7", tmp_path / "run", "heading=2.0", "bent=0.2", validate_every=3)
+    task, _ = trained(folder, "md-7", tmp_path / "run", "heading=2.0", "past_perturbation=0.2", validate_every=3)
     log = [json.loads(line) for line in (tmp_path / "run" / "metrics.jsonl").read_text().splitlines()]
     assert all(line["heading"] > 0 for line in log)
     spy, batch, loss, _ = loss_of(task, lambda x, t: x)
@@ -158,7 +159,7 @@ def test_a_course_is_learned_from_a_bent_past(folder, tmp_path):
     assert (told[..., yaw] != real[..., yaw]).all()
     told[..., yaw] = real[..., yaw] = 0.0
     torch.testing.assert_close(told, real)
-    plain, _ = trained(folder, "md-7", tmp_path / "plain", "bent=0.2")
+    plain, _ = trained(folder, "md-7", tmp_path / "plain", "past_perturbation=0.2")
     assert loss > loss_of(plain, lambda x, t: x)[2]
 
 
@@ -186,7 +187,7 @@ def test_twenty_steps_are_ten_a_stop_and_ten(folder, tmp_path):
 
 
 def test_reworded_captions_resume_too_and_workers_change_nothing(folder, tmp_path):
-    settings = ("disturbance.paraphrased=0.2", "disturbance.reworded=0.6", "batch=6")
+    settings = ("augmentation.paraphrased=0.2", "augmentation.reworded=0.6", "batch=6")
     straight, halves = tmp_path / "straight", tmp_path / "halves"
     trained(folder, "rdm-7", straight, *settings, steps=6, save_every=3)
     halves.mkdir()
@@ -202,7 +203,7 @@ def test_reworded_captions_resume_too_and_workers_change_nothing(folder, tmp_pat
 
 def test_shares_of_captions_may_not_exceed_all_of_them(folder, tmp_path):
     with pytest.raises(InputError, match="no more than 1 together"):
-        trained(folder, "rdm-7", tmp_path / "run", "disturbance.paraphrased=0.5", "disturbance.reworded=0.6")
+        trained(folder, "rdm-7", tmp_path / "run", "augmentation.paraphrased=0.5", "augmentation.reworded=0.6")
 
 
 def test_the_flow_rests_at_the_end_and_ignores_the_denoiser(folder, tmp_path):

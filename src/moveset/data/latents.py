@@ -16,9 +16,9 @@ from torch import Tensor
 from tqdm import tqdm
 
 from moveset.data.dataset import Dataset
-from moveset.data.disturbance import AS_WRITTEN, say
 from moveset.data.feature_store import Crop, FeatureStore
 from moveset.data.splits import Split
+from moveset.data.text_augmentation import AS_WRITTEN, say
 from moveset.errors import InputError
 from moveset.io.limits import atomic_write
 
@@ -53,10 +53,10 @@ class LatentSet:
         std: (M, N, d) posterior standard deviations.
         frames: (M,) clip lengths.
         clip: (M,) numbers of clips in the dataset and the feature store.
-        disturbance: what share of captions in a batch is said otherwise.
+        augmentation: what share of captions in a batch is said otherwise.
     """
 
-    disturbance = AS_WRITTEN
+    augmentation = AS_WRITTEN
 
     def __init__(self, dataset: Dataset, split: Split, tensors: dict[str, Tensor]) -> None:
         self.mean, self.std = tensors["mean"].float(), tensors["std"].float()
@@ -119,7 +119,7 @@ class LatentSet:
         pick, other = torch.rand(2, size, generator=generator).tolist()
         captions = []
         for entry, place, chance in zip(entries.tolist(), pick, other, strict=True):
-            captions.append(say(self.captions(entry), self.disturbance, place, chance))
+            captions.append(say(self.captions(entry), self.augmentation, place, chance))
         return LatentBatch(z0, self.frames[entries], captions)
 
 

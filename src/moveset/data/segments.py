@@ -15,9 +15,9 @@ from torch import Tensor
 
 from moveset.data.augment import MAX_FRAMES
 from moveset.data.dataset import Dataset
-from moveset.data.disturbance import AS_WRITTEN, Disturbance, say
 from moveset.data.feature_store import FeatureStore
 from moveset.data.splits import Split
+from moveset.data.text_augmentation import AS_WRITTEN, TextAugmentation, say
 from moveset.motion.features import FeatureCodec
 
 # Frames of a segment by N, the number of segments of the longest clip.
@@ -108,7 +108,7 @@ class ClipSet:
     """Clips of one split with their sentences by part, drawn by weight.
 
     Args:
-        disturbance: what share of captions is said otherwise.
+        augmentation: what share of captions is said otherwise.
     """
 
     def __init__(
@@ -118,9 +118,9 @@ class ClipSet:
         store: FeatureStore,
         codec: FeatureCodec,
         cutting: CuttingConfig,
-        disturbance: Disturbance = AS_WRITTEN,
+        augmentation: TextAugmentation = AS_WRITTEN,
     ) -> None:
-        self.cutting, self.disturbance = cutting, disturbance
+        self.cutting, self.augmentation = cutting, augmentation
         yaw = codec.groups["root_yaw"]
         self._yaw = (yaw.start, float(store.normalizer.mean[yaw]), float(store.normalizer.std[yaw]))
         clips = dataset.split(split)
@@ -142,7 +142,7 @@ class ClipSet:
     def say(self, clip: Row, start: int, frames: int, chance: Sequence[float]) -> str:
         """A sentence for these frames, chosen by three numbers in [0, 1)."""
         options = clip.whole if self._of_all(clip, chance) else clip.said[_part(clip, start, frames)]
-        return say(options, self.disturbance, chance[1], chance[2])
+        return say(options, self.augmentation, chance[1], chance[2])
 
     def span(self, clip: Row, start: int, frames: int, chance: Sequence[float]) -> tuple[int, int]:
         """First and last frame, exclusive, of what the sentence is said to that the same numbers choose."""
@@ -172,9 +172,9 @@ class SegmentSet(ClipSet):
         codec: FeatureCodec,
         cutting: CuttingConfig,
         frames: int,
-        disturbance: Disturbance = AS_WRITTEN,
+        augmentation: TextAugmentation = AS_WRITTEN,
     ) -> None:
-        super().__init__(dataset, split, store, codec, cutting, disturbance)
+        super().__init__(dataset, split, store, codec, cutting, augmentation)
         self.frames = frames
 
     def batch(self, size: int, seed: int, step: int) -> SegmentBatch:

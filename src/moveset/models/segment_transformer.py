@@ -46,9 +46,9 @@ class SegmentTransformerConfig:
     data: frames are made by one token each, and what little they disagree in is worth nothing to a squared error and
     all to the eye. ``tremor`` is c where it is larger, for the frequencies above a third of the highest, in which
     nobody moves on purpose: with one c for all that is strong enough against trembling, feet swing too low. 0 leaves
-    all as it is. ``alone`` takes every segment for a first one, whatever is told of the one before it. ``placed`` reads
-    where a segment lies in the time of its sentence, and ``coursed`` how far the way has turned since the sentence
-    began, wherever that is told.
+    all as it is. ``alone`` takes every segment for a first one, whatever is told of the one before it. ``timing`` reads
+    where a segment lies in the time of its sentence, and ``heading_change`` how far the way has turned since the
+    sentence began, wherever that is told.
     """
 
     features: int = 269
@@ -63,8 +63,8 @@ class SegmentTransformerConfig:
     tremor: float = 0.0
     guided: bool = False
     alone: bool = False
-    placed: bool = False
-    coursed: bool = False
+    timing: bool = False
+    heading_change: bool = False
 
     def __post_init__(self) -> None:
         for name in ("features", "text_dim", "width", "heads", "hidden"):
@@ -101,12 +101,12 @@ class Context:
 class SegmentTransformer(Denoiser):
     """Predicts the clean segment (B, n, D) of a noisy one at level 0 … 1000, from text and what it goes on from.
 
-    Segment numbers beyond ``max_index`` are all alike. Only networks with ``placed`` read the timing, and none of a
-    sentence that is longer than ``LONGEST``; only those with ``coursed`` read the change of heading, and none of more
-    than a turn. ``taps`` collect every block's output (B, n, W).
+    Segment numbers beyond ``max_index`` are all alike. Only networks with ``timing`` read the timing, and none of a
+    sentence that is longer than ``LONGEST``; only those with ``heading_change`` read the change of heading, and none of
+    more than a turn. ``taps`` collect every block's output (B, n, W).
     """
 
-    learned_later: ClassVar = {"place.weight": "placed", "course.weight": "coursed"}
+    learned_later: ClassVar = {"place.weight": "timing", "course.weight": "heading_change"}
     """What a training may add to a network that was trained without it, and which setting says that it is there."""
 
     def __init__(self, config: SegmentTransformerConfig) -> None:
@@ -132,11 +132,11 @@ class SegmentTransformer(Denoiser):
         self.time = nn.Sequential(nn.Linear(_WAVES, c.width), nn.SiLU(), nn.Linear(c.width, c.width))
         self.index = nn.Embedding(c.max_index + 1, c.width)
         nn.init.normal_(self.index.weight, std=0.02)
-        if c.placed:
+        if c.timing:
             # Zero at the start, so that a network may learn it after the rest.
             self.place = nn.Linear(2 * _WAVES, c.width, bias=False)
             nn.init.zeros_(self.place.weight)
-        if c.coursed:
+        if c.heading_change:
             self.course = nn.Linear(_WAVES, c.width, bias=False)
             nn.init.zeros_(self.course.weight)
         if c.guided:
@@ -183,9 +183,9 @@ class SegmentTransformer(Denoiser):
             bias = torch.zeros(context.shape[:2], dtype=torch.float32, device=context.device)
             bias[:, :length].masked_fill_(~mask_BL, -1e4)
         modulation = pooled + self.index(index_B.clamp(max=self.config.max_index)) + level
-        if self.config.placed and past.timing is not None:
+        if self.config.timing and past.timing is not None:
             modulation = modulation + self.place(place_waves(past.timing))
-        if self.config.coursed and past.heading_change is not None:
+        if self.config.heading_change and past.heading_change is not None:
             modulation = modulation + self.course(course_waves(past.heading_change))
         pairs = tuple(cast(Block, block).read(context) for block in self.blocks)
         expected = self._expected(prev_BnD, prev_t_B, index_B)
@@ -262,4 +262,4 @@ def course_waves(turned_B: Tensor) -> Tensor:
     return waves(turned_B.masked_fill(~known_B, 0.0).rad2deg() / 10.0) * known_B[:, None]
 
 
-register("segment_transformer", SegmentTransformerConfig)
+register("segment_transformer", SegmentTransformerConfig, renamed={"placed": "timing", "coursed": "heading_change"})

@@ -101,4 +101,4 @@ class TokenDenoiser(Denoiser):
         return out.train(self.training)
 
 
-register("token_denoiser", TokenDenoiserConfig)
+register("token_denoiser", TokenDenoiserConfig, renamed={"guidance": "guided"})

@@ -48,8 +48,8 @@ def draw(
     z0_BND: Tensor,
     w_range: tuple[float, float],
     generator: torch.Generator,
-    sampled_share: float = 0.0,
-    judged_span: float = 1.0,
+    inference_points: float = 0.0,
+    discriminator_max_noise: float = 1.0,
     place: Callable[[Tensor], Tensor] | None = None,
 ) -> Draws:
     """Uniform solver points, guidance scales and judged times, and three independent noises.
@@ -57,23 +57,23 @@ def draw(
     Drawn on the generator's device and moved to that of ``z0_BND``: a CPU generator gives the same draws everywhere.
 
     Args:
-        sampled_share: this share of the items is moved up to the highest point of its phase. These are the points that
-            sampling evaluates; the published method leaves them one in N / M items.
-        judged_span: the lower part of each phase in which judged times lie; 1 as published. Of what is noised far
-            nothing can be told.
+        inference_points: this share of the items is moved up to the highest point of its phase. These are the points
+            that sampling evaluates; the published method leaves them one in N / M items.
+        discriminator_max_noise: the lower part of each phase in which judged times lie; 1 as published. Of what is
+            noised far nothing can be told.
         place: may move the solver points (B,) once more.
     """
     batch, to, at = len(z0_BND), z0_BND.device, generator.device
     point_B = torch.randint(grid.points, (batch,), generator=generator, device=at)
     u_B, v_B = torch.rand((2, batch), generator=generator, device=at, dtype=torch.float64)
     noises = torch.randn((3, *z0_BND.shape), generator=generator, device=at, dtype=z0_BND.dtype).to(to)
-    if sampled_share:
-        raised_B = torch.rand(batch, generator=generator, device=at) < sampled_share
+    if inference_points:
+        raised_B = torch.rand(batch, generator=generator, device=at) < inference_points
         point_B = torch.where(raised_B, grid.highest(point_B), point_B)
     if place is not None:
         point_B = place(point_B)
     low_B, high_B = grid.lower(point_B), grid.upper(point_B)
-    judged_B = low_B + (u_B * judged_span * (high_B - low_B + 1)).long()
+    judged_B = low_B + (u_B * discriminator_max_noise * (high_B - low_B + 1)).long()
     w_B = (w_range[0] + v_B * (w_range[1] - w_range[0])).to(z0_BND.dtype)
     return Draws(point_B.to(to), w_B.to(to), noises[0], judged_B.to(to), noises[1], noises[2])
 
@@ -106,7 +106,7 @@ def phased_target(
 
 
 @torch.no_grad()
-def whole_target(schedule: Schedule, grid: PhaseGrid, teacher: Epsilon, z_BND: Tensor, point_B: Tensor) -> Tensor:
+def trajectory_target(schedule: Schedule, grid: PhaseGrid, teacher: Epsilon, z_BND: Tensor, point_B: Tensor) -> Tensor:
     """Where all of the teacher's guided steps from t_i to the lower edge of its phase lead.
 
     ``phased_target`` asks the averaged student for all of them but the first, and what that one is wrong about goes on
@@ -116,7 +116,7 @@ def whole_target(schedule: Schedule, grid: PhaseGrid, teacher: Epsilon, z_BND: T
 
 
 @torch.no_grad()
-def entered(schedule: Schedule, grid: PhaseGrid, student: Epsilon, noise_BND: Tensor, phase_B: Tensor) -> Tensor:
+def phase_entry(schedule: Schedule, grid: PhaseGrid, student: Epsilon, noise_BND: Tensor, phase_B: Tensor) -> Tensor:
     """Where sampling enters phase m: where the student's own jumps lead from noise through all phases above it.
 
     Data noised to the same time, which consistency is learned from, has none of what those jumps are wrong about.

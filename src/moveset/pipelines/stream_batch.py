@@ -20,8 +20,8 @@ from moveset.models.flow import CouplingFlow
 from moveset.motion.clip import Motion
 from moveset.motion.stream_decoder import StreamDecoder
 from moveset.pipelines.conditioning import Conditioning, SegmentCondition
-from moveset.pipelines.course import Course
 from moveset.pipelines.device import one_thread, pick_device
+from moveset.pipelines.heading_tracker import HeadingTracker
 from moveset.pipelines.model_config import FLOW, StreamConfig
 from moveset.pipelines.model_folder import ModelFolder
 from moveset.pipelines.stream_settings import StreamSettings
@@ -179,9 +179,9 @@ class StreamModel:
         pooled = self.texts.encode(prompts).pooled
         return (*too_long(self.encoder, prompts), *unfamiliar(self.bundle, prompts, pooled))
 
-    def course(self, window: int) -> Course:
+    def course(self, window: int) -> HeadingTracker:
         """Keeps how far streams turn of which so many segments are in work."""
-        return Course(self.codec.groups["root_yaw"], self.mean, self.std, window)
+        return HeadingTracker(self.codec.groups["root_yaw"], self.mean, self.std, window)
 
     def finished(
         self, streams: Sequence[Stream], clean_BnD: Tensor, conditions: Sequence[SegmentCondition], steps: int,

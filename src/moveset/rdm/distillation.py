@@ -74,7 +74,7 @@ def clean_target(
 
 
 @torch.no_grad()
-def whole_target(
+def trajectory_target(
     schedule: Schedule,
     grid: PhaseGrid,
     teacher: Clean,

@@ -7,7 +7,7 @@ first from later ones, and any level of the segment before. The printed Algorith
     --set grid.anchor=first --set grid.share_noise=true --set grid.condition=previous
     --set depth_cap=N-1 --set model.max_index=N-1 --set flow.max_index=N-1 --set flow.bound=hardtanh
 
-with the number N - 1 written out; a text drop, for guidance, is ``--set text_drop=0.1``.
+with the number N - 1 written out; a text drop, for guidance, is ``--set condition_dropout=0.1``.
 
 Source: MotionPCM (arXiv 2501.19083) on the VAE and denoiser of MotionLCM-V2 (arXiv 2404.19759); RDM (arXiv 2406.07169),
 Sections 5 and 10; MotionDiffuse (arXiv 2208.15001), Light-T2M (arXiv 2412.11193), CLoSD (arXiv 2410.03441).
@@ -27,7 +27,7 @@ from moveset.models.token_denoiser import TokenDenoiserConfig
 from moveset.models.token_vae import TokenVAEConfig
 from moveset.rdm.grid import GridConfig
 from moveset.training.dip import DiPConfig
-from moveset.training.distill import DistillationConfig
+from moveset.training.distillation import DistillationConfig
 from moveset.training.engine import EngineConfig
 from moveset.training.evaluator import EvaluatorTrainingConfig, MovementTrainingConfig
 from moveset.training.export import BaselineExport, ClipExport, EvaluatorExport, Export, StreamExport
@@ -122,7 +122,7 @@ def train_rdm(segments: int = 7) -> Recipe:
         lr=2e-4,
         flow_lr=1e-4,
         constant_lr=True,
-        text_drop=0.0,
+        condition_dropout=0.0,
         ema=0.9999,
         weight="x0",
         root=1.0,
@@ -145,7 +145,7 @@ def train_md(segments: int = 7) -> Recipe:
 def train_light_rdm() -> Recipe:
     """Light-RDM-1: Light-T2M's network, 4.5 M parameters, in the training of RDM-1; its text drop allows guidance."""
     chosen = train_rdm(1)
-    return replace(chosen, task=replace(chosen.task, model=LightT2MConfig(frames=196), text_drop=0.2))
+    return replace(chosen, task=replace(chosen.task, model=LightT2MConfig(frames=196), condition_dropout=0.2))
 
 
 def train_motiondiffuse() -> Recipe:

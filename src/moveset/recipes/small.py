@@ -4,8 +4,8 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 
-from moveset.data.disturbance import Disturbance
 from moveset.data.segments import SEGMENT_FRAMES, CuttingConfig
+from moveset.data.text_augmentation import TextAugmentation
 from moveset.models.dip_decoder import DipDecoderConfig
 from moveset.models.evaluator import EvaluatorConfig, MovementConfig
 from moveset.models.flow import FlowConfig
@@ -14,13 +14,13 @@ from moveset.models.segment_denoiser import SegmentDenoiserConfig
 from moveset.models.segment_transformer import SegmentTransformerConfig
 from moveset.rdm.grid import GridConfig
 from moveset.training.dip import DiPConfig
-from moveset.training.distill import DistillationConfig
+from moveset.training.distillation import DistillationConfig
 from moveset.training.engine import EngineConfig
 from moveset.training.evaluator import EvaluatorTrainingConfig, MovementTrainingConfig
 from moveset.training.export import BaselineExport, ClipExport, EvaluatorExport, Export, StreamExport
 from moveset.training.length import LengthConfig
 from moveset.training.rdm import RDMConfig
-from moveset.training.rdm_student import RDMStudentConfig
+from moveset.training.rdm_distillation import RDMStudentConfig
 from moveset.training.tasks import Recipe
 from moveset.training.teacher import TeacherConfig
 from moveset.training.vae import VAETrainingConfig
@@ -55,7 +55,7 @@ def decoder() -> Recipe:
 def teacher() -> Recipe:
     """5.9 M parameters, text as token states."""
     return Recipe(
-        task=TeacherConfig(batch=64, lr=7e-4, disturbance=DISTURBANCE),
+        task=TeacherConfig(batch=64, lr=7e-4, augmentation=AUGMENTATION),
         engine=EngineConfig(
             steps=7900, save_every=500, validate_every=500, grad_clip=1.0, precision="bf16-mixed", threads=1
         ),
@@ -65,7 +65,7 @@ def teacher() -> Recipe:
 def lcm() -> Recipe:
     """The one-step baseline: PCM of one phase without its discriminator; guidance around the teacher's best."""
     return Recipe(
-        task=DistillationConfig(guidance=GUIDANCE, batch=64, lr=3e-4, warmup=100, disturbance=DISTURBANCE),
+        task=DistillationConfig(guidance=GUIDANCE, batch=64, lr=3e-4, warmup=100, augmentation=AUGMENTATION),
         engine=_students(),
     )
 
@@ -80,7 +80,7 @@ def pcm(phases: int = 1) -> Recipe:
             lr=3e-4,
             warmup=100,
             discriminator_lr=1e-3,
-            disturbance=DISTURBANCE,
+            augmentation=AUGMENTATION,
         ),
         engine=_students(),
     )
@@ -89,7 +89,7 @@ def pcm(phases: int = 1) -> Recipe:
 def rdm(segments: int = 7) -> Recipe:
     """RDM-N; RDM-7, segments of 28 frames, 5.0 M parameters and a flow of 0.2 M, is what ships."""
     if segments == 1:
-        return _volume(RDMConfig(velocity=2.0, disturbance=DISTURBANCE))
+        return _volume(RDMConfig(velocity=2.0, augmentation=AUGMENTATION))
     return Recipe(
         task=RDMConfig(
             model=SegmentTransformerConfig(smoothing=0.3),
@@ -101,9 +101,9 @@ def rdm(segments: int = 7) -> Recipe:
             forecast=True,
             feet=3.0,
             heading=HEADING,
-            bent=BENT,
+            past_perturbation=BENT,
             cutting=STREAMED,
-            disturbance=DISTURBANCE,
+            augmentation=AUGMENTATION,
         ),
         engine=_recurrent(10300),
     )
@@ -128,8 +128,10 @@ def motiondiffuse() -> Recipe:
         text_dim=384, width=384, layers=4, heads=6, feed_forward=768, conditioning=512, text_width=192, text_layers=1,
         text_feed_forward=768,
     )  # fmt: skip
-    # Without text drop there is no guidance, as published.
-    task = RDMConfig(model=model, predict="eps", weight="x0", root=1.0, lr=3e-4, text_drop=0.0, disturbance=DISTURBANCE)
+    # Without condition dropout there is no guidance, as published.
+    task = RDMConfig(
+        model=model, predict="eps", weight="x0", root=1.0, lr=3e-4, condition_dropout=0.0, augmentation=AUGMENTATION
+    )
     return _volume(task)
 
 
@@ -137,7 +139,7 @@ def dip() -> Recipe:
     """DiP at width 256 and four layers: 40 frames from the 20 before."""
     model = DipDecoderConfig(text_dim=384, width=256, layers=4)
     return Recipe(
-        task=DiPConfig(model=model, lr=3e-4, ema=0.999, root=5.0, standing=0.2, disturbance=DISTURBANCE),
+        task=DiPConfig(model=model, lr=3e-4, ema=0.999, root=5.0, standing=0.2, augmentation=AUGMENTATION),
         engine=_recurrent(),
     )
 
@@ -145,7 +147,13 @@ def dip() -> Recipe:
 def rdm_student() -> Recipe:
     """RDM-7 in one evaluation a segment; ``--set phases=2`` and ``--set phases=4`` for more."""
     task = RDMStudentConfig(
-        batch=48, tremor=1.0, rehearsed=8, heading=HEADING, bent=BENT, cutting=STREAMED, disturbance=DISTURBANCE
+        batch=48,
+        tremor=1.0,
+        trajectory_rows=8,
+        heading=HEADING,
+        past_perturbation=BENT,
+        cutting=STREAMED,
+        augmentation=AUGMENTATION,
     )
     return Recipe(task=task, engine=_students(900))
 
@@ -175,7 +183,7 @@ def length() -> Recipe:
     """How long a sentence lasts: 0.1 M parameters, a minute."""
     # Once through all captions, some of them said otherwise: seen more often, lengths are learned of the very words.
     engine = EngineConfig(steps=800, save_every=400, validate_every=400, precision="32-true", threads=1)
-    return Recipe(task=LengthConfig(disturbance=Disturbance(paraphrased=0.5)), engine=engine)
+    return Recipe(task=LengthConfig(augmentation=TextAugmentation(paraphrased=0.5)), engine=engine)
 
 
 def _judge(steps: int) -> EngineConfig:
@@ -185,7 +193,7 @@ def _judge(steps: int) -> EngineConfig:
 # The published range [5, 15] is far too strong here: the teacher says what validation prompts say in 78, 83 and 80 % of
 # clips at w = 1, 2 and 3.
 GUIDANCE = (1.0, 4.0)
-DISTURBANCE = Disturbance(paraphrased=0.5, word_drop=0.12, blur=0.12)
+AUGMENTATION = TextAugmentation(paraphrased=0.5, token_dropout=0.12, embedding_noise=0.12)
 # Streams walk straight and stand still (docs/streaming.md).
 HEADING, BENT = 5.0, 0.1
 STREAMED = CuttingConfig()

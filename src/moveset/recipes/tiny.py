@@ -4,8 +4,8 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 
-from moveset.data.disturbance import Disturbance
 from moveset.data.segments import SEGMENT_FRAMES, CuttingConfig
+from moveset.data.text_augmentation import TextAugmentation
 from moveset.models.dip_decoder import DipDecoderConfig
 from moveset.models.evaluator import EvaluatorConfig, MovementConfig
 from moveset.models.flow import FlowConfig
@@ -17,19 +17,19 @@ from moveset.models.segment_transformer import SegmentTransformerConfig
 from moveset.models.timed_vae import TimedVAEConfig
 from moveset.rdm.grid import GridConfig
 from moveset.training.dip import DiPConfig
-from moveset.training.distill import DistillationConfig
+from moveset.training.distillation import DistillationConfig
 from moveset.training.engine import EngineConfig
 from moveset.training.evaluator import EvaluatorTrainingConfig, MovementTrainingConfig
 from moveset.training.export import BaselineExport, ClipExport, EvaluatorExport, Export, StreamExport
 from moveset.training.length import LengthConfig
 from moveset.training.rdm import RDMConfig
-from moveset.training.rdm_student import RDMStudentConfig
+from moveset.training.rdm_distillation import RDMStudentConfig
 from moveset.training.tasks import Recipe
 from moveset.training.teacher import TeacherConfig
 from moveset.training.vae import VAETrainingConfig
 
 _ENGINE = EngineConfig(steps=4, save_every=2, validate_every=4, log_every=1, precision="32-true", tensorboard=False)
-_ROUGH = Disturbance(paraphrased=0.5, word_drop=0.1, blur=0.1)
+_ROUGH = TextAugmentation(paraphrased=0.5, token_dropout=0.1, embedding_noise=0.1)
 _VAE = TimedVAEConfig(width=32, frame_width=16, encoder_blocks=1, decoder_blocks=1, token_blocks=1, frame_blocks=1)
 
 
@@ -46,12 +46,12 @@ def decoder() -> Recipe:
 def teacher() -> Recipe:
     """Three blocks of width 32."""
     model = LatentDenoiserConfig(width=32, heads=2, hidden=32, blocks=3)
-    return Recipe(task=TeacherConfig(model=model, batch=4, warmup=1, disturbance=_ROUGH), engine=_ENGINE)
+    return Recipe(task=TeacherConfig(model=model, batch=4, warmup=1, augmentation=_ROUGH), engine=_ENGINE)
 
 
 def student(phases: int = 1) -> Recipe:
     """LCM, or MotionPCM with its discriminator."""
-    task = DistillationConfig(phases=phases, guidance=(1.0, 5.0), batch=4, warmup=1, disturbance=_ROUGH)
+    task = DistillationConfig(phases=phases, guidance=(1.0, 5.0), batch=4, warmup=1, augmentation=_ROUGH)
     return Recipe(task=task, engine=_ENGINE)
 
 
@@ -75,7 +75,7 @@ def rdm(segments: int = 7) -> Recipe:
         batch=4,
         warmup=1,
         velocity=2.0,
-        disturbance=_ROUGH,
+        augmentation=_ROUGH,
     )
     return Recipe(task=task, engine=_ENGINE)
 
@@ -101,13 +101,20 @@ def motiondiffuse() -> Recipe:
 def dip() -> Recipe:
     """Two layers of width 32: 8 frames from the 4 before."""
     model = DipDecoderConfig(prefix=4, frames=8, width=32, layers=2, heads=2, feed_forward=32)
-    return Recipe(task=DiPConfig(model=model, cutting=_CUTTING, batch=4, warmup=1, disturbance=_ROUGH), engine=_ENGINE)
+    return Recipe(task=DiPConfig(model=model, cutting=_CUTTING, batch=4, warmup=1, augmentation=_ROUGH), engine=_ENGINE)
 
 
 def rdm_student() -> Recipe:
     """One evaluation a segment."""
     task = RDMStudentConfig(
-        batch=4, warmup=1, tremor=1.0, rehearsed=2, heading=1.0, bent=0.1, cutting=_CUTTING, disturbance=_ROUGH
+        batch=4,
+        warmup=1,
+        tremor=1.0,
+        trajectory_rows=2,
+        heading=1.0,
+        past_perturbation=0.1,
+        cutting=_CUTTING,
+        augmentation=_ROUGH,
     )
     return Recipe(task=task, engine=_ENGINE)
 
@@ -134,14 +141,14 @@ def evaluator() -> Recipe:
 def length() -> Recipe:
     """A width of 16."""
     model = LengthPredictorConfig(width=16)
-    return Recipe(task=LengthConfig(model=model, batch=8, disturbance=_ROUGH), engine=_ENGINE)
+    return Recipe(task=LengthConfig(model=model, batch=8, augmentation=_ROUGH), engine=_ENGINE)
 
 
 def _volume(task: RDMConfig) -> Recipe:
     cutting = CuttingConfig(aligned=True, whole_caption=1.0)
     grid = GridConfig(frames=SEGMENT_FRAMES[1])
     return Recipe(
-        task=replace(task, flow=None, grid=grid, cutting=cutting, batch=2, warmup=1, disturbance=_ROUGH),
+        task=replace(task, flow=None, grid=grid, cutting=cutting, batch=2, warmup=1, augmentation=_ROUGH),
         engine=_ENGINE,
     )
 

@@ -43,7 +43,7 @@ class BoundSegments:
             self.past = (transport.pull(batch.previous, before_B, pooled), noise, before_B, pooled, noisy_B)
         self.clean_level = torch.zeros_like(batch.index)
 
-    def misread(self) -> "BoundSegments":
+    def mismatched(self) -> "BoundSegments":
         """The same with every segment's text moved on to the next one."""
         others = self.text[torch.arange(len(self.text), device=self.batch.index.device).roll(1)]
         return BoundSegments(self.batch, others, self.empty, self.transport, self.teacher)

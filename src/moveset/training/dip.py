@@ -11,10 +11,10 @@ import torch
 from torch import Tensor, nn
 
 from moveset.data.dataset import Dataset
-from moveset.data.disturbance import AS_WRITTEN, Disturbance
 from moveset.data.feature_store import FeatureStore
 from moveset.data.segments import ClipSet, CuttingConfig
 from moveset.data.splits import Split
+from moveset.data.text_augmentation import AS_WRITTEN, TextAugmentation
 from moveset.diffusion.schedule import cosine
 from moveset.diffusion.steps import add_noise
 from moveset.errors import InputError
@@ -43,7 +43,7 @@ class DiPConfig:
         levels: T, noise levels of the cosine schedule and steps of sampling.
         cutting: which clips are shown and what is said to them; where pieces are cut is not up to it.
         constant_lr: no cosine decay.
-        text_drop: share of captions replaced by "", for guidance.
+        condition_dropout: share of captions replaced by "", for guidance.
         standing: share of pieces that are a clip's first frames, after a person who stands: how sampling begins.
         root: weight of the four root features.
         max_tokens: as in ``RDMConfig``.
@@ -57,12 +57,12 @@ class DiPConfig:
     lr: float = 1e-4
     warmup: int = 200
     constant_lr: bool = False
-    text_drop: float = 0.1
+    condition_dropout: float = 0.1
     standing: float = 0.0
     ema: float = 0.9999
     root: float = 1.0
     text_encoder: str = "minilm"
-    disturbance: Disturbance = field(default_factory=Disturbance)
+    augmentation: TextAugmentation = field(default_factory=TextAugmentation)
     max_tokens: int = MAX_TOKENS
     kind: str = field(init=False)
 
@@ -106,10 +106,10 @@ class PieceSet(ClipSet):
         codec: FeatureCodec,
         cutting: CuttingConfig,
         model: DipDecoderConfig,
-        disturbance: Disturbance = AS_WRITTEN,
+        augmentation: TextAugmentation = AS_WRITTEN,
         standing: float = 0.0,
     ) -> None:
-        super().__init__(dataset, split, store, codec, cutting, disturbance)
+        super().__init__(dataset, split, store, codec, cutting, augmentation)
         self.prefix, self.frames, self.standing = model.prefix, model.frames, standing
         if standing:
             self.idle = idle_pose(dataset, store, codec).expand(self.prefix, -1)
@@ -143,10 +143,10 @@ class PieceData(SegmentData):
         dataset: Dataset,
         split: Split,
         store: FeatureStore,
-        disturbance: Disturbance,
+        augmentation: TextAugmentation,
     ) -> PieceSet:
         """Pieces of a split."""
-        return PieceSet(dataset, split, store, self.codec, config.cutting, config.model, disturbance, config.standing)
+        return PieceSet(dataset, split, store, self.codec, config.cutting, config.model, augmentation, config.standing)
 
 
 def idle_pose(dataset: Dataset, store: FeatureStore, codec: FeatureCodec) -> Tensor:
@@ -197,7 +197,7 @@ class DiPTask(Task):
     def training_step(self, step: int, loop: Loop) -> dict[str, Tensor]:
         config = self.config
         batch = self.data.training_batch(config.batch, step)
-        dropped = torch.rand(config.batch, generator=self.draws) < config.text_drop
+        dropped = torch.rand(config.batch, generator=self.draws) < config.condition_dropout
         said = ["" if drop else caption for drop, caption in zip(dropped.tolist(), batch.captions, strict=True)]
         text = self.data.read(said, self.draws)
         loss, error = self._loss(self.denoiser, batch, text, self.draws)

@@ -13,11 +13,11 @@ import torch
 from torch import Tensor
 
 from moveset.data.dataset import Dataset
-from moveset.data.disturbance import Disturbance, wordings
 from moveset.data.feature_store import FeatureStore
 from moveset.data.glove_files import read_glove
 from moveset.data.latents import LatentSet
 from moveset.data.rewordings import all_words
+from moveset.data.text_augmentation import TextAugmentation, wordings
 from moveset.errors import InputError
 from moveset.evaluation.evaluator import Evaluator, EvaluatorCard
 from moveset.motion.features import get_codec
@@ -293,9 +293,9 @@ def trained_words(dataset: Dataset, task: Mapping[str, Any]) -> set[str]:
         task: its configuration.
     """
     captions = {caption for item in dataset.split("train") for caption in dataset.clip(item).captions}
-    disturbance = Disturbance(**task["disturbance"])
-    words = {word for sentence in wordings(sorted(captions), disturbance) for word in words_of(sentence)}
-    return words | all_words() if disturbance.reworded else words
+    augmentation = TextAugmentation(**task["augmentation"])
+    words = {word for sentence in wordings(sorted(captions), augmentation) for word in words_of(sentence)}
+    return words | all_words() if augmentation.reworded else words
 
 
 def familiarity_limit(dataset: Dataset, known: list[str], pooled_PC: Tensor, text_encoder: str) -> float:

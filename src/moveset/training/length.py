@@ -7,8 +7,8 @@ from torch import Tensor, nn
 from torch.nn.functional import cross_entropy
 
 from moveset.data.dataset import Dataset, open_for_training
-from moveset.data.disturbance import Disturbance, say
 from moveset.data.splits import Split
+from moveset.data.text_augmentation import TextAugmentation, say
 from moveset.errors import InputError
 from moveset.models.length import LengthPredictorConfig
 from moveset.models.registry import describe
@@ -24,7 +24,7 @@ class LengthConfig:
 
     Args:
         model: its ``text_dim`` follows from the text encoder.
-        disturbance: how captions are said otherwise; seen again and again as they are written, lengths are learned of
+        augmentation: how captions are said otherwise; seen again and again as they are written, lengths are learned of
             the very words.
     """
 
@@ -34,7 +34,7 @@ class LengthConfig:
     warmup: int = 0
     smoothing: float = 0.05
     text_encoder: str = "minilm"
-    disturbance: Disturbance = field(default_factory=Disturbance)
+    augmentation: TextAugmentation = field(default_factory=TextAugmentation)
     kind: str = field(init=False)
 
     def __post_init__(self) -> None:
@@ -57,7 +57,7 @@ class LengthTask(Task):
         captions, others = ([text for texts, _ in pairs for text in texts] for pairs in (self.train, self.val))
         with loop.fabric.rank_zero_first():
             self.text = open_text(
-                sources.cache, config.text_encoder, sorted({*captions}), sorted({*others}), config.disturbance,
+                sources.cache, config.text_encoder, sorted({*captions}), sorted({*others}), config.augmentation,
                 loop.device,
             )  # fmt: skip
         self.config = config = replace(config, model=replace(config.model, text_dim=self.text.widths[1]))
@@ -78,7 +78,7 @@ class LengthTask(Task):
         rows = torch.randint(len(self.train), (self.config.batch,), generator=generator).tolist()
         pick, other = torch.rand(2, self.config.batch, generator=generator).tolist()
         captions = [
-            say(self.train[row][0], self.config.disturbance, place, chance)
+            say(self.train[row][0], self.config.augmentation, place, chance)
             for row, place, chance in zip(rows, pick, other, strict=True)
         ]
         self.text.prepare(captions)

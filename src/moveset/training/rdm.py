@@ -11,8 +11,8 @@ from typing import Literal, cast, get_args
 import torch
 from torch import Tensor, nn
 
-from moveset.data.disturbance import Disturbance
 from moveset.data.segments import CuttingConfig, SegmentBatch
+from moveset.data.text_augmentation import TextAugmentation
 from moveset.diffusion.schedule import linear
 from moveset.errors import InputError
 from moveset.models.condition import Condition, PastSegment
@@ -26,16 +26,16 @@ from moveset.rdm.grid import GridConfig, corrupt, draw
 from moveset.rdm.losses import flow_loss, masked_mse, velocity_loss
 from moveset.rdm.transport import Transport
 from moveset.text.encoder import TextEmbedding
+from moveset.training.condition_dropout import drop_heading_change, drop_timing, perturb_heading
 from moveset.training.ema import Ema, ema_warmup
 from moveset.training.engine import Loop, Task
-from moveset.training.feet import foot_error
-from moveset.training.heading import bend, heading_error
+from moveset.training.foot_loss import foot_error
+from moveset.training.heading_loss import heading_error, perturb_past
 from moveset.training.momo import MomoAdam
 from moveset.training.optim import cosine_lr
 from moveset.training.reading import MAX_TOKENS
 from moveset.training.segment_data import SegmentData, forecast, spectrum
 from moveset.training.tasks import Sources
-from moveset.training.telling import stray, told_place, told_turn
 
 SCHEDULE = linear()
 
@@ -59,16 +59,17 @@ class RDMConfig:
         cutting: which segments are shown.
         optimizer: "momo" (the paper) or "adamw".
         constant_lr: no cosine decay.
-        text_drop: share of captions replaced by "", for guidance.
+        condition_dropout: share of captions replaced by "", for guidance.
         weight: of a cell's error: "x0" (1, the paper) or "v" (1/sigma², at most 5): more for low
             noise.
         root: weight of the four root features, by which a character travels.
         noise: "white" (the paper), or "coloured" with the temporal spectrum of the training segments
             (``diffusion.coloured``).
         forecast: start the segment transformer's forecast from a fit to the data instead of from zero.
-        feet: weight of the error of the feet's velocities in the world (``training.feet``), for clean predictions.
-        heading: weight of the error of the turn that a segment's steps add up to (``training.heading``), likewise.
-        bent: deviation, in radians a second, of a steady turn that is added to the segment before, as it is told.
+        feet: weight of the error of the feet's velocities in the world (``training.foot_loss``), for clean predictions.
+        heading: weight of the error of the turn that a segment's steps add up to (``training.heading_loss``), likewise.
+        past_perturbation: deviation, in radians a second, of a steady turn that is added to the segment before, as it
+            is told.
         velocity: weight of the error of frame-to-frame differences.
         flow_noise: deviation of the noise added to the flow's input.
         isometry: weight that keeps the flow's scales near one.
@@ -77,11 +78,12 @@ class RDMConfig:
             ``rdm.prediction.clean_from_noise``.
         md_condition: what an autoregressive baseline (``grid.condition="clean"``, no flow) is told of the past: the
             segment before, or nothing; then every segment counts as a first one.
-        placed: share of segments that are told where they lie in the time of their sentence (the segment transformer);
+        timing: share of segments that are told where they lie in the time of their sentence (the segment transformer);
             the others are for streams, whose sentences have no end.
-        coursed: share of segments that are told how far the heading has turned since their sentence began, likewise.
-        astray: deviation, in radians, of how far their way has turned more or less than it should have, of which they
-            take half back (``training.telling.stray``).
+        heading_change: share of segments that are told how far the heading has turned since their sentence began,
+            likewise.
+        heading_noise: deviation, in radians, of how far their way has turned more or less than it should have, of which
+            they take half back (``training.condition_dropout.perturb_heading``).
         max_tokens: tokens of a caption that are read; other numbers than 32 are for undisturbed captions.
 
     Raises:
@@ -102,7 +104,7 @@ class RDMConfig:
     flow_lr: float = 5e-4
     warmup: int = 200
     constant_lr: bool = False
-    text_drop: float = 0.1
+    condition_dropout: float = 0.1
     ema: float = 0.999
     weight: Weight = "v"
     root: float = 5.0
@@ -110,18 +112,18 @@ class RDMConfig:
     forecast: bool = False
     feet: float = 0.0
     heading: float = 0.0
-    bent: float = 0.0
+    past_perturbation: float = 0.0
     velocity: float = 0.0
     flow_noise: float = 0.02
     isometry: float = 1e-2
     frozen_flow: float = 0.25
     text_encoder: str = "minilm"
-    disturbance: Disturbance = field(default_factory=Disturbance)
+    augmentation: TextAugmentation = field(default_factory=TextAugmentation)
     predict: Prediction = "x0"
     md_condition: Told = "clean_prev"
-    placed: float = 0.0
-    coursed: float = 0.0
-    astray: float = 0.0
+    timing: float = 0.0
+    heading_change: float = 0.0
+    heading_noise: float = 0.0
     max_tokens: int = MAX_TOKENS
     kind: str = field(init=False)
 
@@ -192,7 +194,7 @@ class RDMTask(Task):
         report: dict[str, Tensor] = {}
         if self.flow is not None and step <= self.steps * (1 - config.frozen_flow):
             report |= self._train_flow(batch, loop)
-        dropped = torch.rand(config.batch, generator=self.draws, device=loop.device) < config.text_drop
+        dropped = torch.rand(config.batch, generator=self.draws, device=loop.device) < config.condition_dropout
         said = ["" if drop else caption for drop, caption in zip(dropped.tolist(), batch.captions, strict=True)]
         text = self.data.read(said, self.draws)
         loss, parts = self._loss(self.denoiser, self.transport, batch, text, self.draws)
@@ -260,16 +262,17 @@ class RDMTask(Task):
         said, before = self.data.pooled(batch.captions), self.data.pooled(batch.previous_captions)
         first = batch.first if config.grid.anchor == "first" else None
         clean, previous, turned_B = batch.clean, batch.previous, batch.turned
-        if config.astray:
+        if config.heading_noise:
             begun_B = batch.place[:, 0] > 0
-            clean, turned_B = stray(
-                clean, turned_B, begun_B, config.astray, self.data.codec, self.normalizer, generator
+            clean, turned_B = perturb_heading(
+                clean, turned_B, begun_B, config.heading_noise, self.data.codec, self.normalizer, generator
             )
-        if config.bent:
-            previous = bend(previous, batch.index, config.bent, self.data.codec, self.normalizer, generator)
+        if config.past_perturbation:
+            size = config.past_perturbation
+            previous = perturb_past(previous, batch.index, size, self.data.codec, self.normalizer, generator)
         cell = corrupt(config.grid, SCHEDULE, transport, clean, previous, first, batch.index, said, before, draws)
-        timing_B2 = told_place(batch.place, config.placed, generator) if config.placed else None
-        heading_B = told_turn(turned_B, config.coursed, generator) if config.coursed else None
+        timing_B2 = drop_timing(batch.place, config.timing, generator) if config.timing else None
+        heading_B = drop_heading_change(turned_B, config.heading_change, generator) if config.heading_change else None
         past = PastSegment(cell.prev_BnD, cell.prev_t_B, batch.index, timing_B2, heading_B)
         made = denoiser(cell.x_BnD, cell.t_B, Condition(text, past=past, valid=batch.valid)).float()
         scale = self.feature_weight.sqrt()
@@ -322,7 +325,7 @@ def _sized(config: RDMConfig, data: SegmentData) -> RDMConfig:
     """With the sizes that follow from the codec, the segment and the text encoder filled in."""
     features, text = data.codec.dim, data.text
     model = replace(config.model, features=features, frames=config.grid.frames, text_dim=text.widths[0])
-    for name in ("placed", "coursed"):
+    for name in ("timing", "heading_change"):
         if getattr(config, name):
             if not isinstance(model, SegmentTransformerConfig):
                 raise InputError(f"{name} is for the segment transformer, and {describe(model)[0]!r} cannot read it")

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import torch
 
-from moveset.data.disturbance import Disturbance, wordings
+from moveset.data.text_augmentation import TextAugmentation, wordings
 from moveset.errors import InputError
 from moveset.text.cache import EmbeddingCache, cache_file
 from moveset.text.encoder import TextEmbedding, get_text_encoder
@@ -19,7 +19,7 @@ def open_text(
     encoder: str,
     captions: Sequence[str],
     others: Sequence[str],
-    disturbance: Disturbance,
+    augmentation: TextAugmentation,
     device: torch.device,
 ) -> EmbeddingCache | LiveEmbeddings:
     """What captions of a training are looked up in, on a device.
@@ -32,17 +32,18 @@ def open_text(
     Raises:
         InputError: shares of captions that add up to more than all of them, or an encoder that is not here.
     """
-    if disturbance.paraphrased + disturbance.reworded > 1.0:
+    if augmentation.paraphrased + augmentation.reworded > 1.0:
         raise InputError(
-            f"disturbance.paraphrased={disturbance.paraphrased:g} and disturbance.reworded={disturbance.reworded:g} "
-            "are shares of the same captions; give no more than 1 together"
+            f"augmentation.paraphrased={augmentation.paraphrased:g} and "
+            f"augmentation.reworded={augmentation.reworded:g} are shares of the same captions; give no more than 1 "
+            "together"
         )
     path = cache_file(folder, encoder)
-    if disturbance.reworded:
+    if augmentation.reworded:
         live = get_text_encoder(encoder, device=device)
         held = EmbeddingCache.open(path, encoder=live.name).to(device) if path.is_file() else None
         return LiveEmbeddings(live, held)
-    return embedded(folder, encoder, sorted({*wordings(captions, disturbance), *others})).to(device)
+    return embedded(folder, encoder, sorted({*wordings(captions, augmentation), *others})).to(device)
 
 
 def embedded(folder: Path, encoder: str, captions: Sequence[str]) -> EmbeddingCache:
@@ -53,8 +54,8 @@ def embedded(folder: Path, encoder: str, captions: Sequence[str]) -> EmbeddingCa
 def read_captions(
     text: EmbeddingCache | LiveEmbeddings,
     captions: Sequence[str],
-    disturbance: Disturbance,
-    disturbed_by: torch.Generator | None = None,
+    augmentation: TextAugmentation,
+    augmented_by: torch.Generator | None = None,
 ) -> TextEmbedding:
     """Token states of captions; "" is the unconditional input.
 
@@ -62,13 +63,14 @@ def read_captions(
     each of them does not understand a prompt that says the same in others.
     """
     found = text.lookup(captions, MAX_TOKENS)
-    if disturbed_by is None:
+    if augmented_by is None:
         return found
-    at = disturbed_by.device
-    size = torch.rand(len(captions), 1, generator=disturbed_by, device=at)
-    missing = torch.rand(found.mask.shape, generator=disturbed_by, device=at) < disturbance.word_drop * 2 * size
+    at = augmented_by.device
+    size = torch.rand(len(captions), 1, generator=augmented_by, device=at)
+    missing = torch.rand(found.mask.shape, generator=augmented_by, device=at) < augmentation.token_dropout * 2 * size
     missing[:, 0] = False
-    noise = torch.randn(found.tokens.shape, generator=disturbed_by, device=at) * disturbance.blur * 2 * size[..., None]
+    deviation = augmentation.embedding_noise * 2 * size[..., None]
+    noise = torch.randn(found.tokens.shape, generator=augmented_by, device=at) * deviation
     empty = torch.tensor([not caption for caption in captions], device=at)
     mask = found.mask & ~(missing & ~empty[:, None]).to(found.mask.device)
     tokens = found.tokens + noise.masked_fill(empty[:, None, None], 0.0).to(found.tokens)

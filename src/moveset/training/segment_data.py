@@ -6,11 +6,11 @@ import torch
 from torch import Tensor
 
 from moveset.data.dataset import Dataset, choose_codec, open_for_training
-from moveset.data.disturbance import AS_WRITTEN, Disturbance
 from moveset.data.feature_store import FeatureStore
 from moveset.data.loader import Ahead
 from moveset.data.segments import SegmentSet
 from moveset.data.splits import Split
+from moveset.data.text_augmentation import AS_WRITTEN, TextAugmentation
 from moveset.diffusion.coloured import temporal_spectrum
 from moveset.errors import InputError
 from moveset.text.cache import EmbeddingCache
@@ -32,9 +32,9 @@ class SegmentData:
     """
 
     def __init__(self, sources: Sources, config: Any, loop: Loop) -> None:
-        if config.max_tokens != MAX_TOKENS and config.disturbance != AS_WRITTEN:
+        if config.max_tokens != MAX_TOKENS and config.augmentation != AS_WRITTEN:
             raise InputError(f"disturbed captions are read to {MAX_TOKENS} tokens; set max_tokens to that")
-        self.disturbance, self.max_tokens = config.disturbance, config.max_tokens
+        self.augmentation, self.max_tokens = config.augmentation, config.max_tokens
         self.seed = loop.config.seed * 64 + loop.rank
         self.device = loop.device
         self._ahead = Ahead(loop.config.workers, loop.config.steps)
@@ -46,10 +46,10 @@ class SegmentData:
         codec = choose_codec(dataset, config.codec)
         store = FeatureStore.cached(dataset, codec.name, sources.cache, progress)
         self.codec, self.normalizer = codec, store.normalizer
-        self.train = self.cut(config, dataset, "train", store, config.disturbance)
+        self.train = self.cut(config, dataset, "train", store, config.augmentation)
         self.val = self.cut(config, dataset, "val", store, AS_WRITTEN)
         captions, others = self.train.all_captions(), self.val.all_captions()
-        return open_text(sources.cache, config.text_encoder, captions, others, config.disturbance, self.device)
+        return open_text(sources.cache, config.text_encoder, captions, others, config.augmentation, self.device)
 
     def cut(
         self,
@@ -57,10 +57,10 @@ class SegmentData:
         dataset: Dataset,
         split: Split,
         store: FeatureStore,
-        disturbance: Disturbance,
+        augmentation: TextAugmentation,
     ) -> Any:
         """Segments of a split."""
-        return SegmentSet(dataset, split, store, self.codec, config.cutting, config.grid.frames, disturbance)
+        return SegmentSet(dataset, split, store, self.codec, config.cutting, config.grid.frames, augmentation)
 
     def training_batch(self, size: int, step: int) -> Any:
         """The batch of a training step, where the training computes, its text ready to be read."""
@@ -68,11 +68,11 @@ class SegmentData:
         self.text.prepare(batch.said)
         return batch
 
-    def read(self, captions: list[str], disturbed_by: torch.Generator | None = None) -> TextEmbedding:
+    def read(self, captions: list[str], augmented_by: torch.Generator | None = None) -> TextEmbedding:
         """Token states of captions, and their pooled vectors; roughened if given a generator."""
-        if self.disturbance == AS_WRITTEN:
+        if self.augmentation == AS_WRITTEN:
             return self.text.lookup(captions, self.max_tokens)
-        return read_captions(self.text, captions, self.disturbance, disturbed_by)
+        return read_captions(self.text, captions, self.augmentation, augmented_by)
 
     def pooled(self, captions: list[str]) -> Tensor:
         """Sentence embeddings (B, C) of captions."""

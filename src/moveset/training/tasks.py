@@ -38,7 +38,7 @@ class Trainable:
 
 
 _RDM = Trainable("moveset.training.rdm:RDMTask")
-_PCM = Trainable("moveset.training.distill:PCMTask", vae=True, teacher="teacher")
+_PCM = Trainable("moveset.training.distillation:PCMTask", vae=True, teacher="teacher")
 TASKS = {
     "movement": Trainable("moveset.training.evaluator:MovementTask"),
     "evaluator": Trainable("moveset.training.evaluator:EvaluatorTask", teacher="movement"),
@@ -46,10 +46,10 @@ TASKS = {
     "vae": Trainable("moveset.training.vae:VAETask"),
     "decoder": Trainable("moveset.training.vae:DecoderTask", vae=True),
     "teacher": Trainable("moveset.training.teacher:TeacherTask", vae=True),
-    "lcm-1": Trainable("moveset.training.distill:LCMTask", vae=True, teacher="teacher"),
+    "lcm-1": Trainable("moveset.training.distillation:LCMTask", vae=True, teacher="teacher"),
     **dict.fromkeys(("pcm-1", "pcm-2", "pcm-4"), _PCM),
     **dict.fromkeys(("rdm-1", "rdm-4", "rdm-7", "rdm-14", "light-rdm-1", "md-4", "md-7", "motiondiffuse"), _RDM),
-    "rdm-student": Trainable("moveset.training.rdm_student:RDMStudentTask", teacher="rdm-7"),
+    "rdm-student": Trainable("moveset.training.rdm_distillation:RDMStudentTask", teacher="rdm-7"),
     "dip": Trainable("moveset.training.dip:DiPTask"),
 }
 RECIPES = ("small", "paper", "tiny")

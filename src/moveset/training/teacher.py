@@ -7,9 +7,9 @@ import torch
 from torch import Tensor, nn
 
 from moveset.data.dataset import open_for_training
-from moveset.data.disturbance import Disturbance
 from moveset.data.feature_store import FeatureStore
 from moveset.data.latents import LatentBatch, LatentSet
+from moveset.data.text_augmentation import TextAugmentation
 from moveset.diffusion.schedule import scaled_linear
 from moveset.diffusion.steps import add_noise
 from moveset.models.condition import Condition
@@ -34,10 +34,10 @@ class TeacherConfig:
     lr: float = 8e-4
     warmup: int = 200
     weight_decay: float = 0.0
-    text_drop: float = 0.1
+    condition_dropout: float = 0.1
     ema: float = 0.999
     text_encoder: str = "minilm"
-    disturbance: Disturbance = field(default_factory=Disturbance)
+    augmentation: TextAugmentation = field(default_factory=TextAugmentation)
     kind: str = field(init=False)
 
     def __post_init__(self) -> None:
@@ -47,8 +47,8 @@ class TeacherConfig:
 class LatentData:
     """Latents and embedded captions of both splits, each made once and kept in the cache folder."""
 
-    def __init__(self, sources: Sources, text_encoder: str, disturbance: Disturbance, loop: Loop) -> None:
-        self.disturbance = disturbance
+    def __init__(self, sources: Sources, text_encoder: str, augmentation: TextAugmentation, loop: Loop) -> None:
+        self.augmentation = augmentation
         self.seed, self.device = loop.config.seed * 64 + loop.rank, loop.device
         self.vae = load_trained(sources.vae, "vae_ema")
         # Whoever comes first makes the caches; the other processes open them.
@@ -60,10 +60,10 @@ class LatentData:
         store = FeatureStore.cached(dataset, vae.task["codec"], sources.cache, progress)
         latents = sources.cache / f"latents-{vae.digest[:12]}"
         self.train = LatentSet.of(dataset, "train", store, vae.module, Path(f"{latents}-train.safetensors"))
-        self.train.disturbance = self.disturbance
+        self.train.augmentation = self.augmentation
         self.val = LatentSet.of(dataset, "val", store, vae.module, Path(f"{latents}-val.safetensors"), windows=0)
         captions, others = self.train.all_captions(), self.val.all_captions()
-        self.text = open_text(sources.cache, text_encoder, captions, others, self.disturbance, self.device)
+        self.text = open_text(sources.cache, text_encoder, captions, others, self.augmentation, self.device)
 
     def batch(self, size: int, step: int) -> LatentBatch:
         """Training latents of a step, on the device."""
@@ -71,9 +71,9 @@ class LatentData:
         self.text.prepare(batch.captions)
         return batch
 
-    def read(self, captions: list[str], disturbed_by: torch.Generator | None = None) -> TextEmbedding:
+    def read(self, captions: list[str], augmented_by: torch.Generator | None = None) -> TextEmbedding:
         """Token states of captions; "" is the unconditional input. Roughened if given a generator."""
-        return read_captions(self.text, captions, self.disturbance, disturbed_by)
+        return read_captions(self.text, captions, self.augmentation, augmented_by)
 
 
 class TeacherTask(Task):
@@ -83,7 +83,7 @@ class TeacherTask(Task):
 
     def __init__(self, config: TeacherConfig, sources: Sources, loop: Loop) -> None:
         self.config, self.steps = config, loop.config.steps
-        self.data = LatentData(sources, config.text_encoder, config.disturbance, loop)
+        self.data = LatentData(sources, config.text_encoder, config.augmentation, loop)
         self.schedule = scaled_linear()
         self.teacher = config.model.build().to(loop.device)
         self.ema = Ema(self.teacher, config.ema)
@@ -106,7 +106,7 @@ class TeacherTask(Task):
 
     def training_step(self, step: int, loop: Loop) -> dict[str, Tensor]:
         batch = self.data.batch(self.config.batch, step)
-        dropped = torch.rand(len(batch.captions), generator=self.noise) < self.config.text_drop
+        dropped = torch.rand(len(batch.captions), generator=self.noise) < self.config.condition_dropout
         captions = ["" if drop else caption for drop, caption in zip(dropped.tolist(), batch.captions, strict=True)]
         t = torch.randint(1000, (len(captions),), generator=self.noise).to(loop.device)
         loss = self._loss(self.teacher, batch, captions, t, self.noise, self.noise)
@@ -130,10 +130,10 @@ class TeacherTask(Task):
         captions: list[str],
         t: Tensor,
         generator: torch.Generator,
-        disturbed_by: torch.Generator | None = None,
+        augmented_by: torch.Generator | None = None,
     ) -> Tensor:
         noise = torch.randn(batch.z0.shape, generator=generator).to(batch.z0)
-        text = self.data.read(captions, disturbed_by)
+        text = self.data.read(captions, augmented_by)
         noisy = add_noise(self.schedule, batch.z0, noise, t)
         made = model(noisy, t, Condition(text, length=batch.frames))
         return (made.float() - noise).square().mean()

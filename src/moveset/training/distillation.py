@@ -9,8 +9,8 @@ from typing import cast
 import torch
 from torch import Tensor, nn
 
-from moveset.data.disturbance import Disturbance
 from moveset.data.latents import LatentBatch
+from moveset.data.text_augmentation import TextAugmentation
 from moveset.diffusion.phases import PhaseGrid
 from moveset.diffusion.schedule import scaled_linear
 from moveset.diffusion.steps import add_noise, ddim_timesteps
@@ -24,12 +24,12 @@ from moveset.pcm.consistency import (
     Draws,
     adversarial_pair,
     draw,
-    entered,
     lcm_prediction,
     lcm_target,
+    phase_entry,
     phased_prediction,
     phased_target,
-    whole_target,
+    trajectory_target,
 )
 from moveset.pcm.losses import hinge_generator, pseudo_huber
 from moveset.pcm.sampler import lcm_timesteps, sample_ddim, sample_lcm, sample_phased
@@ -53,14 +53,14 @@ class DistillationConfig:
         guidance: range of the guidance scale w that the student is trained for.
         huber: c of the pseudo-Huber distance.
         adversarial: weight of the discriminator's verdict; 0 leaves the discriminator out.
-        sampled_share: share of a batch that is moved to the points which sampling evaluates; 0 as published.
-        mismatched: share of real latents with another item's text in what the discriminator is to call fake, so that
-            it judges what is said too; 0 as published.
-        judged_span: the lower part of a phase in which the discriminator looks; 1 as published.
-        judge_alone: steps at the beginning in which the discriminator learns and the student waits, so that a student
-            that is good already (``--init``) is not pushed by one that knows nothing yet; 0 as published.
-        rehearsed: rows of a batch that are asked, besides, for what all of the teacher's steps lead to from where
-            sampling enters a phase (``pcm.consistency.entered`` and ``whole_target``); 0 as published.
+        inference_points: share of a batch that is moved to the points which sampling evaluates; 0 as published.
+        mismatched_text: share of real latents with another item's text in what the discriminator is to call fake, so
+            that it judges what is said too; 0 as published.
+        discriminator_max_noise: the lower part of a phase in which the discriminator looks; 1 as published.
+        discriminator_warmup: steps at the beginning in which the discriminator learns and the student waits, so that a
+            student that is good already (``--init``) is not pushed by one that knows nothing yet; 0 as published.
+        trajectory_rows: rows of a batch that are asked, besides, for what all of the teacher's steps lead to from where
+            sampling enters a phase (``pcm.consistency.phase_entry`` and ``trajectory_target``); 0 as published.
         ema: decay of the target network.
         model: the student's architecture; filled in from the teacher's.
     """
@@ -70,40 +70,41 @@ class DistillationConfig:
     guidance: tuple[float, float] = (5.0, 15.0)
     huber: float = 0.5
     adversarial: float = 0.1
-    sampled_share: float = 0.0
-    mismatched: float = 0.0
-    judged_span: float = 1.0
-    judge_alone: int = 0
-    rehearsed: int = 0
+    inference_points: float = 0.0
+    mismatched_text: float = 0.0
+    discriminator_max_noise: float = 1.0
+    discriminator_warmup: int = 0
+    trajectory_rows: int = 0
     ema: float = 0.95
     batch: int = 128
     lr: float = 2e-4
     warmup: int = 1000
     discriminator_lr: float = 1e-4
     text_encoder: str = "minilm"
-    disturbance: Disturbance = field(default_factory=Disturbance)
+    augmentation: TextAugmentation = field(default_factory=TextAugmentation)
     model: LatentDenoiserConfig | TokenDenoiserConfig | None = None
     kind: str = field(init=False, default="")
 
     def __post_init__(self) -> None:
-        require_shares(self.sampled_share, self.mismatched, self.judged_span)
-        require_judge(self.judge_alone, self.adversarial)
+        require_shares(self.inference_points, self.mismatched_text, self.discriminator_max_noise)
+        require_warmup(self.discriminator_warmup, self.adversarial)
         if self.model is not None:
             object.__setattr__(self, "kind", describe(self.model)[0])
 
 
-def require_shares(sampled_share: float, mismatched: float, judged_span: float) -> None:
+def require_shares(inference_points: float, mismatched_text: float, discriminator_max_noise: float) -> None:
     """Raises InputError for what is not between 0 and 1."""
-    require_range("share of sampled points", sampled_share, 0.0, 1.0)
-    require_range("share of mismatched text", mismatched, 0.0, 1.0)
-    require_range("judged span", judged_span, 0.0, 1.0)
+    require_range("share of sampled points", inference_points, 0.0, 1.0)
+    require_range("share of mismatched text", mismatched_text, 0.0, 1.0)
+    require_range("judged span", discriminator_max_noise, 0.0, 1.0)
 
 
-def require_judge(judge_alone: int, adversarial: float) -> None:
+def require_warmup(discriminator_warmup: int, adversarial: float) -> None:
     """Raises InputError for a discriminator that learns alone without being there, or for less than no step."""
-    if judge_alone < 0 or (judge_alone and not adversarial):
+    if discriminator_warmup < 0 or (discriminator_warmup and not adversarial):
         raise InputError(
-            f"judge_alone = {judge_alone} asks for a discriminator and 0 steps at least; set adversarial too"
+            f"discriminator_warmup = {discriminator_warmup} asks for a discriminator and 0 steps at least; set "
+            "adversarial too"
         )
 
 
@@ -112,9 +113,9 @@ class _DistillationTask(Task):
 
     def __init__(self, config: DistillationConfig, sources: Sources, loop: Loop) -> None:
         # Not a check of the configuration: settings come one by one, in any order.
-        require_range("rows that are rehearsed", config.rehearsed, 0, config.batch)
+        require_range("rows that are trajectory_rows", config.trajectory_rows, 0, config.batch)
         self.steps = loop.config.steps
-        self.data = LatentData(sources, config.text_encoder, config.disturbance, loop)
+        self.data = LatentData(sources, config.text_encoder, config.augmentation, loop)
         teacher = load_trained(sources.teacher, "teacher_ema", loop.device)
         self.teacher = teacher.module
         self.student = self.teacher.student().requires_grad_(True)
@@ -136,7 +137,7 @@ class _DistillationTask(Task):
         return {"student": self.optimizer}
 
     def learning_rates(self, step: int) -> dict[str, float]:
-        alone = self.config.judge_alone
+        alone = self.config.discriminator_warmup
         return {"student": cosine_lr(max(step - alone, 0), self.config.lr, self.config.warmup, self.steps - alone)}
 
     def validate(self, step: int, loop: Loop) -> dict[str, float]:
@@ -162,9 +163,9 @@ class _DistillationTask(Task):
         """Where this student lands from a solver point."""
         raise NotImplementedError
 
-    def _rehearsal(self, batch: LatentBatch, draws: Draws, report: dict[str, Tensor]) -> Tensor | float:
+    def _trajectory(self, batch: LatentBatch, draws: Draws, report: dict[str, Tensor]) -> Tensor | float:
         """Distance to where the teacher's whole way through a phase leads, for the first rows of a batch; reported."""
-        if not (count := self.config.rehearsed):
+        if not (count := self.config.trajectory_rows):
             return 0.0
         text, frames, w_B = self.data.read(batch.captions[:count]), batch.frames[:count], draws.w_B[:count]
         phase_B = torch.randint(self.grid.phases, (count,), generator=self.draws).to(w_B.device)
@@ -173,11 +174,11 @@ class _DistillationTask(Task):
         teacher, ema, student = (
             self._guided(network, text, frames, w_B) for network in (self.teacher, self.ema.module, self.student)
         )
-        z = entered(self.schedule, self.grid, ema, noise, phase_B)
-        target = whole_target(self.schedule, self.grid, teacher, z, point_B)
+        z = phase_entry(self.schedule, self.grid, ema, noise, phase_B)
+        target = trajectory_target(self.schedule, self.grid, teacher, z, point_B)
         made = self.predict(student, z, point_B)
         loss = pseudo_huber(made, target, self.config.huber)
-        report["rehearsal"] = loss.detach()
+        report["trajectory"] = loss.detach()
         return loss
 
     def _guided(self, network: nn.Module, text: TextEmbedding, frames: Tensor, w: Tensor | float) -> Prediction:
@@ -203,7 +204,7 @@ class LCMTask(_DistillationTask):
         batch = self.data.batch(self.config.batch, step)
         text, draws = (
             self.data.read(batch.captions, self.draws),
-            draw(self.grid, batch.z0, self.config.guidance, self.draws, self.config.sampled_share),
+            draw(self.grid, batch.z0, self.config.guidance, self.draws, self.config.inference_points),
         )
         t = self.grid.time(draws.point_B)
         z = add_noise(self.schedule, batch.z0, draws.noise_BND, t)
@@ -215,7 +216,7 @@ class LCMTask(_DistillationTask):
         made = self.predict(student, z, draws.point_B)
         loss = pseudo_huber(made, target, self.config.huber)
         report = {"consistency": loss.detach()}
-        loss = loss + self._rehearsal(batch, draws, report)
+        loss = loss + self._trajectory(batch, draws, report)
         report["gradient_norm"] = loop.minimise(loss, "student")
         self.ema.update(self.student)
         return report | {"loss": loss.detach()}
@@ -256,14 +257,15 @@ class PCMTask(_DistillationTask):
         config = self.config
         batch = self.data.batch(config.batch, step)
         text = self.data.read(batch.captions, self.draws)
-        draws = draw(self.grid, batch.z0, config.guidance, self.draws, config.sampled_share, config.judged_span)
+        shares = (config.inference_points, config.discriminator_max_noise)
+        draws = draw(self.grid, batch.z0, config.guidance, self.draws, *shares)
         z = add_noise(self.schedule, batch.z0, draws.noise_BND, self.grid.time(draws.point_B))
         teacher, ema, student = (
             self._guided(network, text, batch.frames, draws.w_B)
             for network in (self.teacher, self.ema.module, self.student)
         )
         report: dict[str, Tensor] = {}
-        if step <= config.judge_alone:
+        if step <= config.discriminator_warmup:
             with torch.no_grad():
                 self._judged(batch, text, draws, self.predict(student, z, draws.point_B), report, loop)
             return report
@@ -271,7 +273,7 @@ class PCMTask(_DistillationTask):
         made = self.predict(student, z, draws.point_B)
         loss = pseudo_huber(made, target, config.huber)
         report["consistency"] = loss.detach()
-        loss = loss + self._rehearsal(batch, draws, report)
+        loss = loss + self._trajectory(batch, draws, report)
         if config.adversarial:
             fooled = hinge_generator(self.judge.heads(self._judged(batch, text, draws, made, report, loop)))
             report["generator"] = fooled.detach()
@@ -296,10 +298,10 @@ class PCMTask(_DistillationTask):
         with torch.no_grad():
             real_seen = self.judge.features(real, s_B, condition)
             others_seen = None
-            if self.config.mismatched:
+            if self.config.mismatched_text:
                 others = replace(condition, text=text[torch.arange(len(text), device=real.device).roll(1)])
                 others_seen = self.judge.features(real, s_B, others)
-        report |= discriminator_step(self.judge.heads, real_seen, seen, others_seen, self.config.mismatched, loop)
+        report |= discriminator_step(self.judge.heads, real_seen, seen, others_seen, self.config.mismatched_text, loop)
         return seen
 
 

@@ -27,7 +27,7 @@ def heading_error(
     return error_Bn.sum(dim=1) / valid_Bn.sum(dim=1).clamp_min(1)
 
 
-def bend(
+def perturb_past(
     previous_BnD: Tensor,
     index_B: Tensor,
     rate: float,

@@ -7,7 +7,7 @@ import torch
 
 from moveset.data.synthetic import synthetic_motion
 from moveset.motion.features import Normalizer, get_codec
-from moveset.training.heading import KNEE, bend, heading_error
+from moveset.training.heading_loss import KNEE, heading_error, perturb_past
 
 CODEC = get_codec("native")
 
@@ -23,7 +23,7 @@ def walks():
 def bent(walks, rate, index=(1, 2, 0)):
     features, normalizer = walks
     generator = torch.Generator().manual_seed(0)
-    return bend(features, torch.tensor(index), rate, CODEC, normalizer, generator)
+    return perturb_past(features, torch.tensor(index), rate, CODEC, normalizer, generator)
 
 
 def test_a_bent_walk_turns_steadily_and_is_otherwise_the_same(walks):
@@ -42,7 +42,7 @@ def test_bends_are_as_wide_as_asked_for(walks):
     _, normalizer = walks
     still = torch.zeros(4000, 2, CODEC.dim)
     generator = torch.Generator().manual_seed(1)
-    made = bend(still, torch.ones(4000), 0.1, CODEC, normalizer, generator)
+    made = perturb_past(still, torch.ones(4000), 0.1, CODEC, normalizer, generator)
     steps = normalizer.denormalize(made)[:, 0, CODEC.groups["root_yaw"]] - normalizer.mean[CODEC.groups["root_yaw"]]
     assert float(steps.std() * CODEC.fps) == pytest.approx(0.1, rel=0.05)
 

@@ -1,7 +1,7 @@
 """Distilling a recurrent diffusion model into one, two or four evaluations a segment: the two papers joined.
 
 Segments are denoised one after the other, each told its finished predecessor. Teacher, guidance, averaged target and
-discriminator are as in ``training.distill``; the mathematics is in ``rdm.distillation``.
+discriminator are as in ``training.distillation``; the mathematics is in ``rdm.distillation``.
 """
 
 from collections.abc import Mapping
@@ -11,8 +11,8 @@ from typing import Any, cast
 import torch
 from torch import Tensor, nn
 
-from moveset.data.disturbance import Disturbance
 from moveset.data.segments import CuttingConfig, SegmentBatch
+from moveset.data.text_augmentation import TextAugmentation
 from moveset.diffusion.phases import PhaseGrid
 from moveset.diffusion.steps import add_noise, over, predict_eps, renoise
 from moveset.errors import InputError
@@ -23,24 +23,24 @@ from moveset.models.segment_transformer import SegmentTransformerConfig
 from moveset.motion.features import Normalizer
 from moveset.pcm.consistency import Draws, draw
 from moveset.pcm.losses import hinge_generator, huber
-from moveset.pipelines.course import Course
-from moveset.rdm.distillation import clean_target, whole_target
+from moveset.pipelines.heading_tracker import HeadingTracker
+from moveset.rdm.distillation import clean_target, trajectory_target
 from moveset.rdm.grid import GridConfig
 from moveset.rdm.staircase import levels
 from moveset.rdm.transport import Transport
 from moveset.text.encoder import TextEmbedding
 from moveset.training.adversarial import discriminator_step
 from moveset.training.bound_segments import BoundSegments
-from moveset.training.distill import require_judge, require_shares
+from moveset.training.condition_dropout import drop_heading_change, drop_timing, perturb_heading
+from moveset.training.distillation import require_shares, require_warmup
 from moveset.training.ema import Ema
 from moveset.training.engine import Loop, Task
-from moveset.training.heading import bend, heading_error
+from moveset.training.heading_loss import heading_error, perturb_past
 from moveset.training.optim import cosine_lr
-from moveset.training.own_past import OwnPast
 from moveset.training.rdm import SCHEDULE, RDMConfig, feature_weights
+from moveset.training.rollout import Rollout
 from moveset.training.segment_data import SegmentData
 from moveset.training.tasks import Sources
-from moveset.training.telling import stray, told_place, told_turn
 from moveset.training.trained import load_trained
 
 
@@ -54,24 +54,27 @@ class RDMStudentConfig:
         guidance: range of the guidance scale w that the student is trained for.
         huber: c of the pseudo-Huber distance.
         adversarial: weight of the discriminator's verdict; 0 leaves the discriminator out.
-        sampled_share, mismatched, judged_span, judge_alone: as for clips (``training.distill.DistillationConfig``).
+        inference_points, mismatched_text, discriminator_max_noise, discriminator_warmup: as for clips
+            (``training.distillation.DistillationConfig``).
         ema: decay of the target network.
         root: weight of the four root features, as in the teacher's training.
         tremor: of the student's network, see ``SegmentTransformerConfig``; one evaluation trembles more than ten.
-        rehearsed: rows of a batch that are, besides, asked at the top of a phase for what all of the teacher's steps
-            come to (``rdm.distillation.whole_target``).
-        heading, bent: as in the teacher's training (``RDMConfig``); the teacher is told the bent past too.
-        noisy_past: tell the teacher the segment before at a level somewhat below the one it is asked at, as most of its
-            training did, instead of finished; the student is told a finished one, as in use.
-        noisy_own: tell it so of ``own_past`` only: from a noisy past the teacher goes on more lively than from the
-            tired one that a stream may have come to; told takes' pasts as they are, it can be followed.
-        own_past: share of a batch's rows that are told what the student made itself (``training.own_past``). They are
+        trajectory_rows: rows of a batch that are, besides, asked at the top of a phase for what all of the teacher's
+            steps come to (``rdm.distillation.trajectory_target``).
+        heading, past_perturbation: as in the teacher's training (``RDMConfig``); the teacher is told the bent past too.
+        context_noise: tell the teacher the segment before at a level somewhat below the one it is asked at, as most of
+            its training did, instead of finished; the student is told a finished one, as in use.
+        context_noise_rollout: tell it so of ``rollout_share`` only: from a noisy past the teacher goes on more lively
+            than from the tired one that a stream may have come to; told takes' pasts as they are, it can be followed.
+        rollout_share: share of a batch's rows that are told what the student made itself (``training.rollout``). They
+            are
             asked at the top of each phase in turn, and judged without their past: not whether a segment goes on as
             takes do, but whether it shows what is said as takes do.
-        placed: share of takes' segments that are told where they lie in the time of their sentence, and of the
-            sentences of ``own_past`` that have an end, for a teacher that was told so (``RDMConfig.placed``).
-        coursed, astray: as in the teacher's training, for a teacher that was told how far its way has turned; streams
-            of ``own_past`` are told it where the takes are that they begin with, or whose sentences they are given.
+        timing: share of takes' segments that are told where they lie in the time of their sentence, and of the
+            sentences of ``rollout_share`` that have an end, for a teacher that was told so (``RDMConfig.timing``).
+        heading_change, heading_noise: as in the teacher's training, for a teacher that was told how far its way has
+            turned; streams of ``rollout_share`` are told it where the takes are that they begin with, or whose
+            sentences they are given.
         codec, frames: filled in from the teacher's.
         model: the student's architecture; filled in from the teacher's.
     """
@@ -81,10 +84,10 @@ class RDMStudentConfig:
     guidance: tuple[float, float] = (0.0, 3.0)
     huber: float = 0.5
     adversarial: float = 0.1
-    sampled_share: float = 0.0
-    mismatched: float = 0.0
-    judged_span: float = 1.0
-    judge_alone: int = 0
+    inference_points: float = 0.0
+    mismatched_text: float = 0.0
+    discriminator_max_noise: float = 1.0
+    discriminator_warmup: int = 0
     ema: float = 0.95
     batch: int = 64
     lr: float = 3e-4
@@ -92,27 +95,27 @@ class RDMStudentConfig:
     discriminator_lr: float = 1e-3
     root: float = 5.0
     tremor: float = 0.0
-    rehearsed: int = 0
+    trajectory_rows: int = 0
     heading: float = 0.0
-    bent: float = 0.0
-    noisy_past: bool = False
-    noisy_own: bool = False
-    own_past: float = 0.0
-    placed: float = 0.0
-    coursed: float = 0.0
-    astray: float = 0.0
+    past_perturbation: float = 0.0
+    context_noise: bool = False
+    context_noise_rollout: bool = False
+    rollout_share: float = 0.0
+    timing: float = 0.0
+    heading_change: float = 0.0
+    heading_noise: float = 0.0
     text_encoder: str = "minilm"
     cutting: CuttingConfig = field(default_factory=CuttingConfig)
-    disturbance: Disturbance = field(default_factory=Disturbance)
+    augmentation: TextAugmentation = field(default_factory=TextAugmentation)
     codec: str = ""
     frames: int = 0
     model: SegmentTransformerConfig | None = None
     kind: str = field(init=False, default="")
 
     def __post_init__(self) -> None:
-        require_shares(self.sampled_share, self.mismatched, self.judged_span)
-        require_judge(self.judge_alone, self.adversarial)
-        require_range("own_past, the share of rows told what the student made,", self.own_past, 0.0, 1.0)
+        require_shares(self.inference_points, self.mismatched_text, self.discriminator_max_noise)
+        require_warmup(self.discriminator_warmup, self.adversarial)
+        require_range("rollout_share, the share of rows told what the student made,", self.rollout_share, 0.0, 1.0)
         if self.model is not None:
             object.__setattr__(self, "kind", describe(self.model)[0])
 
@@ -124,8 +127,10 @@ class RDMStudentTask(Task):
 
     def __init__(self, config: RDMStudentConfig, sources: Sources, loop: Loop) -> None:
         # Not a check of the configuration: settings come one by one, in any order.
-        if config.noisy_own and not config.own_past:
-            raise InputError("noisy_own is of the student's own streams, and there are none; set own_past too")
+        if config.context_noise_rollout and not config.rollout_share:
+            raise InputError(
+                "context_noise_rollout is of the student's own streams, and there are none; set rollout_share too"
+            )
         self.steps = loop.config.steps
         teacher = load_trained(sources.teacher, "denoiser_ema", loop.device)
         self.teacher = teacher.module
@@ -133,14 +138,14 @@ class RDMStudentTask(Task):
         if teacher.task["flow"] is not None:
             flow = load_trained(sources.teacher, "flow_ema", loop.device, part="coupling_flow").module
         self.transport = Transport(flow, teacher.task["depth_cap"])
-        for name in ("placed", "coursed"):
+        for name in ("timing", "heading_change"):
             if getattr(config, name) and not getattr(self.teacher.config, name):
                 raise InputError(f"{name} is for a teacher that was trained with {name}; leave it out")
         shared = RDMConfig(
             grid=GridConfig(frames=teacher.task["grid"]["frames"]),
             codec=teacher.task["codec"],
             cutting=config.cutting,
-            disturbance=config.disturbance,
+            augmentation=config.augmentation,
             text_encoder=config.text_encoder,
         )
         self.data = SegmentData(sources, shared, loop)
@@ -149,7 +154,7 @@ class RDMStudentTask(Task):
         self.config = replace(config, model=self.student.config, codec=shared.codec, frames=shared.grid.frames)
         self.ema = Ema(self.student, config.ema)
         self.grid = PhaseGrid(config.points, config.phases)
-        self.own = OwnPast(config.own_past, config.batch, self.grid)
+        self.own = Rollout(config.rollout_share, config.batch, self.grid)
         self.alone = torch.zeros(config.batch, dtype=torch.bool).index_fill(0, self.own.rows, True).to(loop.device)
         self.draws = loop.generator("draws", device=loop.device)
         self.optimizer = torch.optim.AdamW(self.student.parameters(), config.lr, betas=(0.9, 0.999), weight_decay=0.0)
@@ -160,7 +165,7 @@ class RDMStudentTask(Task):
         )
         self.normalizer = Normalizer(*(x.to(loop.device) for x in vars(self.data.normalizer).values()))
         yaw = self.data.codec.groups["root_yaw"]
-        self.course = Course(yaw, self.normalizer.mean, self.normalizer.std, window=1)
+        self.course = HeadingTracker(yaw, self.normalizer.mean, self.normalizer.std, window=1)
         self.scale = feature_weights(self.data.codec, config.root).sqrt().to(loop.device)
         self._reference: Tensor | None = None
 
@@ -181,34 +186,37 @@ class RDMStudentTask(Task):
         self.own.load_state(state, self.scale.device)
 
     def learning_rates(self, step: int) -> dict[str, float]:
-        alone = self.config.judge_alone
+        alone = self.config.discriminator_warmup
         return {"student": cosine_lr(max(step - alone, 0), self.config.lr, self.config.warmup, self.steps - alone)}
 
     def training_step(self, step: int, loop: Loop) -> dict[str, Tensor]:
         config = self.config
         batch = self.data.training_batch(config.batch, step)
-        if config.astray:
-            about = (config.astray, self.data.codec, self.normalizer, self.draws)
-            clean, turned_B = stray(batch.clean, batch.turned, batch.place[:, 0] > 0, *about)
+        if config.heading_noise:
+            about = (config.heading_noise, self.data.codec, self.normalizer, self.draws)
+            clean, turned_B = perturb_heading(batch.clean, batch.turned, batch.place[:, 0] > 0, *about)
             batch = replace(batch, clean=clean, turned=turned_B)
-        place_B2 = told_place(batch.place, config.placed, self.draws)
-        batch = replace(batch, place=place_B2, turned=told_turn(batch.turned, config.coursed, self.draws))
-        if config.bent:
-            bent = bend(batch.previous, batch.index, config.bent, self.data.codec, self.normalizer, self.draws)
-            batch = replace(batch, previous=bent)
-        shares = (config.sampled_share, config.judged_span)
+        place_B2 = drop_timing(batch.place, config.timing, self.draws)
+        turned_B = drop_heading_change(batch.turned, config.heading_change, self.draws)
+        batch = replace(batch, place=place_B2, turned=turned_B)
+        if config.past_perturbation:
+            size, codec = config.past_perturbation, self.data.codec
+            past = perturb_past(batch.previous, batch.index, size, codec, self.normalizer, self.draws)
+            batch = replace(batch, previous=past)
+        shares = (config.inference_points, config.discriminator_max_noise)
         draws = draw(self.grid, batch.clean, config.guidance, self.draws, *shares, self.own.place)
         white_BnD, draws = draws.noise_BND, self._coloured(draws)
-        if config.own_past:
+        if config.rollout_share:
             batch, w_B = self.own.tell(batch, draws.w_B, self.draws)
             draws = replace(draws, w_B=w_B)
-        past_noise = self._past_noise(self.own.began_with(white_BnD), config.noisy_past or config.noisy_own)
+        noisy = config.context_noise or config.context_noise_rollout
+        past_noise = self._past_noise(self.own.began_with(white_BnD), noisy)
         # The student reads a roughened sentence and should say what is said to the sentence as it is.
         rough, text = self.data.read(batch.captions, self.draws), self.data.read(batch.captions)
         bound = self._bound(batch, text, past_noise)
         t_B, edge_B = self.grid.time(draws.point_B), self.grid.lower(draws.point_B)
         z = self.own.enter(add_noise(SCHEDULE, bound.pull(batch.clean), draws.noise_BND, t_B))
-        if step <= config.judge_alone:
+        if step <= config.discriminator_warmup:
             with torch.no_grad():
                 made = bound.by(self.student, draws.w_B, rough)(bound.push(z), t_B)
             self._go_on(bound, z, made, t_B, edge_B)
@@ -224,10 +232,10 @@ class RDMStudentTask(Task):
             turn_B = heading_error(made, target, batch.valid, self.data.codec, self.normalizer)
             loss = loss + config.heading * (turn_B * share_B).mean()
             report["heading"] = turn_B.mean().detach()
-        if config.rehearsed:
-            rehearsal = self._rehearse(batch, draws, z, past_noise)
-            loss = loss + rehearsal
-            report["rehearsal"] = rehearsal.detach()
+        if config.trajectory_rows:
+            trajectory = self._trajectory(batch, draws, z, past_noise)
+            loss = loss + trajectory
+            report["trajectory"] = trajectory.detach()
         if config.adversarial:
             fooled, seen = self._judge(bound, batch, draws, z, made, t_B, edge_B, loop)
             loss = loss + config.adversarial * fooled
@@ -239,12 +247,12 @@ class RDMStudentTask(Task):
 
     def _go_on(self, bound: BoundSegments, z: Tensor, made: Tensor, t_B: Tensor, edge_B: Tensor) -> None:
         """What was made becomes the past of the streams, if there are any."""
-        if self.config.own_past:
+        if self.config.rollout_share:
             self.own.go_on(made, bound.land(z, made, t_B, edge_B), self.course.turn(made).to(z))
 
-    def _rehearse(self, batch: SegmentBatch, draws: Draws, z: Tensor, past_noise: Tensor | None) -> Tensor:
+    def _trajectory(self, batch: SegmentBatch, draws: Draws, z: Tensor, past_noise: Tensor | None) -> Tensor:
         """Distance to the teacher's whole way down a phase, for the first rows of a batch; streams from theirs."""
-        batch = batch.rows(self.config.rehearsed)
+        batch = batch.rows(self.config.trajectory_rows)
         count = len(batch.index)
         running_B = self.alone[:count]
         text, w_B = self.data.read(batch.captions), draws.w_B[:count]
@@ -253,7 +261,7 @@ class RDMStudentTask(Task):
         point_B = torch.where(running_B, draws.point_B[:count], self.grid.highest_of(phase_B))
         noisy = add_noise(SCHEDULE, bound.pull(batch.clean), draws.noise_BND[:count], self.grid.time(point_B))
         z = torch.where(over(running_B, noisy), z[:count], noisy)
-        target = whole_target(SCHEDULE, self.grid, bound.guided(w_B), bound.push, bound.pull, z, point_B)
+        target = trajectory_target(SCHEDULE, self.grid, bound.guided(w_B), bound.push, bound.pull, z, point_B)
         rough = self.data.read(batch.captions, self.draws)
         made = bound.by(self.student, w_B, rough)(bound.push(z), self.grid.time(point_B))
         loss = _distance(made, target, self.scale, batch.valid, self.config.huber)
@@ -267,7 +275,7 @@ class RDMStudentTask(Task):
         batch = self.data.val.batch(64, 0, 0).to(loop.device)
         text, w = self.data.read(batch.captions), torch.full((64,), sum(self.config.guidance) / 2).to(loop.device)
         noise = torch.randn(batch.clean.shape, generator=torch.Generator().manual_seed(0)).to(loop.device)
-        bound = self._bound(batch, text, self._past_noise(noise, self.config.noisy_past))
+        bound = self._bound(batch, text, self._past_noise(noise, self.config.context_noise))
         noise = self.teacher.colour(noise)
         if self._reference is None:
             self._reference = bound.sample(bound.guided(w), noise, levels(25))
@@ -295,9 +303,9 @@ class RDMStudentTask(Task):
         empty = self.data.read([""])
         past = None
         if past_noise is not None:
-            # A rehearsal's rows are the first of a batch; those of a validation are more, and takes.
+            # A trajectory's rows are the first of a batch; those of a validation are more, and takes.
             every_B = torch.ones_like(batch.index, dtype=torch.bool)
-            noisy_B = every_B if self.config.noisy_past else self.alone[: len(batch.index)]
+            noisy_B = every_B if self.config.context_noise else self.alone[: len(batch.index)]
             past = (past_noise, self.data.pooled(batch.previous_captions), noisy_B)
         return BoundSegments(batch, text, empty, self.transport, self.teacher, past)
 
@@ -312,7 +320,7 @@ class RDMStudentTask(Task):
         """How little the discriminator is fooled, after its own step; fake and real are noised to the judged time."""
         clean = bound.pull(made)
         eps = predict_eps(SCHEDULE, z, clean, t_B)
-        if self.config.own_past:
+        if self.config.rollout_share:
             # Their pasts alone would tell streams from takes, and nothing would be learned of what they settle into.
             bound = bound.alone(self.alone)
             clean = bound.pull(made)
@@ -322,8 +330,8 @@ class RDMStudentTask(Task):
         with torch.no_grad():
             real = bound.push(add_noise(SCHEDULE, bound.pull(batch.clean), draws.real_noise_BND, draws.judged_B))
             real_seen = bound.features(real, draws.judged_B)
-            misread_seen = bound.misread().features(real, draws.judged_B) if self.config.mismatched else None
-        report = discriminator_step(self.heads, real_seen, seen, misread_seen, self.config.mismatched, loop)
+            mismatched_seen = bound.mismatched().features(real, draws.judged_B) if self.config.mismatched_text else None
+        report = discriminator_step(self.heads, real_seen, seen, mismatched_seen, self.config.mismatched_text, loop)
         return hinge_generator(self.heads(seen)), report
 
 

@@ -5,13 +5,13 @@ import json
 import pytest
 import torch
 
-from moveset.pipelines.course import Course
+from moveset.pipelines.heading_tracker import HeadingTracker
 
 MEAN, STD, YAW = torch.tensor([9.0, 0.1]), torch.tensor([9.0, 2.0]), slice(1, 2)
 
 
 def course(window):
-    return Course(YAW, MEAN, STD, window)
+    return HeadingTracker(YAW, MEAN, STD, window)
 
 
 @pytest.mark.parametrize("window", [1, 3, 50])

@@ -8,8 +8,8 @@ import torch
 from moveset.data.segments import SegmentBatch
 from moveset.diffusion.phases import PhaseGrid
 from moveset.errors import InputError
-from moveset.training import own_past
-from moveset.training.own_past import OwnPast
+from moveset.training import rollout
+from moveset.training.rollout import Rollout
 
 BATCH, FRAMES, FEATURES = 6, 4, 3
 W = torch.arange(BATCH) / 10
@@ -29,13 +29,13 @@ def takes(step, partial=()):
 
 
 def lasting(monkeypatch, segments, staying=0.5):
-    monkeypatch.setattr(own_past, "SEGMENTS", segments)
-    monkeypatch.setattr(own_past, "STAYING", staying)
+    monkeypatch.setattr(rollout, "SEGMENTS", segments)
+    monkeypatch.setattr(rollout, "STAYING", staying)
 
 
 def test_a_stream_is_told_what_was_made_of_it_and_takes_are_left_alone(monkeypatch):
     lasting(monkeypatch, 1e9)
-    own, draws = OwnPast(1 / 3, BATCH, ONE), torch.Generator().manual_seed(0)
+    own, draws = Rollout(1 / 3, BATCH, ONE), torch.Generator().manual_seed(0)
     assert own.rows.tolist() == [0, 3]
     first, w = own.tell(takes(1), W, draws)
     assert first.captions[3] == "take 1 1"  # the second stream begins as the second take
@@ -60,7 +60,7 @@ def test_a_stream_is_told_what_was_made_of_it_and_takes_are_left_alone(monkeypat
 def test_a_new_sentence_is_said_to_a_stream_or_begins_another(monkeypatch):
     for staying in (0.0, 1.0):
         lasting(monkeypatch, 1, staying)
-        own, draws = OwnPast(0.5, BATCH, ONE), torch.Generator().manual_seed(0)
+        own, draws = Rollout(0.5, BATCH, ONE), torch.Generator().manual_seed(0)
         own.tell(takes(1), W, draws)
         own.go_on(*torch.full((2, BATCH, FRAMES, FEATURES), -1.0), TURN)
         batch, _ = own.tell(takes(2), W, draws)
@@ -74,7 +74,7 @@ def test_a_sentence_with_an_end_goes_by_and_gives_way_then(monkeypatch):
     """Segments have four frames: of ten, two are behind a stream that begins; what it is told next begins anew."""
     for staying in (0.0, 1.0):
         lasting(monkeypatch, 1e9, staying)
-        own, draws = OwnPast(1 / 3, BATCH, ONE), torch.Generator().manual_seed(0)
+        own, draws = Rollout(1 / 3, BATCH, ONE), torch.Generator().manual_seed(0)
         places, captions = [], []
         for step in range(5):
             batch = takes(step)
@@ -98,7 +98,7 @@ def test_a_stream_knows_how_far_it_has_turned_since_it_was_told(monkeypatch):
     """What began as a take has turned as far as that; what is said to a running stream begins at nought."""
     for staying in (0.0, 1.0):
         lasting(monkeypatch, 1e9, staying)
-        own, draws = OwnPast(1 / 3, BATCH, ONE), torch.Generator().manual_seed(0)
+        own, draws = Rollout(1 / 3, BATCH, ONE), torch.Generator().manual_seed(0)
         for step in range(3):
             batch, _ = own.tell(takes(step), W, draws)
             torch.testing.assert_close(batch.turned[own.rows], torch.tensor([0.0, 1.0]) + step * TURN[own.rows])
@@ -116,7 +116,7 @@ def test_a_stream_knows_how_far_it_has_turned_since_it_was_told(monkeypatch):
 
 def test_a_segment_of_two_phases_takes_two_steps_and_goes_on_from_where_it_landed(monkeypatch):
     lasting(monkeypatch, 1e9)
-    own, draws = OwnPast(1 / 3, BATCH, TWO), torch.Generator().manual_seed(0)
+    own, draws = Rollout(1 / 3, BATCH, TWO), torch.Generator().manual_seed(0)
     points, noisy = torch.full((BATCH,), 2), torch.zeros(BATCH, FRAMES, FEATURES)
     made, landed = torch.randn((2, 4, BATCH, FRAMES, FEATURES), generator=draws)
     a, b = own.rows.tolist()
@@ -142,7 +142,7 @@ def test_a_segment_of_two_phases_takes_two_steps_and_goes_on_from_where_it_lande
 
 def test_the_noise_that_a_segment_began_with_is_kept_until_its_end(monkeypatch):
     lasting(monkeypatch, 1e9)
-    own, draws = OwnPast(1 / 3, BATCH, TWO), torch.Generator().manual_seed(0)
+    own, draws = Rollout(1 / 3, BATCH, TWO), torch.Generator().manual_seed(0)
     noises = torch.randn((4, BATCH, FRAMES, FEATURES), generator=draws)
     a, b = own.rows.tolist()
     seen = []
@@ -159,7 +159,7 @@ def test_the_noise_that_a_segment_began_with_is_kept_until_its_end(monkeypatch):
 
 def test_a_segment_is_finished_before_its_stream_gives_way(monkeypatch):
     lasting(monkeypatch, 1)
-    own, draws = OwnPast(0.5, BATCH, TWO), torch.Generator().manual_seed(0)
+    own, draws = Rollout(0.5, BATCH, TWO), torch.Generator().manual_seed(0)
     said = []
     for step in range(4):
         captions = own.tell(takes(step), W, draws)[0].captions
@@ -172,7 +172,7 @@ def test_a_segment_is_finished_before_its_stream_gives_way(monkeypatch):
 
 def test_a_stream_lasts_as_long_as_it_says(monkeypatch):
     lasting(monkeypatch, 8)
-    own, draws, ended = OwnPast(0.5, BATCH, ONE), torch.Generator().manual_seed(0), 0
+    own, draws, ended = Rollout(0.5, BATCH, ONE), torch.Generator().manual_seed(0), 0
     own.tell(takes(0), W, draws)
     for step in range(1, 2001):
         own.go_on(*torch.zeros(2, BATCH, FRAMES, FEATURES), TURN)
@@ -182,43 +182,43 @@ def test_a_stream_lasts_as_long_as_it_says(monkeypatch):
 
 
 def test_examples_are_whole_segments_and_what_a_stream_makes_is_judged_whole():
-    own, draws = OwnPast(0.5, BATCH, ONE), torch.Generator().manual_seed(0)
+    own, draws = Rollout(0.5, BATCH, ONE), torch.Generator().manual_seed(0)
     batch, _ = own.tell(takes(1, partial=(0, 2, 3)), W, draws)
     assert [batch.captions[row] for row in own.rows] == ["take 1 1", "take 1 4", "take 1 5"]
     assert batch.valid[own.rows].all()
     assert not batch.valid[3].all()
     # Nothing but fragments: they have to do.
-    OwnPast(0.5, BATCH, ONE).tell(takes(1, partial=range(BATCH)), W, draws)
+    Rollout(0.5, BATCH, ONE).tell(takes(1, partial=range(BATCH)), W, draws)
 
 
 def test_no_share_is_no_stream_and_a_share_of_none_is_refused():
-    own = OwnPast(0.0, BATCH, ONE)
+    own = Rollout(0.0, BATCH, ONE)
     assert own.count == len(own.rows) == 0
     assert own.state() == {}
     with pytest.raises(InputError, match="not one row"):
-        OwnPast(0.01, BATCH, ONE)
+        Rollout(0.01, BATCH, ONE)
 
 
 def test_other_streams_than_those_saved_begin_anew():
-    one, draws = OwnPast(0.5, BATCH, ONE), torch.Generator().manual_seed(0)
+    one, draws = Rollout(0.5, BATCH, ONE), torch.Generator().manual_seed(0)
     one.tell(takes(1), W, draws)
     state, cpu = one.state(), torch.device("cpu")
     for share in (0.0, 1.0):
-        other = OwnPast(share, BATCH, ONE)
+        other = Rollout(share, BATCH, ONE)
         other.load_state(state, cpu)
         assert other.state() == {}
     # In the middle of a segment of more phases, and as saved when there was one phase only.
     for wrong in (state | {"phase": state["phase"] + 1}, {name: state[name] for name in state if name != "phase"}):
-        one = OwnPast(0.5, BATCH, ONE)
+        one = Rollout(0.5, BATCH, ONE)
         one.load_state(wrong, cpu)
         assert one.state() == {}
 
 
 def test_state_comes_back_to_the_last_stream():
-    one, draws = OwnPast(0.5, BATCH, ONE), torch.Generator().manual_seed(0)
+    one, draws = Rollout(0.5, BATCH, ONE), torch.Generator().manual_seed(0)
     one.tell(takes(1), W, draws)
     one.go_on(*torch.randn(2, BATCH, FRAMES, FEATURES), TURN)
-    other = OwnPast(0.5, BATCH, ONE)
+    other = Rollout(0.5, BATCH, ONE)
     other.load_state(one.state(), torch.device("cpu"))
     for step in (2, 3):
         seeds = [torch.Generator().manual_seed(step) for _ in range(2)]

@@ -6,7 +6,7 @@ import torch
 from moveset.models.segment_transformer import UNKNOWN
 from moveset.motion.features import Normalizer
 from moveset.motion.native import NativeCodec
-from moveset.training.telling import CORRECTED, stray, told_place, told_turn
+from moveset.training.condition_dropout import CORRECTED, drop_heading_change, drop_timing, perturb_heading
 
 CODEC = NativeCodec()
 ROWS, FRAMES = 400, 28
@@ -24,39 +24,39 @@ def segments(speed):
 def strayed(speed, deviation=0.3, begun=True):
     clean, draws = segments(speed), torch.Generator().manual_seed(0)
     begun_B = torch.full((ROWS,), begun)
-    made, turned = stray(clean, torch.full((ROWS,), 2.0), begun_B, deviation, CODEC, NORMALIZER, draws)
+    made, turned = perturb_heading(clean, torch.full((ROWS,), 2.0), begun_B, deviation, CODEC, NORMALIZER, draws)
     change = (made - clean) * NORMALIZER.std
     assert not change[..., YAW.stop :].any()
     return change[..., YAW][..., 0], turned - 2.0
 
 
 def test_who_walks_takes_half_of_it_back_gently():
-    change, astray = strayed(1.2)
-    assert float(astray.std()) == pytest.approx(0.3, rel=0.1)
-    torch.testing.assert_close(change.sum(dim=1), -CORRECTED * astray, atol=1e-5, rtol=0)
+    change, heading_noise = strayed(1.2)
+    assert float(heading_noise.std()) == pytest.approx(0.3, rel=0.1)
+    torch.testing.assert_close(change.sum(dim=1), -CORRECTED * heading_noise, atol=1e-5, rtol=0)
     # It sets in and ends where it would not be seen: a tenth of its fastest.
     assert (change[:, [0, -1]].abs().amax(dim=1) <= 0.1 * change.abs().amax(dim=1)).all()
 
 
 def test_who_stands_takes_nothing_back():
-    change, astray = strayed(0.1)
+    change, heading_noise = strayed(0.1)
     assert not change.any()
-    assert astray.abs().min() > 0
+    assert heading_noise.abs().min() > 0
 
 
 def test_who_has_just_been_told_cannot_have_gone_astray():
-    change, astray = strayed(1.2, begun=False)
+    change, heading_noise = strayed(1.2, begun=False)
     assert not change.any()
-    assert not astray.any()
+    assert not heading_noise.any()
 
 
 def test_a_share_is_told_and_the_rest_is_unknown():
     draws = torch.Generator().manual_seed(0)
     place, turned = torch.ones(10_000, 2), torch.ones(10_000)
-    told = told_place(place, 0.7, draws)
+    told = drop_timing(place, 0.7, draws)
     assert float((told == 1).all(dim=1).float().mean()) == pytest.approx(0.7, abs=0.02)
     assert set(told.unique().tolist()) == {1.0, UNKNOWN}
-    told = told_turn(turned, 0.7, draws)
+    told = drop_heading_change(turned, 0.7, draws)
     assert float(told.isnan().float().mean()) == pytest.approx(0.3, abs=0.02)
     assert (told[~told.isnan()] == 1).all()
 
@@ -64,6 +64,6 @@ def test_a_share_is_told_and_the_rest_is_unknown():
 def test_nothing_is_drawn_for_a_share_of_none():
     draws = torch.Generator().manual_seed(0)
     state = draws.get_state()
-    assert (told_place(torch.ones(5, 2), 0.0, draws) == UNKNOWN).all()
-    assert told_turn(torch.ones(5), 0.0, draws).isnan().all()
+    assert (drop_timing(torch.ones(5, 2), 0.0, draws) == UNKNOWN).all()
+    assert drop_heading_change(torch.ones(5), 0.0, draws).isnan().all()
     assert torch.equal(draws.get_state(), state)

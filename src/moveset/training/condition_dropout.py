@@ -14,7 +14,7 @@ CORRECTED = 0.5
 _STANDS, _WALKS = 0.2, 0.6  # metres a second: whoever is slower takes nothing back, whoever is faster all of the share
 
 
-def told_place(place_B2: Tensor, share: float, generator: torch.Generator) -> Tensor:
+def drop_timing(place_B2: Tensor, share: float, generator: torch.Generator) -> Tensor:
     """Places (B, 2) of segments, in frames, of which about this share is told and the others are ``UNKNOWN``.
 
     Drawn on the generator's device; for a share of 0 nothing is drawn, so that such trainings stay what they were.
@@ -24,14 +24,14 @@ def told_place(place_B2: Tensor, share: float, generator: torch.Generator) -> Te
     return place_B2.masked_fill(_hidden(place_B2, share, generator)[:, None], UNKNOWN)
 
 
-def told_turn(turned_B: Tensor, share: float, generator: torch.Generator) -> Tensor:
-    """Turns (B,), of which about this share is told and the others are NaN; drawn as ``told_place`` draws."""
+def drop_heading_change(turned_B: Tensor, share: float, generator: torch.Generator) -> Tensor:
+    """Turns (B,), of which about this share is told and the others are NaN; drawn as ``drop_timing`` draws."""
     if not share:
         return torch.full_like(turned_B, torch.nan)
     return turned_B.masked_fill(_hidden(turned_B, share, generator), torch.nan)
 
 
-def stray(
+def perturb_heading(
     clean_BnD: Tensor,
     turned_B: Tensor,
     begun_B: Tensor,

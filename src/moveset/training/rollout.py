@@ -51,7 +51,7 @@ class _Streams:
     captions: list[str]
 
 
-class OwnPast:
+class Rollout:
     """The streams of a training.
 
     Args:
@@ -67,7 +67,9 @@ class OwnPast:
         self.grid = grid
         self.count = round(share * batch)
         if share and not self.count:
-            raise InputError(f"own_past = {share} of a batch of {batch} is not one row; give a larger share or batch")
+            raise InputError(
+                f"rollout_share = {share} of a batch of {batch} is not one row; give a larger share or batch"
+            )
         self.rows = torch.arange(self.count) * batch // max(self.count, 1)
         self._streams: _Streams | None = None
         self._moving = False

@@ -7,9 +7,9 @@ import pytest
 import torch
 
 from moveset.errors import InputError
-from moveset.training import adversarial, bound_segments, rdm_student
+from moveset.training import adversarial, bound_segments, rdm_distillation
 from moveset.training.bound_segments import BoundSegments
-from moveset.training.rdm_student import RDMStudentConfig
+from moveset.training.rdm_distillation import RDMStudentConfig
 from moveset.training.trained import load_trained
 from tests.training.recurrent import tensors, trained
 
@@ -17,23 +17,23 @@ from tests.training.recurrent import tensors, trained
 def test_a_students_discriminator_may_be_shown_the_text_of_others(folder, rdm7, tmp_path, monkeypatch):
     asked, hinge = [], adversarial.hinge_discriminator
     monkeypatch.setattr(adversarial, "hinge_discriminator", lambda *given: asked.append(given) or hinge(*given))
-    settings = ("mismatched=0.5", "sampled_share=1.0", "judged_span=0.0")
+    settings = ("mismatched_text=0.5", "inference_points=1.0", "discriminator_max_noise=0.0")
     trained(folder, "rdm-student", tmp_path / "run", *settings)
     log = [json.loads(line) for line in (tmp_path / "run" / "metrics.jsonl").read_text().splitlines()]
     assert all("mismatched_logit" in line for line in log)
-    for real, _, misread, share in asked:
+    for real, _, mismatched, share in asked:
         assert share == 0.5
-        assert real.shape == misread.shape
-        assert not torch.equal(real, misread)
+        assert real.shape == mismatched.shape
+        assert not torch.equal(real, mismatched)
     trained(folder, "rdm-student", tmp_path / "plain")
-    assert all(misread is None for _, _, misread, _ in asked[3:])
+    assert all(mismatched is None for _, _, mismatched, _ in asked[3:])
     with pytest.raises(InputError, match="mismatched text = 2"):
-        RDMStudentConfig(mismatched=2.0)
+        RDMStudentConfig(mismatched_text=2.0)
 
 
 @pytest.mark.parametrize("phases", [1, 2])
 def test_a_student_that_is_told_its_own_past_resumes_exactly(phases, folder, rdm7, tmp_path):
-    settings = ("own_past=0.5", "sampled_share=0.5", f"phases={phases}")
+    settings = ("rollout_share=0.5", "inference_points=0.5", f"phases={phases}")
     whole, _ = trained(folder, "rdm-student", tmp_path / "whole", *settings, steps=6, save_every=3)
     shutil.copytree(tmp_path / "whole" / "step_3", tmp_path / "half" / "step_3")
     half, _ = trained(folder, "rdm-student", tmp_path / "half", *settings, steps=6, resume=True)
@@ -47,7 +47,7 @@ def test_streams_are_judged_without_their_past(folder, rdm7, tmp_path, monkeypat
     monkeypatch.setattr(
         BoundSegments, "features", lambda self, *given: judged.append(self.batch.index) or features(self, *given)
     )
-    task, _ = trained(folder, "rdm-student", tmp_path / "run", "own_past=0.5", "cutting.first_share=0", steps=4)
+    task, _ = trained(folder, "rdm-student", tmp_path / "run", "rollout_share=0.5", "cutting.first_share=0", steps=4)
     assert len(judged) == 2 * 4  # what was made, and takes
     assert all((index[task.own.rows] == 0).all() for index in judged)
     takes = [row for row in range(task.config.batch) if row not in task.own.rows.tolist()]
@@ -62,9 +62,9 @@ def test_a_teacher_may_be_told_a_noisy_past(folder, rdm7, tmp_path, monkeypatch)
         folder,
         "rdm-student",
         tmp_path / "run",
-        "noisy_past=true",
-        "rehearsed=2",
-        "own_past=0.5",
+        "context_noise=true",
+        "trajectory_rows=2",
+        "rollout_share=0.5",
         "cutting.first_share=0",
     )
     for (bound, t_B), (previous, level_B) in told:
@@ -83,7 +83,7 @@ def test_a_teacher_may_be_told_a_noisy_past(folder, rdm7, tmp_path, monkeypatch)
 def test_a_teacher_may_be_told_a_noisy_past_of_streams_alone(folder, rdm7, tmp_path, monkeypatch):
     told, tell = [], BoundSegments._past_at
     monkeypatch.setattr(BoundSegments, "_past_at", lambda *given: told.append((given, tell(*given))) or told[-1][1])
-    settings = ("noisy_own=true", "rehearsed=3", "own_past=0.5", "cutting.first_share=0")
+    settings = ("context_noise_rollout=true", "trajectory_rows=3", "rollout_share=0.5", "cutting.first_share=0")
     task, _ = trained(folder, "rdm-student", tmp_path / "run", *settings)
     streams = set(task.own.rows.tolist())
     assert {len(given[0].batch.index) for given, _ in told} == {task.config.batch, 3}
@@ -96,7 +96,7 @@ def test_a_teacher_may_be_told_a_noisy_past_of_streams_alone(folder, rdm7, tmp_p
                 assert not torch.allclose(previous[row], bound.batch.previous[row], atol=1e-2)
 
 
-@pytest.mark.parametrize("settings", [("noisy_past=true",), ("noisy_own=true", "own_past=0.5")])
+@pytest.mark.parametrize("settings", [("context_noise=true",), ("context_noise_rollout=true", "rollout_share=0.5")])
 def test_a_noisy_past_can_be_validated_whatever_the_batch(settings, folder, rdm7, tmp_path, monkeypatch):
     told, init = [], BoundSegments.__init__
     monkeypatch.setattr(BoundSegments, "__init__", lambda *given: told.append(given) or init(*given))
@@ -104,20 +104,20 @@ def test_a_noisy_past_can_be_validated_whatever_the_batch(settings, folder, rdm7
     assert result.validation["student_gap"] > 0
     past = told[-1][-1]
     assert len(told[-1][1].index) == 64
-    if settings == ("noisy_past=true",):
+    if settings == ("context_noise=true",):
         assert past[2].tolist() == [True] * 64
     else:  # validation is of takes
         assert past is None
 
 
 def test_in_lower_phases_the_past_has_the_noise_that_the_segment_began_with(folder, rdm7, tmp_path, monkeypatch):
-    whites, noise_of = [], rdm_student.RDMStudentTask._past_noise
+    whites, noise_of = [], rdm_distillation.RDMStudentTask._past_noise
     monkeypatch.setattr(
-        rdm_student.RDMStudentTask,
+        rdm_distillation.RDMStudentTask,
         "_past_noise",
         lambda task, white, noisy: (whites.append(white) if noisy else None) or noise_of(task, white, noisy),
     )
-    settings = ("noisy_own=true", "own_past=0.5", "phases=2")
+    settings = ("context_noise_rollout=true", "rollout_share=0.5", "phases=2")
     task, _ = trained(folder, "rdm-student", tmp_path / "run", *settings, steps=4)
     assert len(whites) == 4
     streams = task.own.rows.tolist()
@@ -128,18 +128,19 @@ def test_in_lower_phases_the_past_has_the_noise_that_the_segment_began_with(fold
 
 
 def test_a_noisy_past_of_streams_asks_for_streams(folder, rdm7, tmp_path):
-    with pytest.raises(InputError, match="set own_past too"):
-        trained(folder, "rdm-student", tmp_path / "run", "noisy_own=true")
+    with pytest.raises(InputError, match="set rollout_share too"):
+        trained(folder, "rdm-student", tmp_path / "run", "context_noise_rollout=true")
 
 
 def test_lower_phases_meet_what_the_student_landed_at(folder, rdm7, tmp_path, monkeypatch):
-    met, target = [], rdm_student.clean_target
+    met, target = [], rdm_distillation.clean_target
     monkeypatch.setattr(
-        rdm_student, "clean_target", lambda *given: met.append((given[-1], given[-2])) or target(*given)
+        rdm_distillation, "clean_target", lambda *given: met.append((given[-1], given[-2])) or target(*given)
     )
     landed, land = [], BoundSegments.land
     monkeypatch.setattr(BoundSegments, "land", lambda *given: landed.append(land(*given)) or landed[-1])
-    task, _ = trained(folder, "rdm-student", tmp_path / "run", "own_past=0.5", "phases=2", "rehearsed=99", steps=4)
+    settings = ("rollout_share=0.5", "phases=2", "trajectory_rows=99")
+    task, _ = trained(folder, "rdm-student", tmp_path / "run", *settings, steps=4)
     first, second = task.own.rows.tolist()
     assert [point_B[[first, second]].tolist() for point_B, _ in met] == [[9, 4], [4, 9]] * 2
     for step, (goes_on, begins) in zip((1, 2, 3), ((first, second), (second, first)) * 2, strict=False):
@@ -149,11 +150,11 @@ def test_lower_phases_meet_what_the_student_landed_at(folder, rdm7, tmp_path, mo
 
 def test_a_student_and_its_streams_wait_while_the_discriminator_learns_alone(folder, rdm7, tmp_path, monkeypatch):
     """The student waits; its streams go on, so that what they settle into is what the discriminator meets."""
-    trained(folder, "rdm-student", tmp_path / "first", "own_past=0.5", steps=1)
-    settings = ("own_past=0.5", "judge_alone=2", "adversarial=0.1", "cutting.first_share=0")
+    trained(folder, "rdm-student", tmp_path / "first", "rollout_share=0.5", steps=1)
+    settings = ("rollout_share=0.5", "discriminator_warmup=2", "adversarial=0.1", "cutting.first_share=0")
     start = tmp_path / "first" / "step_1"
     kept, averaged, judges, past = [], [], [], []
-    go_on = rdm_student.RDMStudentTask._go_on
+    go_on = rdm_distillation.RDMStudentTask._go_on
 
     def watched(task, *given):
         kept.append({name: x.clone() for name, x in task.student.state_dict().items()})
@@ -162,7 +163,7 @@ def test_a_student_and_its_streams_wait_while_the_discriminator_learns_alone(fol
         past.append(task.own.state()["previous"].clone())
         go_on(task, *given)
 
-    monkeypatch.setattr(rdm_student.RDMStudentTask, "_go_on", watched)
+    monkeypatch.setattr(rdm_distillation.RDMStudentTask, "_go_on", watched)
     trained(folder, "rdm-student", tmp_path / "run", *settings, steps=5, init=start)
     for held in (kept, averaged):
         same = [all(torch.equal(held[0][name], later[name]) for name in held[0]) for later in held]
@@ -171,29 +172,36 @@ def test_a_student_and_its_streams_wait_while_the_discriminator_learns_alone(fol
     assert not torch.equal(past[0], past[1])
 
 
-@pytest.mark.parametrize("wrong", [{"judge_alone": -1}, {"judge_alone": 5, "adversarial": 0.0}])
+@pytest.mark.parametrize("wrong", [{"discriminator_warmup": -1}, {"discriminator_warmup": 5, "adversarial": 0.0}])
 def test_a_streams_discriminator_alone_must_exist(wrong):
-    with pytest.raises(InputError, match="judge_alone"):
+    with pytest.raises(InputError, match="discriminator_warmup"):
         RDMStudentConfig(**wrong)
 
 
 @pytest.mark.parametrize("wrong", [1.5, -0.1])
 def test_a_share_of_own_pasts_is_a_share(wrong):
-    with pytest.raises(InputError, match="own_past"):
-        RDMStudentConfig(own_past=wrong)
+    with pytest.raises(InputError, match="rollout_share"):
+        RDMStudentConfig(rollout_share=wrong)
 
 
 def test_places_are_learned_later_by_teacher_and_student(folder, rdm7, tmp_path, monkeypatch):
     """From a teacher that was trained without, whose every other weight is taken."""
     before = rdm7[1].checkpoint
     teacher, _ = trained(
-        folder, "rdm-7", tmp_path / "teacher", "placed=0.5", "coursed=0.5", "astray=0.3", init=before, steps=1
+        folder,
+        "rdm-7",
+        tmp_path / "teacher",
+        "timing=0.5",
+        "heading_change=0.5",
+        "heading_noise=0.3",
+        init=before,
+        steps=1,
     )
-    assert teacher.denoiser.config.placed
-    assert teacher.denoiser.config.coursed
+    assert teacher.denoiser.config.timing
+    assert teacher.denoiser.config.heading_change
     assert bool(teacher.denoiser.place.weight.any())
     assert bool(teacher.denoiser.course.weight.any())
-    for name in ("placed", "coursed"):
+    for name in ("timing", "heading_change"):
         with pytest.raises(InputError, match=f"a teacher that was trained with {name}"):
             trained(folder, "rdm-student", tmp_path / "refused", f"{name}=0.5")
 
@@ -210,24 +218,24 @@ def test_places_are_learned_later_by_teacher_and_student(folder, rdm7, tmp_path,
         copied,
         "rdm-student",
         tmp_path / "student",
-        "placed=0.6",
-        "coursed=0.6",
-        "astray=0.3",
-        "own_past=0.5",
+        "timing=0.6",
+        "heading_change=0.6",
+        "heading_noise=0.3",
+        "rollout_share=0.5",
         corpus=corpus,
         steps=4,
     )
     assert bool(task.student.place.weight.any())
     assert bool(task.student.course.weight.any())
     config = load_trained(result.checkpoint, "student_ema").module.config
-    assert config.placed
-    assert config.coursed
+    assert config.timing
+    assert config.heading_change
     pasts = [past for network, past in told if network is task.student]
     places, turns = [past.timing for past in pasts], [past.heading_change for past in pasts]
     for known in ((torch.cat(places) >= 0).all(dim=1), ~torch.cat(turns).isnan()):
         assert 0.1 < float(known.float().mean()) < 0.9
     told.clear()
-    unplaced, _ = trained(copied, "rdm-student", tmp_path / "unplaced", "own_past=0.5", corpus=corpus, steps=2)
+    unplaced, _ = trained(copied, "rdm-student", tmp_path / "unplaced", "rollout_share=0.5", corpus=corpus, steps=2)
     assert told
     assert all((past.timing < 0).all() and past.heading_change.isnan().all() for _, past in told)
     assert (unplaced.own.state()["place"] < 0).all()
@@ -235,6 +243,6 @@ def test_places_are_learned_later_by_teacher_and_student(folder, rdm7, tmp_path,
 
 
 def test_a_network_that_cannot_read_places_is_refused(folder, rdm7, tmp_path):
-    for name in ("placed", "coursed"):
+    for name in ("timing", "heading_change"):
         with pytest.raises(InputError, match=f"{name} is for the segment transformer"):
             trained(folder, "light-rdm-1", tmp_path / "run", f"{name}=0.5")

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 
-class Course:
+class HeadingTracker:
     """The turns of the last segments one by one, and of all before them in one number a stream.
 
     Sums are kept on the processor, in double precision, which not every device has.
@@ -48,7 +48,7 @@ class Course:
 
         It is on the device of ``behind_B``.
 
-        >>> course = Course(slice(0, 1), torch.zeros(1), torch.ones(1), window=1)
+        >>> course = HeadingTracker(slice(0, 1), torch.zeros(1), torch.ones(1), window=1)
         >>> for k in range(4):
         ...     course.made(k, torch.full((1, 2, 1), 0.5), torch.tensor([k]))
         >>> course.turned(4, torch.tensor([4])), course.turned(4, torch.tensor([1]))
