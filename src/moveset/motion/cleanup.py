@@ -9,8 +9,8 @@ from torch import Tensor
 from moveset.errors import InputError
 from moveset.motion import rotations
 from moveset.motion.clip import Motion
-from moveset.motion.contacts import stances
-from moveset.motion.hover import SOLE, set_down
+from moveset.motion.contacts import stances, stands_on
+from moveset.motion.hover import HIGHEST, SOLE, set_down
 from moveset.motion.kinematics import global_to_local
 from moveset.motion.positions import HINGES
 from moveset.motion.skeleton import Skeleton
@@ -33,6 +33,7 @@ def lock_feet(motion: Motion, strength: float = 1.0, contacts: Tensor | None = N
     foot that the body carries far off takes a step instead of sliding. Planted feet above the floor y = 0 come down to
     it, and feet below it are lifted onto it; otherwise they keep their height, and their orientation as long as legs
     reach (``move_feet``). A body that hovers is set down (``hover.set_down``); else nothing above the hips moves.
+    Feet of somebody who sits, kneels, lies or is upside down are free.
 
     Args:
         motion: on a skeleton with feet and known knees (hml22, kit21).
@@ -53,9 +54,9 @@ def lock_feet(motion: Motion, strength: float = 1.0, contacts: Tensor | None = N
     legs = _legs(motion.skeleton)
     if len(motion) < 4 or strength == 0.0:
         return motion
-    motion = set_down(motion, strength)
+    motion = set_down(motion, strength, HIGHEST)
     joints = motion.joints.double()
-    planted = stances(joints, motion.fps, motion.skeleton, contacts)
+    planted = stances(joints, motion.fps, motion.skeleton, contacts) & stands_on(joints, motion.skeleton)[:, None]
     shifts = []
     for side in range(len(legs)):
         pair = list(motion.skeleton.feet[2 * side : 2 * side + 2])

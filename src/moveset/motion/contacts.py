@@ -11,7 +11,7 @@ from moveset.motion.smoothing import gaussian_smooth
 TOE_HEIGHT = 0.05
 ANKLE_HEIGHT = 0.12
 SPEED = 0.5
-_CARRYING = 0.6
+_CARRYING = 0.5
 #: Above this a network's contact feature is a planted foot: far below one half, since what blurs feet blurs contacts
 #: too, and a doubtful foot is better held than let slide (docs/decisions/motion.md).
 PLANTED = 0.15
@@ -50,7 +50,7 @@ def stances(joints: Tensor, fps: float, skeleton: Skeleton, contacts: Tensor | N
 def stands_on(joints: Tensor, skeleton: Skeleton) -> Tensor:
     """(F,) bool: whether the hips of (F, J, 3) are so high above the lower foot that legs carry the body.
 
-    At least 0.6 of the length of thigh and shin, which a deep lunge has, and who sits on a chair or kneels has not.
+    At least half of the length of thigh and shin, which a deep lunge has, and who kneels or sits on the floor has not.
     """
     ankles = [skeleton.feet[0], skeleton.feet[2]]
     knees = [skeleton.parents[ankle] for ankle in ankles]

@@ -18,7 +18,7 @@ from torch import Tensor
 from moveset.errors import InputError
 from moveset.motion.cleanup import ALONE, LANDING, move_feet, step_heights
 from moveset.motion.clip import Motion
-from moveset.motion.contacts import stances
+from moveset.motion.contacts import stances, stands_on
 from moveset.motion.hover import SOLE, Hovering, lowered
 from moveset.motion.skeleton import Skeleton
 from moveset.motion.smoothing import decay
@@ -72,7 +72,7 @@ class FootLock:
         if tuple(contacts.shape) != (len(piece), 4):
             raise InputError(f"contacts must be (F, 4) = ({len(piece)}, 4), got {tuple(contacts.shape)}")
         joints = piece.joints.double()
-        known = self._contacts + contacts.tolist()
+        known = self._contacts + (contacts.bool() & stands_on(joints, self.skeleton)[:, None]).tolist()
         standing = stances(joints, self.fps, self.skeleton, torch.tensor(known))[len(self._contacts) :]
         self._contacts = known[-_HISTORY:]
         feet = joints[:, list(self.skeleton.feet)].unflatten(1, (2, 2))

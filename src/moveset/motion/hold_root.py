@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import avg_pool1d, conv1d, pad
 
+from moveset.motion.contacts import stands_on
 from moveset.motion.features import FeatureCodec
 
 _ALONE = 0.5  # share of a lone foot's sliding that the root gives up; the rest is for the foot lock
@@ -26,17 +27,22 @@ def hold_root(features_FD: Tensor, planted_F4: Tensor, codec: FeatureCodec, trav
     From one frame to the next the root's planar step loses what the joints that are planted in both travel on average:
     all of it where both feet stand, half where one does, at most ``_FASTEST``; of a body whose planted feet are faster
     than a standing one's the share ``travelling`` of that. It sets in and ends within a few frames, and the last
-    frame's step, which leads to the next segment, loses as much as the one before it. Nothing else is changed.
+    frame's step, which leads to the next segment, loses as much as the one before it. Nothing else is changed,
+    and nothing at all of who does not stand on the legs.
 
     Args:
         planted_F4: bool, as in the codec's contacts: left ankle, left toe, right ankle, right toe.
         travelling: 0 to 1. 1 holds whoever goes as much as whoever stands: their feet slide less, and they are slower.
     """
+    if not bool(planted_F4.any()):
+        return features_FD
+    body = codec.joints(features_FD)
+    planted_F4 = planted_F4 & stands_on(body, codec.skeleton)[:, None]
     stays_S4 = planted_F4[1:] & planted_F4[:-1]
     left_S, right_S = stays_S4[:, :2].any(dim=1), stays_S4[:, 2:].any(dim=1)
     if not bool((left_S | right_S).any()):
         return features_FD
-    joints = codec.joints(features_FD)[:, list(codec.skeleton.feet)]
+    joints = body[:, list(codec.skeleton.feet)]
     moved_S42 = joints.diff(dim=0)[..., [0, 2]]
     share_S41 = stays_S4.to(moved_S42.dtype)[..., None]
     drift_S2 = (moved_S42 * share_S41).sum(dim=1) / share_S41.sum(dim=1).clamp_min(1)

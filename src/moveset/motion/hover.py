@@ -8,17 +8,19 @@ Shapes: F frames, J joints.
 """
 
 from dataclasses import replace
-from math import exp
+from math import exp, inf
 
 import torch
 from torch import Tensor
 from torch.nn.functional import max_pool1d, pad
 
 from moveset.motion.clip import Motion
+from moveset.motion.contacts import spans, stands_on
 from moveset.motion.smoothing import gaussian_smooth
 
 SOLE = 0.02  # metres over the floor, below which the lowest joint of a standing foot is
 LONGEST = 0.6  # seconds in the air: a jump of 0.44 m
+HIGHEST = 0.2  # metres: who is higher for longer than that is on something
 _STANDING = 0.05  # metres over the floor, below which the lowest joint of a body on the floor is
 _SMOOTH = 0.05  # seconds
 _EASE = 0.1  # seconds in which a stream's floor comes up or goes down
@@ -30,17 +32,28 @@ def clearance(joints: Tensor) -> Tensor:
     return (joints[..., 1].amin(dim=-1) - _STANDING).clamp_min(0.0)
 
 
-def hovering(clearance_F: Tensor, fps: float) -> Tensor:
-    """How much (F,) of a clip's clearance lasts longer than ``LONGEST``, metres; a jump may go on beyond its ends."""
+def hovering(clearance_F: Tensor, fps: float, highest: float = inf) -> Tensor:
+    """How much (F,) of a clip's clearance lasts longer than ``LONGEST``, metres; a jump may go on beyond its ends.
+
+    Nothing of what rises beyond ``highest`` metres on the way.
+    """
     width = min(_frames(fps), len(clearance_F))
     eroded = -max_pool1d(-clearance_F[None], width, stride=1)
     opened = max_pool1d(pad(eroded, (width - 1, width - 1)), width, stride=1)[0]
+    for start, stop in spans(opened > 0):
+        if float(opened[start:stop].max()) > highest:
+            opened[start:stop] = 0.0
     return gaussian_smooth(opened[:, None], _SMOOTH * fps)[:, 0]
 
 
-def set_down(motion: Motion, strength: float = 1.0) -> Motion:
-    """The clip without its hovering: the root sinks, nothing else changes."""
-    height = hovering(clearance(motion.joints), motion.fps)
+def set_down(motion: Motion, strength: float = 1.0, highest: float = inf) -> Motion:
+    """The clip without its hovering: the root sinks, nothing else changes.
+
+    Somebody whose legs do not carry the body, but who sits, lies or kneels, does not hover; nor does one who is higher
+    than ``highest`` metres for longer than a jump takes, as on a ladder, stairs or a chair.
+    """
+    joints = motion.joints
+    height = hovering(clearance(joints) * stands_on(joints, motion.skeleton), motion.fps, highest)
     if not bool(height.any()):
         return motion
     return lowered(motion, strength * height)
