@@ -32,10 +32,12 @@ def test_every_training_and_every_model_of_the_recipe_is_made(trained):
     folder, report, lines = trained
     assert set(RUNS) <= set(report.trained)
     assert report.skipped == ()
-    clips, stream = (next(path for path in report.models if path.name.startswith(name)) for name in ("clips", "stream"))
+    clips, stream = (
+        next(path for path in report.models if path.name.startswith(name)) for name in ("motionpcm-tiny", "rdm-tiny")
+    )
     assert len(TextToMotion.from_pretrained(clips, device="cpu")("a person walks", seconds=2.0).motion) == 40
     assert len(next(MotionStream.from_pretrained(stream, prompt="a person walks", device="cpu")).motion) == 28
-    assert Evaluator.open(str(folder / "models" / "evaluator-tiny")).card.name == "evaluator-tiny"
+    assert Evaluator.open(str(folder / "models" / "t2m-tiny")).card.name == "t2m-tiny"
     log = (folder / "train.log").read_text().splitlines()
     assert [line.split(" ", 2)[2] for line in log] == lines
     order = [line.split(":")[0] for line in lines if line.endswith("begins")]
