@@ -1,6 +1,6 @@
 """The training curves of a folder of runs as one picture and one small JSON, from their ``metrics.jsonl``.
 
-python benchmarks/curves.py --runs runs/small --out docs/training
+python benchmarks/curves.py --runs runs/small/runs --out results
 """
 
 import json
@@ -34,10 +34,8 @@ PANELS = {
     "rdm-7 ": ("val", "error", "RDM-7: val error (average)"),
     "rdm-7  ": ("train", "flow", "RDM-7: flow's reconstruction"),
     "md-7": ("val", "error", "MD-7: val error (average)"),
-    "rdm-pcm-1": ("train", "consistency", "RDM student, 1 step: pseudo-Huber"),
-    "rdm-pcm-1 ": ("val", "ema_gap", "RDM student, 1 step: distance to teacher"),
-    "rdm-pcm-2": ("train", "consistency", "RDM student, 2 steps: pseudo-Huber"),
-    "rdm-pcm-4": ("train", "consistency", "RDM student, 4 steps: pseudo-Huber"),
+    "rdm-student": ("train", "consistency", "RDM student, 1 step: pseudo-Huber"),
+    "rdm-student ": ("val", "ema_gap", "RDM student, 1 step: distance to teacher"),
     "movement": ("val", "reconstruction", "evaluator, movement: val L1"),
     "evaluator": ("val", "nearest", "evaluator: val share of sentences nearest to their motion"),
 }
@@ -55,8 +53,8 @@ def points(path: Path, split: str, name: str) -> list[tuple[int, float]]:
 def main() -> None:
     """See the module."""
     parser = Parser()
-    parser.add_argument("--runs", type=Path, default=Path("runs/small"))
-    parser.add_argument("--out", type=Path, default=Path("docs/training"))
+    parser.add_argument("--runs", type=Path, default=Path("runs/small/runs"))
+    parser.add_argument("--out", type=Path, default=Path("results"))
     given = parser.parse_args()
     # Its folder must be one that can be written to.
     report = report_path(str(given.out / "curves.json"))

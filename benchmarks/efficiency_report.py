@@ -22,9 +22,9 @@ Costs only, of networks with random weights, which cost what trained ones cost: 
   DiP, of the whole clip of MotionDiffuse; guidance by two evaluations counts both. *Waves* are evaluations one after
   the other: a staircase evaluates all segments of a wave in one batch. What is bold was counted while it ran, and is
   equal to the sampler's closed form; the rest is that form.
-- RDM's staircases: *triangle R = N* is the paper's fast setting, *parallelogram R = ⌈K/3⌉* what `pack_stream` takes
-  unless told, *full R = K* denoises every segment for as long as MD does. The flow is applied to a later segment once,
-  there and back (depth 1), where the paper composes it.
+- RDM's staircases: *triangle R = N* is the paper's fast setting, *full R = K* denoises every segment for as long as MD
+  does, *parallelogram R = ⌈K/3⌉* lies between. The flow is applied to a later segment once, there and back (depth 1),
+  where the paper composes it.
 - MD-N: the network of RDM-N, all K steps of a segment after all of the one before. DiP: chunks of 40 frames, made for
   ten DDPM steps. Guidance, as published, doubles its calls; compare RDM, which has none here, with the row without it.
 - Operations are those of **one sample in every row**, two for a multiplication and an addition
