@@ -42,6 +42,22 @@ MEMBERS = {
 
 
 @pytest.fixture(scope="session")
+def tiny_clips(tmp_path_factory) -> Path:
+    """Folder of a tiny model of clips, made once; who changes it takes a copy."""
+    from tests.bundles import tiny_bundle
+
+    return tiny_bundle(tmp_path_factory.mktemp("clips") / "tiny")
+
+
+@pytest.fixture(scope="session")
+def tiny_streams(tmp_path_factory) -> Path:
+    """Folder of a tiny model of streams, made once; who changes it takes a copy."""
+    from tests.streams import tiny_stream
+
+    return tiny_stream(tmp_path_factory.mktemp("streams") / "tiny-stream")
+
+
+@pytest.fixture(scope="session")
 def real_data() -> Path:
     """Folder with real takes: cmu/, dataset-1/, dataset-2/. Tests that use it are skipped where there is none."""
     if folder := os.environ.get("MOVESET_RAW"):

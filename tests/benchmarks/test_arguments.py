@@ -8,7 +8,6 @@ import pytest
 
 from moveset.errors import exit_code_of
 from tests.evaluation.corpora import content_corpus
-from tests.streams import tiny_stream
 
 FOLDER = Path(__file__).resolve().parents[2] / "benchmarks"
 
@@ -18,7 +17,6 @@ def place(tmp_path_factory):
     """A folder with a corpus, a stream, and things that are in the way."""
     folder = tmp_path_factory.mktemp("place")
     content_corpus(folder / "corpus.safetensors")
-    tiny_stream(folder / "flow")
     (folder / "file").write_text("")
     (folder / "runs/vae").mkdir(parents=True)
     (folder / "runs/vae/metrics.jsonl").write_text("nonsense\n")

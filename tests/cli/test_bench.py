@@ -7,14 +7,11 @@ import torch
 
 from moveset.cli.__main__ import main
 from moveset.errors import MovesetError
-from tests.bundles import tiny_bundle
-from tests.streams import tiny_stream
 
 
-@pytest.fixture(scope="module")
-def models(tmp_path_factory):
-    root = tmp_path_factory.mktemp("models")
-    return ["--clips", str(tiny_bundle(root / "clips")), "--streams", str(tiny_stream(root / "streams"))]
+@pytest.fixture
+def models(tiny_clips, tiny_streams):
+    return ["--clips", str(tiny_clips), "--streams", str(tiny_streams)]
 
 
 @pytest.fixture(autouse=True)

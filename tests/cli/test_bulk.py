@@ -5,7 +5,6 @@ import json
 import pytest
 
 from moveset.cli.__main__ import main
-from tests.bundles import tiny_bundle
 
 LINES = [
     {"prompt": "a person walks forward", "seconds": 1.0, "seed": 3, "name": "walk"},
@@ -17,9 +16,9 @@ LINES = [
 NAMES = ["take-walk", "take-two", "take-000003", "take-bow", "take-bow2"]
 
 
-@pytest.fixture(scope="module")
-def model(tmp_path_factory):
-    return tiny_bundle(tmp_path_factory.mktemp("bundles") / "tiny")
+@pytest.fixture
+def model(tiny_clips):
+    return tiny_clips
 
 
 @pytest.fixture

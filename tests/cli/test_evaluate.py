@@ -2,26 +2,25 @@
 
 import importlib.util
 import json
+import shutil
 
 import numpy as np
 import pytest
 
 from moveset.cli.__main__ import main
 from moveset.cli.tables import notes, title
-from tests.bundles import tiny_bundle
 from tests.evaluation.corpora import content_corpus, motion_folder
 from tests.evaluators import tiny_evaluator
-from tests.streams import tiny_stream
 
 
 @pytest.fixture(scope="module")
-def place(tmp_path_factory):
+def place(tmp_path_factory, tiny_clips, tiny_streams):
     """A folder with data, a judge, and two tiny models."""
     folder = tmp_path_factory.mktemp("place")
     content_corpus(folder / "corpus.safetensors")
     tiny_evaluator(folder / "judge")
-    tiny_bundle(folder / "tiny")
-    tiny_stream(folder / "flow")
+    shutil.copytree(tiny_clips, folder / "tiny")
+    shutil.copytree(tiny_streams, folder / "flow")
     return folder
 
 

@@ -14,13 +14,11 @@ from moveset.io import read_metadata
 from moveset.io.take_writer import open_take
 from moveset.pipelines import model_folder
 from moveset.pipelines.text_to_motion import TextToMotion
-from tests.bundles import tiny_bundle
-from tests.streams import tiny_stream
 
 
-@pytest.fixture(scope="module")
-def model(tmp_path_factory):
-    return tiny_bundle(tmp_path_factory.mktemp("bundles") / "tiny")
+@pytest.fixture
+def model(tiny_clips):
+    return tiny_clips
 
 
 @pytest.fixture
@@ -171,8 +169,8 @@ def test_doctor_is_content_with_a_whole_installation(shipped, model, capsys):
     assert report["versions"]["torch"]
 
 
-def test_doctor_tests_a_stream_model(shipped, tmp_path, capsys):
-    assert main(["doctor", "--model", str(tiny_stream(tmp_path / "tiny-stream")), "--json"]) == 0
+def test_doctor_tests_a_stream_model(shipped, tiny_streams, capsys):
+    assert main(["doctor", "--model", str(tiny_streams), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["checks"]["self_test"]["frames"] == 56
 
 

@@ -22,19 +22,15 @@ def addon():
 
 
 @pytest.fixture(scope="session")
-def served(tmp_path_factory):
+def served(tiny_clips, tiny_streams):
     """Address of a server with tiny models of random weights."""
     from moveset.server.app import create_app
     from moveset.server.run import listen, make_server
     from moveset.server.service import Options
-    from tests.bundles import tiny_bundle
-    from tests.streams import tiny_stream
 
-    folder = tmp_path_factory.mktemp("models")
-    models = (tiny_bundle(folder / "tiny-clip"), tiny_stream(folder / "tiny-stream"))
     opened = threading.Event()
     socket = listen("127.0.0.1", 0)
-    server = make_server(create_app(Options(models=models, device="cpu")), opened=opened.set)
+    server = make_server(create_app(Options(models=(tiny_clips, tiny_streams), device="cpu")), opened=opened.set)
     thread = threading.Thread(target=server.run, args=([socket],), daemon=True)
     thread.start()
     assert opened.wait(60)

@@ -19,7 +19,6 @@ from moveset import MotionStream
 from moveset.io import load
 from moveset.server.wire import pack_packet, unpack_packets
 from tests.motions import wander
-from tests.streams import tiny_stream
 
 CLIENTS = Path(__file__).resolve().parents[2] / "examples" / "clients"
 PROMPTS = ("a person walks forward", "someone waves with the left hand")
@@ -44,41 +43,41 @@ def run(*command, **more):
     )
 
 
-def expected(tmp_path, seed, change):
+def expected(model, seed, change):
     """What the stream's own model makes of one prompt, and of the other from segment ``change`` on."""
-    stream = MotionStream.from_pretrained(tiny_stream(tmp_path / "tiny-stream"), prompt=PROMPTS[0], seed=seed)
+    stream = MotionStream.from_pretrained(model, prompt=PROMPTS[0], seed=seed)
     for segment in stream:
         if segment.number + 1 == change:
             stream.prompt(PROMPTS[1])
         yield segment.motion
 
 
-def assert_is_the_stream(out, path, tmp_path, seed, exactly):
+def assert_is_the_stream(out, path, model, seed, exactly):
     """The take is that of the model with the second prompt where the server said that it takes effect."""
     effect = int(re.search(rf"{PROMPTS[1]}.? from frame (\d+) on", out)[1])
     got = load(path) if path.suffix != ".mvst" else unpack_packets(path.read_bytes()).motion
     assert effect % 28 == 0
     assert 28 <= effect < len(got)
-    for k, wanted in zip(range(len(got) // 28), expected(tmp_path, seed, effect // 28), strict=False):
+    for k, wanted in zip(range(len(got) // 28), expected(model, seed, effect // 28), strict=False):
         there = got[28 * k : 28 * (k + 1)]
         assert float((there.joints - wanted.joints).abs().max()) < exactly
 
 
-def test_the_python_client_keeps_the_stream(served, tmp_path):
+def test_the_python_client_keeps_the_stream(served, tiny_streams, tmp_path):
     for name, exactly in (("take.mvst", 1e-5), ("take.bvh", 1e-3)):
         done = run(sys.executable, CLIENTS / "stream_client.py", *PROMPTS, "--seconds", 8, "--seed", 3,
                    "--server", served, "-o", tmp_path / name)  # fmt: skip
         assert done.returncode == 0, done.stderr
         assert "stream of tiny-stream, seed 3, 20 frames a second" in done.stdout
         assert len(re.findall(r"^segment \d+: ", done.stdout, re.MULTILINE)) == 6
-        assert_is_the_stream(done.stdout, tmp_path / name, tmp_path, 3, exactly)
+        assert_is_the_stream(done.stdout, tmp_path / name, tiny_streams, 3, exactly)
 
 
-def test_the_javascript_client_keeps_the_stream(node, served, tmp_path):
+def test_the_javascript_client_keeps_the_stream(node, served, tiny_streams, tmp_path):
     done = run(*node, CLIENTS / "stream_client.mjs", *PROMPTS, tmp_path / "take.npz",
                env={"MOVESET_SERVER": served, "PATH": ""})  # fmt: skip
     assert done.returncode == 0, done.stderr
-    assert_is_the_stream(done.stdout, tmp_path / "take.npz", tmp_path, 7, 1e-5)
+    assert_is_the_stream(done.stdout, tmp_path / "take.npz", tiny_streams, 7, 1e-5)
 
 
 def test_javascript_reads_packets_as_python_writes_them(node, tmp_path):

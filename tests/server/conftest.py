@@ -13,17 +13,14 @@ from fastapi.testclient import TestClient
 from moveset.server.app import create_app
 from moveset.server.limits import Limits
 from moveset.server.service import Options
-from tests.bundles import tiny_bundle
-from tests.streams import tiny_stream
 
 HOST = "127.0.0.1"
 
 
 @pytest.fixture(scope="session")
-def models(tmp_path_factory):
+def models(tiny_clips, tiny_streams):
     """Folders of a tiny model of clips and a tiny model of streams."""
-    root = tmp_path_factory.mktemp("models")
-    return tiny_bundle(root / "tiny"), tiny_stream(root / "tiny-stream")
+    return tiny_clips, tiny_streams
 
 
 @pytest.fixture(scope="session")
