@@ -1,5 +1,6 @@
 """A stream's model folder with random weights, small enough to make in every test: all plumbing, no skill."""
 
+import itertools
 from pathlib import Path
 
 import torch
@@ -56,3 +57,13 @@ def tiny_stream(path: Path, *, seed: int = 0) -> Path:
     normalizer = {"feature_mean": features, "feature_std": torch.full_like(features, 0.02)}
     pooled = get_text_encoder("minilm").encode(list(CAPTIONS)).pooled
     return save_model(path, config, modules, normalizer, CAPTIONS, pooled)
+
+
+def take(stream, count):
+    """The next segments of a stream."""
+    return list(itertools.islice(stream, count))
+
+
+def same(one, two):
+    """Whether two segments are so to the last bit."""
+    return torch.equal(one.motion.rotations, two.motion.rotations) and torch.equal(one.motion.root, two.motion.root)

@@ -150,16 +150,6 @@ def test_convert_writes_through_links_and_not_over_pipes(clip, tmp_path, capsys)
     assert "no regular file" in capsys.readouterr().err
 
 
-def test_models_lists_what_is_shipped(shipped, capsys):
-    assert main(["models", "--json"]) == 0
-    [row] = json.loads(capsys.readouterr().out)["models"]
-    assert row["name"] == "tiny"
-    assert row["pcm_steps"] == [1, 2, 4]
-    assert row["max_seconds"] == 9.8
-    assert main(["models"]) == 0
-    assert "MotionPCM in 1/2/4 steps, LCM, teacher" in capsys.readouterr().out
-
-
 def test_doctor_is_content_with_a_whole_installation(shipped, model, capsys):
     assert main(["doctor", "--model", str(model), "--json"]) == 0
     report = json.loads(capsys.readouterr().out)

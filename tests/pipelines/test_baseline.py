@@ -13,7 +13,7 @@ from moveset.pipelines.model_config import BaselineConfig, ClipConfig
 from moveset.pipelines.model_folder import ModelFolder, save_model
 from moveset.pipelines.request import Request
 from tests.baselines import SETTINGS, tiny_baseline
-from tests.bundles import CAPTIONS, standing_features, tiny_bundle
+from tests.bundles import CAPTIONS, standing_features
 
 WALK, BOW = "a person walks forward", "a person bows"
 
@@ -151,11 +151,11 @@ def test_what_a_baseline_cannot_do(folders, kind, given, message):
         open_generator(folders[kind], device="cpu", **given)
 
 
-def test_a_baseline_is_for_the_evaluation_only(folders, tmp_path):
+def test_a_baseline_is_for_the_evaluation_only(folders, tiny_clips):
     with pytest.raises(InputError, match="is a baseline model, for `moveset evaluate`"):
         ModelFolder(folders["light"], ClipConfig)
     with pytest.raises(InputError, match="is a text-to-motion model"):
-        ModelFolder(tiny_bundle(tmp_path / "clips"), BaselineConfig)
+        ModelFolder(tiny_clips, BaselineConfig)
 
 
 @pytest.mark.parametrize(

@@ -18,14 +18,9 @@ from tests.bundles import tiny_bundle
 BARE = {name: torch.zeros(1) for name in ClipConfig.statistics}  # which nothing here asks for
 
 
-@pytest.fixture(scope="module")
-def whole(tmp_path_factory):
-    return tiny_bundle(tmp_path_factory.mktemp("bundles") / "tiny")
-
-
 @pytest.fixture
-def folder(whole, tmp_path):
-    return shutil.copytree(whole, tmp_path / "tiny")
+def folder(tiny_clips, tmp_path):
+    return shutil.copytree(tiny_clips, tmp_path / "tiny")
 
 
 def rewrite(folder, change):
@@ -73,12 +68,6 @@ def test_words_of_the_training_are_optional_and_checked(folder):
     for words in ("walk", [1], {"walk": 1}):
         with pytest.raises(FormatError, match="no list of words"):
             known(words=words)
-
-
-def test_steps_are_those_of_the_students(folder):
-    config = ModelFolder(folder, ClipConfig).config
-    assert config.steps("pcm") == (1, 2, 4)
-    assert config.steps("lcm") == (1,)
 
 
 @pytest.mark.parametrize("file", ["config.json", "vae.safetensors", "normalizer.safetensors", "prompts.json"])

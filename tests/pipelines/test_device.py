@@ -10,14 +10,11 @@ from moveset.pipelines.motion_stream import MotionStream
 from moveset.pipelines.stream_batch import StreamBatch
 from moveset.pipelines.stream_settings import check_stream
 from moveset.pipelines.text_to_motion import TextToMotion
-from tests.bundles import tiny_bundle
-from tests.streams import tiny_stream
 
 
-@pytest.fixture(scope="module")
-def folders(tmp_path_factory):
-    root = tmp_path_factory.mktemp("models")
-    return {"clips": tiny_bundle(root / "clips"), "streams": tiny_stream(root / "streams")}
+@pytest.fixture
+def folders(tiny_clips, tiny_streams):
+    return {"clips": tiny_clips, "streams": tiny_streams}
 
 
 def clips(folders, batch=1):

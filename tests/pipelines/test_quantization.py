@@ -77,14 +77,6 @@ def test_the_rounding_of_the_base_does_not_count(base):
     assert float((near["matrix"].half() == stored_base["matrix"]).float().mean()) > 0.8
 
 
-def test_the_same_weights_give_the_same_bits(state, base):
-    one, two = (subtracted(state, halved(base)) for _ in range(2))
-    assert one.keys() == two.keys()
-    assert all(torch.equal(one[key], two[key]) for key in one)
-    first, second = restored(one, halved(base)), restored(two, halved(base))
-    assert all(torch.equal(first[key], second[key]) for key in first)
-
-
 @pytest.mark.parametrize("value", [float("nan"), float("inf"), 1e6])
 def test_numbers_that_cannot_be_stored_are_refused(state, base, value):
     state["matrix"][3, 3] = value

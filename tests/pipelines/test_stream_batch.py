@@ -112,7 +112,7 @@ def test_planted_feet_are_those_that_the_lock_holds(group, monkeypatch):
     together.step([together.open(WALK, seed) for seed in (1, 2)])
     # An untrained network's feet all stand or none does: let half of them.
     limit = float(torch.cat(seen).median())
-    monkeypatch.setattr("moveset.motion.stream_decoder.PLANTED", limit)
+    monkeypatch.setattr("moveset.motion.native.PLANTED", limit)
     held.clear()
     pieces = together.step([together.open(WALK, seed) for seed in (1, 2)])
     for piece, contacts, one in zip(pieces, seen[2:], held, strict=True):
@@ -132,19 +132,3 @@ def test_what_cannot_be_grouped_is_refused(group):
     assert lane.condition.prompt == WALK
     with pytest.raises(InputError, match="empty"):
         made.open("", 1)
-
-
-def test_what_mirror_images_are_told_is_read_once(group, monkeypatch):
-    together = group()
-    assert "pcm-1" in together.bundle.config.symmetric
-    lanes = [together.open("a person turns left", 1)]
-    together.step(lanes)
-
-    def refused(sentences):
-        raise AssertionError(f"{sentences} were read again")
-
-    monkeypatch.setattr(together.encoder, "encode", refused)
-    # Other streams' prompts may have pushed these out of the memory.
-    together.texts._known.clear()
-    together.step(lanes)
-    assert lanes[0].number == 2

@@ -5,67 +5,16 @@ import itertools
 import pytest
 import torch
 
-from moveset.pipelines.motion_stream import MotionStream
 from moveset.pipelines.stream_batch import StreamBatch
 from moveset.pipelines.stream_settings import check_stream
-from moveset.pipelines.timeline import share_evenly
 
 WALK, BOW = "a person walks", "a person bows"
 BOTH = "a person walks, then bows"
 SEGMENT = 1.4  # seconds
 
 
-@pytest.fixture
-def opened(bundle, encoder):
-    def open_stream(prompt, seconds=None, **options):
-        return MotionStream(bundle, check_stream(bundle.config, prompt, seconds, **options), encoder=encoder)
-
-    return open_stream
-
-
 def said(stream, count):
     return [segment.prompt for segment in itertools.islice(stream, count)]
-
-
-@pytest.mark.parametrize(
-    ("prompts", "seconds", "starts", "counts"),
-    [
-        (BOTH, None, (0, 3), (6,)),
-        (BOTH, 7 * SEGMENT, (0, 4), (7,)),
-        (BOTH, SEGMENT, (0, 1), (2,)),
-        ((WALK, BOTH, BOW), None, (0, 4, 7, 10), (4, 6, 4)),
-        ((BOTH, BOW), (4 * SEGMENT, SEGMENT), (0, 2, 4), (4, 1)),
-        ((BOTH, BOTH), 0.1, (0, 1, 2, 3), (2, 2)),
-    ],
-)
-def test_stages_share_their_prompts_time(bundle, prompts, seconds, starts, counts):
-    request = check_stream(bundle.config, prompts, seconds)
-    assert (request.timeline.starts, request.counts) == (starts, counts)
-    assert request.timeline.end == sum(counts)
-    whole = check_stream(bundle.config, prompts, seconds, stages=False)
-    assert whole.timeline.prompts == ((prompts,) if isinstance(prompts, str) else prompts)
-
-
-UNKNOWN = (-1, -1)
-
-
-@pytest.mark.parametrize(
-    ("prompts", "options", "places"),
-    [
-        (WALK, {}, [UNKNOWN] * 3),
-        (WALK, {"seconds": 2 * SEGMENT}, [(0, 2), (1, 1), UNKNOWN]),
-        (WALK, {"seconds": 2 * SEGMENT, "loop": True}, [(0, 2), (1, 1), (0, 2)]),
-        (BOTH, {}, [(0, 3), (1, 2), (2, 1), UNKNOWN]),
-        ((WALK, BOW), {"seconds": [SEGMENT, 2 * SEGMENT]}, [(0, 1), (0, 2), (1, 1), UNKNOWN]),
-    ],
-)
-def test_a_segment_knows_its_place_where_the_prompt_has_an_end(bundle, prompts, options, places):
-    timeline = check_stream(bundle.config, prompts, **options).timeline
-    assert [timeline.place(k) for k in range(len(places))] == places
-    later = timeline.beginning(5)
-    if not timeline.loop:
-        assert [later.place(k + 5) for k in range(len(places))] == places
-        assert later.place(2) == UNKNOWN
 
 
 def test_networks_that_read_it_are_told(opened):
@@ -91,15 +40,6 @@ def test_a_state_from_before_there_were_places_goes_on(opened):
     state = stream.state()
     del state.numbers["places"], state.numbers["timeline"]["timed"], state.numbers["timeline"]["origin"]
     assert torch.equal(next(opened(BOW, network="md").restore(state)).motion.rotations, next(stream).motion.rotations)
-
-
-@pytest.mark.parametrize("count", range(1, 9))
-@pytest.mark.parametrize("length", range(8, 20))
-def test_even_shares_differ_by_one_at_most(count, length):
-    bounds = share_evenly(5, 5 + length, count)
-    parts = [b - a for a, b in itertools.pairwise(bounds)]
-    assert (bounds[0], bounds[-1], len(parts)) == (5, 5 + length, count)
-    assert max(parts) - min(parts) <= 1 <= min(parts)
 
 
 def test_a_stream_does_one_after_the_other_and_holds_the_last(opened):

@@ -2,20 +2,21 @@
 
 import copy
 import pickle
+import shutil
 
 import pytest
 import torch
 
 from moveset.errors import InputError
 from moveset.pipelines.text_to_motion import TextToMotion
-from tests.bundles import CAPTIONS, tiny_bundle
+from tests.bundles import CAPTIONS
 
 PROMPT = "a person walks forward and waves"
 
 
 @pytest.fixture(scope="module")
-def t2m(tmp_path_factory):
-    return TextToMotion.from_pretrained(tiny_bundle(tmp_path_factory.mktemp("bundles") / "tiny"), device="cpu")
+def t2m(tiny_clips):
+    return TextToMotion.from_pretrained(tiny_clips, device="cpu")
 
 
 def same(a, b):
@@ -123,8 +124,8 @@ def test_foot_locking_is_a_switch(t2m):
     assert not same(locked.motion, locked.raw[0])
 
 
-def test_input_is_checked_before_weights_are_read(t2m, tmp_path):
-    broken = TextToMotion.from_pretrained(tiny_bundle(tmp_path / "tiny"), device="cpu")
+def test_input_is_checked_before_weights_are_read(tiny_clips, tmp_path):
+    broken = TextToMotion.from_pretrained(shutil.copytree(tiny_clips, tmp_path / "tiny"), device="cpu")
     for file in broken.bundle.path.glob("*.safetensors"):
         file.write_bytes(b"")
     with pytest.raises(InputError, match="the prompt is empty"):

@@ -1,0 +1,124 @@
+"""What may be asked of a stream: its method, its past, and whose time each segment lies in."""
+
+import dataclasses
+import itertools
+
+import pytest
+import torch
+
+from moveset.errors import InputError
+from moveset.pipelines.stream_settings import check_stream
+from moveset.pipelines.timeline import share_evenly
+
+WALK, BOW = "a person walks", "a person bows"
+BOTH = "a person walks, then bows"
+SEGMENT = 1.4  # seconds
+ONE_BY_ONE = {"network": "rdm", "start": 6, "lag": 6}
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"prompt": []}, "0 prompts"),
+        ({"prompt": ""}, "empty"),
+        ({"prompt": ["a"] * 65}, "65 prompts"),
+        ({"seconds": 0.0}, "0 seconds"),
+        ({"seconds": -2.0}, "-2 seconds"),
+        ({"seconds": float("nan")}, "nan seconds"),
+        ({"seconds": float("inf")}, "inf seconds"),
+        ({"seconds": [1.0, 2.0]}, "2 durations do not fit 1 prompts"),
+        ({"seed": -1}, "seed -1 is not in 0 to .*; give a whole number that is"),
+        ({"seconds": torch.tensor(3.0)}, "is not a number"),
+        ({"network": "gan"}, "unknown network 'gan'; model 'tiny-stream' has rdm, md, pcm-1, pcm-2"),
+        ({"steps": 3}, "no student for 3 steps; choose 1, 2, or network 'rdm' or 'md'"),
+        ({"network": "pcm-2", "steps": 4}, "takes 2 steps"),
+        ({"network": "pcm-2", "eta": 0.5}, "eta 0.5"),
+        ({"network": "pcm-2", "lag": 1}, "leave them out"),
+        ({"network": "md", "start": 2}, "leave them out"),
+        ({"network": "rdm", "steps": 0}, "0 steps"),
+        ({"network": "rdm", "start": 9}, "start 9"),
+        ({"network": "rdm", "lag": 0}, "lag 0"),
+        ({"network": "rdm", "eta": 1.5}, "eta 1.5"),
+        ({"guidance": float("nan")}, "guidance nan"),
+        ({"guidance": -1.0}, "guidance -1"),
+        ({"buffer": -1}, "buffer of -1"),
+        ({"blend_seconds": -1.0}, "blend over -1"),
+        ({"network": "rdm", "past_lag": 1}, "past_lag 1 is for network 'rdm' with a lag of all"),
+        ({**ONE_BY_ONE, "past_lag": 7}, "past_lag 7 is not in 1 to 6"),
+        ({**ONE_BY_ONE, "past_lag": 1.5}, "past_lag 1.5 is not a whole number"),
+        ({"network": "pcm-1", "past_lag": 3}, "past_lag 3 is for network 'rdm'"),
+    ],
+)
+def test_what_cannot_be_asked_for(bundle, options, said):
+    with pytest.raises(InputError, match=said):
+        check_stream(bundle.config, **{"prompt": WALK, **options})
+
+
+@pytest.mark.parametrize(
+    ("own", "options", "told"),
+    [
+        (None, {}, None),
+        (2, {}, 2),
+        (2, {"past_lag": 1}, 1),
+        (2, {"past_lag": 6}, None),  # all the way is clean
+        (2, {"steps": 12, "start": 12, "lag": 12}, 4),  # the same share of the way
+        (1, {"steps": 3, "start": 3, "lag": 3}, 1),
+        (2, {"lag": 3}, None),  # segments that overlap are told what there is
+        (2, {"network": "md", "start": None, "lag": None}, None),
+        (2, {"network": "pcm-1", "start": None, "lag": None}, None),
+    ],
+)
+def test_the_model_says_how_it_is_told_its_past_unless_asked(bundle, own, options, told):
+    config = dataclasses.replace(bundle.config, past_lag=own)
+    settings = check_stream(config, WALK, **{**ONE_BY_ONE, **options}).settings
+    assert settings.past_lag == told
+    assert settings.clean_left == (settings.one_by_one and told is None)
+
+
+@pytest.mark.parametrize(
+    ("prompts", "seconds", "starts", "counts"),
+    [
+        (BOTH, None, (0, 3), (6,)),
+        (BOTH, 7 * SEGMENT, (0, 4), (7,)),
+        (BOTH, SEGMENT, (0, 1), (2,)),
+        ((WALK, BOTH, BOW), None, (0, 4, 7, 10), (4, 6, 4)),
+        ((BOTH, BOW), (4 * SEGMENT, SEGMENT), (0, 2, 4), (4, 1)),
+        ((BOTH, BOTH), 0.1, (0, 1, 2, 3), (2, 2)),
+    ],
+)
+def test_stages_share_their_prompts_time(bundle, prompts, seconds, starts, counts):
+    request = check_stream(bundle.config, prompts, seconds)
+    assert (request.timeline.starts, request.counts) == (starts, counts)
+    assert request.timeline.end == sum(counts)
+    whole = check_stream(bundle.config, prompts, seconds, stages=False)
+    assert whole.timeline.prompts == ((prompts,) if isinstance(prompts, str) else prompts)
+
+
+UNKNOWN = (-1, -1)
+
+
+@pytest.mark.parametrize(
+    ("prompts", "options", "places"),
+    [
+        (WALK, {}, [UNKNOWN] * 3),
+        (WALK, {"seconds": 2 * SEGMENT}, [(0, 2), (1, 1), UNKNOWN]),
+        (WALK, {"seconds": 2 * SEGMENT, "loop": True}, [(0, 2), (1, 1), (0, 2)]),
+        (BOTH, {}, [(0, 3), (1, 2), (2, 1), UNKNOWN]),
+        ((WALK, BOW), {"seconds": [SEGMENT, 2 * SEGMENT]}, [(0, 1), (0, 2), (1, 1), UNKNOWN]),
+    ],
+)
+def test_a_segment_knows_its_place_where_the_prompt_has_an_end(bundle, prompts, options, places):
+    timeline = check_stream(bundle.config, prompts, **options).timeline
+    assert [timeline.place(k) for k in range(len(places))] == places
+    later = timeline.beginning(5)
+    if not timeline.loop:
+        assert [later.place(k + 5) for k in range(len(places))] == places
+        assert later.place(2) == UNKNOWN
+
+
+def test_even_shares_differ_by_one_at_most():
+    for count, length in itertools.product(range(1, 9), range(8, 20)):
+        bounds = share_evenly(5, 5 + length, count)
+        parts = [b - a for a, b in itertools.pairwise(bounds)]
+        assert (bounds[0], bounds[-1], len(parts)) == (5, 5 + length, count)
+        assert max(parts) - min(parts) <= 1 <= min(parts)
