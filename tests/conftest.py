@@ -5,9 +5,13 @@ import os
 import tarfile
 import tempfile
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 from hypothesis import settings
+
+if TYPE_CHECKING:
+    from tests.tiny_run import TinyRun
 
 # A test must not fail because the machine was busy.
 settings.register_profile("moveset", deadline=None)
@@ -96,3 +100,11 @@ def _unpacked(archives: dict[str, Path]) -> Path:
             if not cache.is_dir():
                 raise
     return cache
+
+
+@pytest.fixture(scope="session")
+def tiny_run(tmp_path_factory: pytest.TempPathFactory) -> "TinyRun":
+    """Trained and exported models of every kind; made once a process, and read only."""
+    from tests.tiny_run import TinyRun
+
+    return TinyRun.make(tmp_path_factory.mktemp("tiny-run"))

@@ -67,3 +67,15 @@ def shaken(motion: Motion, seed: int, degrees: float = 1.0, metres: float = 0.00
     shake = rotations.from_axis_angle(torch.nn.functional.normalize(angle, dim=-1), angle.norm(dim=-1)).float()
     root = motion.root + (metres * smooth_noise(frames, 3, seed + 1, 0.05, motion.fps)).float()
     return Motion(rotations.normalize(rotations.mul(motion.rotations, shake)), root, motion.fps, motion.skeleton)
+
+
+def slid(motion: Motion, factor: float) -> Motion:
+    """A walk along +Z that gets further than its feet carry it."""
+    return Motion(motion.rotations, motion.root * torch.tensor([1.0, 1.0, factor]), motion.fps, motion.skeleton)
+
+
+def sliding(motion: Motion, planted: torch.Tensor) -> float:
+    """Mean planar speed of toes of hml22 that are planted (F, 4) in both frames, m/s."""
+    speed = torch.diff(motion.joints.double()[:, [10, 11]], dim=0)[..., [0, 2]].norm(dim=-1) * motion.fps
+    down = planted[:, [1, 3]]
+    return speed[down[1:] & down[:-1]].mean().item()

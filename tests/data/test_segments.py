@@ -11,6 +11,7 @@ from moveset.data.dataset import CorpusDataset, open_for_training
 from moveset.data.feature_store import FeatureStore
 from moveset.data.humanml3d import KIT
 from moveset.data.segments import SEGMENT_FRAMES, ClipSet, CuttingConfig, Row, SegmentSet
+from moveset.data.synthetic import synthetic_corpus
 from moveset.data.text_augmentation import TextAugmentation
 from moveset.errors import InputError
 from moveset.models.dip_decoder import DipDecoderConfig
@@ -18,7 +19,6 @@ from moveset.motion.features import get_codec
 from moveset.training.dip import PieceSet
 from moveset.training.segment_data import forecast, spectrum
 from tests.training.hml_folder import write_folder
-from tests.training.segment_corpus import write_corpus
 
 N = 14
 PLAIN = CuttingConfig(whole_caption=0.0)
@@ -39,7 +39,7 @@ class Opened:
 @pytest.fixture(scope="module")
 def corpus(tmp_path_factory):
     folder = tmp_path_factory.mktemp("corpus")
-    return Opened(write_corpus(folder), "native", folder / "features")
+    return Opened(synthetic_corpus(folder / "corpus.safetensors", clips=24, seed=0), "native", folder / "features")
 
 
 @pytest.fixture(scope="module")

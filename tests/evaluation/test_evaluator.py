@@ -9,26 +9,24 @@ from moveset.data.humanml3d import parse_caption
 from moveset.errors import FormatError, InputError
 from moveset.evaluation.evaluator import Evaluator, EvaluatorCard
 from moveset.models.evaluator import EvaluatorConfig
-from tests.training.segment_corpus import Words as Encoder
+from moveset.text.encoder import get_text_encoder
+from moveset.text.words import TokenWords
 
 
 @pytest.fixture
-def evaluator(monkeypatch):
-    return make(monkeypatch)
+def evaluator():
+    return make()
 
 
-def make(monkeypatch, **sizes):
-    from moveset.evaluation import evaluator as module
-    from moveset.text.words import TokenWords
-
-    monkeypatch.setattr(module, "get_text_encoder", lambda name: Encoder())
+def make(**sizes):
+    words = TokenWords(get_text_encoder("minilm"))
     torch.manual_seed(0)
-    given = {"movement_width": 12, "movement_latent": 10, "word_width": 8, "speech_classes": 0, "text_hidden": 6,
-             "motion_hidden": 9, "joint": 5}  # fmt: skip
+    given = {"movement_width": 12, "movement_latent": 10, "word_width": words.width, "speech_classes": 0,
+             "text_hidden": 6, "motion_hidden": 9, "joint": 5}  # fmt: skip
     network = EvaluatorConfig(**given | sizes).build()
     network.mean.copy_(torch.randn(len(network.mean)))
     network.std.copy_(torch.rand(len(network.std)) + 0.5)
-    return Evaluator(EvaluatorCard(name="tiny"), network, TokenWords(Encoder()))
+    return Evaluator(EvaluatorCard(name="tiny"), network, words)
 
 
 def clips(*lengths):
@@ -115,11 +113,11 @@ def test_damaged_folders_are_refused(evaluator, tmp_path):
         Evaluator.open("nothing-here")
 
 
-def test_parts_must_fit(evaluator, monkeypatch):
+def test_parts_must_fit(evaluator):
     with pytest.raises(FormatError, match="features"):
         Evaluator(EvaluatorCard(name="x", codec="kit"), evaluator.module, evaluator.words)
     with pytest.raises(FormatError, match="words"):
-        make(monkeypatch, word_width=9)
+        make(word_width=9)
 
 
 def test_captions_of_a_text_file_are_read_by_their_sentence(evaluator):

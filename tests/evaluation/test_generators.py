@@ -11,7 +11,6 @@ from moveset.errors import FormatError, InputError
 from moveset.evaluation.generators import Generated, Given, Reconstruction, Wanted, check_made, resampled
 from moveset.evaluation.motion_files import folder_motions
 from moveset.evaluation.run import EvaluationConfig, open_source
-from moveset.evaluation.samples import open_test_set
 from moveset.motion.features import get_codec
 from moveset.pipelines.clip_generator import ClipGenerator, clip_method
 from moveset.pipelines.model_config import ClipConfig, StreamConfig
@@ -21,26 +20,20 @@ from moveset.pipelines.request import Request, check_method, check_request
 from moveset.pipelines.stream_generator import StreamGenerator, timeline
 from moveset.pipelines.stream_settings import check_stream
 from moveset.pipelines.text_to_motion import TextToMotion
-from tests.bundles import tiny_bundle
-from tests.evaluation.corpora import content_corpus, motion_folder
+from tests.evaluation.corpora import motion_folder
 from tests.streams import tiny_stream
 
 WALK, BOW = "a person walks forward", "a person bows"
 
 
 @pytest.fixture(scope="module")
-def bundle(tmp_path_factory):
-    return ModelFolder(tiny_bundle(tmp_path_factory.mktemp("bundles") / "tiny"), ClipConfig)
+def bundle(tiny):
+    return ModelFolder(tiny, ClipConfig)
 
 
 @pytest.fixture(scope="module")
 def streams(tmp_path_factory):
     return ModelFolder(tiny_stream(tmp_path_factory.mktemp("streams") / "tiny-stream"), StreamConfig)
-
-
-@pytest.fixture(scope="module")
-def items(tmp_path_factory):
-    return open_test_set(content_corpus(tmp_path_factory.mktemp("corpus") / "corpus.safetensors"), "test")
 
 
 def clips(bundle, solver="pcm", steps=None, **options):

@@ -16,23 +16,12 @@ from moveset.motion.features import get_codec
 from moveset.motion.measures import jerk, measure
 from moveset.pipelines.model_config import ClipConfig
 from moveset.pipelines.model_folder import ModelFolder
-from tests.bundles import tiny_bundle
-from tests.evaluation.corpora import content_corpus, motion_folder
+from tests.evaluation.corpora import motion_folder
 from tests.evaluation.judges import Oracle, Painter
 from tests.motions import wander
 from tests.training.hml_folder import write_folder
 
 QUICK = Protocol(repeats=2, multimodality=0)
-
-
-@pytest.fixture(scope="module")
-def items(tmp_path_factory):
-    return open_test_set(content_corpus(tmp_path_factory.mktemp("corpus") / "corpus.safetensors"), "test")
-
-
-@pytest.fixture(scope="module")
-def oracle(items):
-    return Oracle(items)
 
 
 def session(items, generator, evaluator, protocol=QUICK):
@@ -165,8 +154,8 @@ def test_jerk_at_seams_is_of_the_seams():
     assert before["jerk"] == pytest.approx(float(jerk(smooth, 20.0)))
 
 
-def test_reconstructions_have_joint_errors(items, oracle, tmp_path):
-    bundle = ModelFolder(tiny_bundle(tmp_path / "tiny"), ClipConfig)
+def test_reconstructions_have_joint_errors(items, oracle, tiny):
+    bundle = ModelFolder(tiny, ClipConfig)
     found = run_repeat(session(items, Reconstruction(bundle, device="cpu"), oracle), 0)["metrics"]
     assert 0 < found["mpjpe_aligned"] < found["mpjpe"] < 5
 

@@ -17,8 +17,6 @@ from moveset.evaluation.protocol import Protocol, Session, run_repeat
 from moveset.evaluation.results import Results, summary
 from moveset.evaluation.run import EvaluationConfig, evaluate, open_session
 from moveset.evaluation.samples import open_test_set
-from tests.bundles import tiny_bundle
-from tests.evaluation.corpora import content_corpus
 from tests.evaluation.judges import Oracle, Painter
 from tests.evaluators import tiny_evaluator
 
@@ -26,8 +24,8 @@ PROTOCOL = Protocol(repeats=4, multimodality=1, samples=10, group=8)
 
 
 @pytest.fixture(scope="module")
-def items(tmp_path_factory):
-    return open_test_set(content_corpus(tmp_path_factory.mktemp("corpus") / "corpus.safetensors"), "test").limited(24)
+def items(corpus):
+    return open_test_set(corpus, "test").limited(24)
 
 
 @pytest.fixture(scope="module")
@@ -234,11 +232,11 @@ def test_a_folder_that_cannot_be_written_to(items, oracle, tmp_path, out, monkey
 
 
 @pytest.fixture(scope="module")
-def config(tmp_path_factory):
+def config(tmp_path_factory, corpus, tiny):
     folder = tmp_path_factory.mktemp("config")
     return EvaluationConfig(
-        model=str(tiny_bundle(folder / "tiny")),
-        data=content_corpus(folder / "corpus.safetensors"),
+        model=str(tiny),
+        data=corpus,
         evaluator=str(tiny_evaluator(folder / "judge")),
         protocol=Protocol(repeats=3, multimodality=1, samples=10, group=8),
         items=24,

@@ -10,6 +10,7 @@ from moveset.diffusion.guidance import cfg
 from moveset.errors import InputError
 from moveset.models.condition import Condition, guided
 from moveset.models.latent_denoiser import LatentDenoiserConfig
+from moveset.models.registry import build_model, describe
 from moveset.models.timed_vae import TimedVAEConfig
 from moveset.models.token_denoiser import TokenDenoiserConfig
 from moveset.models.token_vae import TokenVAEConfig
@@ -199,6 +200,34 @@ class TestDenoiser:
                 assert torch.equal(guided(student, condition, w)(z, t), student(z, t, replace(condition, scale=scale)))
         with pytest.raises(InputError, match="empty"):
             guided(teacher, condition, 2.0)
+
+    def test_a_fresh_student_is_its_teacher_whatever_the_guidance(self, denoiser):
+        teacher, inputs = denoiser(False).eval(), self._inputs()
+        student, expected = teacher.student(), teacher(*inputs)
+        assert not student.training
+        guided_inputs = self._inputs(guidance=True)
+        assert torch.equal(student(*guided_inputs), expected)
+        student(*guided_inputs).square().mean().backward()
+        weights = [p for name, p in student.named_parameters() if name.endswith("guidance.weight")]
+        assert all(weight.grad.any() for weight in weights)  # it learns, though it starts at zero
+        with torch.no_grad():
+            for weight in weights:
+                weight.normal_()
+        assert not torch.allclose(student(*guided_inputs), expected)
+        assert torch.equal(teacher(*inputs), expected)  # a copy, not a view
+        if isinstance(teacher.config, LatentDenoiserConfig):
+            return
+        with pytest.raises(InputError, match="does not take"):
+            teacher(*guided_inputs)
+        with pytest.raises(InputError, match="needs"):
+            student(*inputs)
+
+    @pytest.mark.parametrize("guidance", [False, True])
+    def test_a_network_is_rebuilt_from_its_description(self, denoiser, guidance):
+        model = denoiser(guidance).eval()
+        twin = build_model(*describe(model.config)).eval()
+        twin.load_state_dict(model.state_dict())
+        assert torch.equal(twin(*self._inputs(guidance)), model(*self._inputs(guidance)))
 
     def test_taps_are_the_latent_tokens_and_change_nothing(self, denoiser):
         model, taps = denoiser(False).eval(), []

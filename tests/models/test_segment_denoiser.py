@@ -1,6 +1,5 @@
 """The published segment denoiser: its sizes, its cost, what it may look at, and linear attention by its formula."""
 
-import json
 import math
 from dataclasses import replace
 from functools import cache
@@ -9,9 +8,8 @@ import pytest
 import torch
 from torch.utils.flop_counter import FlopCounterMode
 
-from moveset.errors import FormatError, InputError
+from moveset.errors import InputError
 from moveset.models.condition import PastSegment
-from moveset.models.registry import build_model, describe
 from moveset.models.segment_denoiser import SegmentDenoiserConfig, linear_attention
 from tests.conditions import call, condition_of
 
@@ -106,7 +104,7 @@ def flops(config, frames, text_tokens=77):
     return counter.get_total_flops()
 
 
-DERIVED = {196: 9.93e9, 49: 2.84e9, 28: 1.82e9, 14: 1.15e9}
+DERIVED = {196: 9.93e9, 28: 1.82e9}
 
 
 @pytest.mark.parametrize("frames", DERIVED)
@@ -120,16 +118,11 @@ def test_operations_of_a_call_are_the_derived_ones(frames):
     assert counted == pytest.approx(DERIVED[frames], rel=5e-3)  # printed with three digits
 
 
-@pytest.mark.parametrize(("frames", "factor"), [(49, 1.25), (28, 1.23), (14, 1.20)])
-def test_reading_the_previous_segment_costs_a_quarter_more(frames, factor):
-    ratio = flops(replace(KIT, prev="xattn", max_index=1), frames) / flops(KIT, frames)
-    assert ratio == pytest.approx(factor, abs=0.015)
-
-
-def test_the_other_ways_to_read_it_cost_little_or_double():
-    plain = flops(KIT, 28)
-    assert 1.0 < flops(replace(KIT, prev="channel", max_index=1), 28) / plain < 1.02
-    assert 1.7 < flops(replace(KIT, prev="token", max_index=1), 28) / plain < 2.0
+@pytest.mark.parametrize(
+    ("prev", "least", "most"), [("xattn", 1.215, 1.245), ("channel", 1.0, 1.02), ("token", 1.7, 2.0)]
+)
+def test_reading_the_previous_segment_costs_a_quarter_more_or_little_or_double(prev, least, most):
+    assert least < flops(replace(KIT, prev=prev, max_index=1), 28) / flops(KIT, 28) < most
 
 
 @pytest.mark.parametrize("features", [263, 251])
@@ -169,63 +162,10 @@ def test_linear_attention_is_its_formula():
     assert torch.equal(nothing, torch.zeros_like(nothing))
 
 
-@pytest.mark.parametrize("config", EVERY)
-def test_shapes_taps_and_gradients_of_all_parameters(config, inputs):
-    model, taps = awake(config), []
-    out = call(model, *inputs, taps=taps)
-    assert out.shape == inputs[0].shape
-    assert [tuple(tap.shape) for tap in taps] == [(4, 8, 16)] * 2
-    torch.testing.assert_close(model.out(taps[-1]), out)
-    out.square().mean().backward()
-    # A key's bias moves all keys alike, and the softmax over them does not see it.
-    invisible = (".keys.bias",)
-    silent = [n for n, p in model.named_parameters() if p.grad is None or p.grad.abs().max() == 0]
-    assert [name for name in silent if not name.endswith(invisible)] == []
-
-
 def test_a_fresh_network_is_zero_and_its_layers_are_the_identity(inputs):
     model, taps = RECURRENT.build(), []
     assert call(model, *inputs, taps=taps).abs().max() == 0
     assert torch.equal(taps[0], taps[1])
-
-
-@pytest.mark.parametrize("config", EVERY)
-def test_padded_frames_do_not_matter(config, inputs):
-    x, t, prev, *rest = inputs
-    model = awake(config)
-    mask = torch.arange(8) < torch.tensor([8, 5, 1, 6])[:, None]
-    expected = call(model, x, t, prev, *rest, mask_Bn=mask)
-    torn = call(model, x.masked_fill(~mask[..., None], float("nan")), t, prev, *rest, mask_Bn=mask)
-    torch.testing.assert_close(torn[mask], expected[mask])
-    # A clip of five frames is the same alone, without any padding ("channel" pairs frames, so prev is cut there).
-    row = [part[1:2] for part in (x[:, :5], t, prev[:, :5] if config.prev == "channel" else prev, *rest)]
-    torch.testing.assert_close(call(model, *row), expected[1:2, :5])
-    torch.testing.assert_close(
-        call(model, x, t, prev, *rest, mask_Bn=torch.ones_like(mask)), call(model, x, t, prev, *rest)
-    )
-
-
-@pytest.mark.parametrize("config", [TINY, RECURRENT, replace(RECURRENT, attention="softmax")])
-def test_padded_text_does_not_matter(config, inputs):
-    *start, tokens, mask = inputs
-    model = awake(config)
-    mask[3] = False  # a prompt without any token
-    expected = call(model, *start, tokens, mask)
-    assert torch.isfinite(expected).all()
-    torch.testing.assert_close(call(model, *start, tokens.masked_fill(~mask[..., None], float("nan")), mask), expected)
-    row = [part[1:2] for part in (*start, tokens[:, :4], mask[:, :4])]
-    torch.testing.assert_close(call(model, *row), expected[1:2])
-    # ... and the text does.
-    assert not torch.allclose(call(model, *start, tokens.roll(1, 0), mask)[0], expected[0], atol=1e-4)
-
-
-def test_padded_text_is_read_on_demand(inputs):
-    *start, tokens, mask = inputs
-    model = awake(replace(TINY, read_padding=True))
-    expected = call(model, *start, tokens, mask)
-    moved = call(model, *start, tokens + 1.0 * ~mask[..., None], mask)
-    assert torch.allclose(moved[0], expected[0])  # this prompt has no padding
-    assert not torch.allclose(moved[1], expected[1], atol=1e-4)
 
 
 def test_the_summary_is_the_last_real_token(inputs):
@@ -274,34 +214,6 @@ def test_segment_numbers_saturate(inputs):
     )
 
 
-def test_time_matters(inputs):
-    x, t, *rest = inputs
-    model = awake(TINY)
-    assert not torch.allclose(call(model, x, t + 100, *rest), call(model, x, t, *rest), atol=1e-4)
-
-
-def test_text_read_once_serves_many_calls(inputs):
-    *start, tokens, mask = inputs
-    model = awake(RECURRENT)
-    assert torch.equal(call(model, *start, tokens, mask, prepare=True), call(model, *inputs))
-
-
-def test_a_fresh_student_is_its_teacher_for_every_guidance(inputs):
-    teacher = awake(RECURRENT)
-    student = teacher.student()
-    assert not student.training
-    for w in (0.0, 7.5):
-        assert torch.equal(call(student, *inputs, torch.full((4,), w)), call(teacher, *inputs))
-    torch.nn.init.normal_(student.time.guidance.weight)
-    assert not torch.allclose(
-        call(student, *inputs, torch.full((4,), 1.0)), call(student, *inputs, torch.full((4,), 2.0))
-    )
-    with pytest.raises(InputError, match="does not take"):
-        call(teacher, *inputs, torch.ones(4))
-    with pytest.raises(InputError, match="needs"):
-        call(student, *inputs)
-
-
 def test_lengths_that_do_not_fit_are_one_sentence(inputs):
     x, t, prev, *rest = inputs
     model = RECURRENT.build()
@@ -311,38 +223,3 @@ def test_lengths_that_do_not_fit_are_one_sentence(inputs):
         call(model, x, t, torch.cat((prev, prev), dim=1), *rest)
     with pytest.raises(InputError, match="pairs frames"):
         call(WAYS[1].build(), x, t, prev[:, :7], *rest)
-
-
-@pytest.mark.parametrize("config", EVERY)
-def test_rebuilt_from_its_description(config, inputs):
-    model = awake(config)
-    kind, stored = describe(config)
-    twin = build_model(kind, json.loads(json.dumps(stored))).eval()
-    assert (kind, twin.config) == ("segment_denoiser", config)
-    twin.load_state_dict(model.state_dict())
-    assert torch.equal(call(twin, *inputs), call(model, *inputs))
-
-
-@pytest.mark.parametrize(
-    "wrong",
-    [
-        {"features": 0},
-        {"width": 15},
-        {"heads": 3},
-        {"text_heads": 5},
-        {"layers": 65},
-        {"dropout": 1.0},
-        {"prev": "concat"},
-        {"attention": "flash"},
-        {"prev": "xattn", "max_index": 0},
-        {"boundary": 1},
-        {"boundary": 99, "prev": "xattn", "max_index": 1},
-        {"max_index": -1},
-    ],
-    ids=str,
-)
-def test_bad_settings_are_one_sentence(wrong):
-    with pytest.raises(InputError):
-        replace(TINY, **wrong)
-    with pytest.raises(FormatError):
-        build_model("segment_denoiser", describe(TINY)[1] | wrong)

@@ -7,8 +7,6 @@ import torch
 
 from moveset.diffusion.coloured import colour, dct_matrix
 from moveset.diffusion.schedule import linear
-from moveset.errors import FormatError
-from moveset.models.registry import build_model, describe
 from moveset.models.segment_transformer import SegmentTransformerConfig
 from tests.conditions import call
 
@@ -112,38 +110,6 @@ def test_the_level_of_the_previous_segment_is_read(model, inputs):
     assert float(gap(call(model, **inputs), after)[1:].min()) > 1e-3
 
 
-def test_preparing_changes_nothing(model, inputs):
-    assert torch.equal(call(model, **inputs, prepare=True), call(model, **inputs))
-
-
-def test_padding_of_the_text_does_not_matter(model, inputs):
-    before = call(model, **inputs)
-    tokens, mask = inputs["tokens_BLC"], inputs["mask_BL"]
-    wild = torch.where(mask[..., None], tokens, 50.0)
-    torch.testing.assert_close(call(model, **{**inputs, "tokens_BLC": wild}), before, rtol=1e-5, atol=1e-5)
-    one = {name: value[1:2] for name, value in inputs.items()}
-    alone = call(model, **{**one, "tokens_BLC": tokens[1:2, :3], "mask_BL": mask[1:2, :3]})
-    torch.testing.assert_close(alone, before[1:2], rtol=1e-4, atol=1e-5)
-
-
-def test_frames_beyond_the_end_do_not_matter(model, inputs):
-    valid = torch.arange(6) < torch.tensor([6, 4, 2, 1])[:, None]
-    before = call(model, **inputs, mask_Bn=valid)
-    wild = torch.where(valid[..., None], inputs["x_BnD"], 50.0)
-    after = call(model, **{**inputs, "x_BnD": wild}, mask_Bn=valid)
-    torch.testing.assert_close(after[valid], before[valid], rtol=1e-5, atol=1e-5)
-    assert float(gap(call(model, **inputs), before)[1:].min()) > 1e-3
-    full = torch.ones_like(valid)
-    torch.testing.assert_close(call(model, **inputs, mask_Bn=full), call(model, **inputs), rtol=1e-6, atol=1e-6)
-
-
-def test_rows_do_not_know_of_each_other(model, inputs):
-    whole = call(model, **inputs)
-    for row in range(ROWS):
-        alone = call(model, **{name: value[row : row + 1] for name, value in inputs.items()})
-        torch.testing.assert_close(alone, whole[row : row + 1], rtol=1e-4, atol=1e-5)
-
-
 def test_the_index_saturates(inputs):
     for largest in (1, 3):
         model = awake(replace(CONFIG, max_index=largest))
@@ -153,26 +119,6 @@ def test_the_index_saturates(inputs):
             moved = gap(call(model, **{**inputs, "index_B": index}), call(model, **{**inputs, "index_B": beyond}))
             assert float(moved[0]) == 0
             assert (float(moved[1:].max()) < 1e-6) == same
-
-
-def test_a_fresh_student_is_its_teacher_whatever_the_guidance(model, inputs):
-    student = model.student()
-    assert student.config == replace(CONFIG, guided=True)
-    for w in (-1.0, 0.0, 2.5, 15.0):
-        assert torch.equal(call(student, **inputs, w_B=torch.full((ROWS,), w)), call(model, **inputs))
-    with torch.no_grad():
-        student.guidance.weight.normal_()
-    low, high = (call(student, **inputs, w_B=torch.full((ROWS,), w)) for w in (0.0, 2.0))
-    assert float(gap(low, high).min()) > 1e-3
-    assert student.position.data_ptr() != model.position.data_ptr()
-
-
-def test_gradients_reach_every_parameter(inputs):
-    student = awake(replace(CONFIG, guided=True)).train()
-    made = call(student, **inputs, w_B=torch.arange(4.0), mask_Bn=torch.ones(ROWS, 6, dtype=torch.bool))
-    made.square().mean().backward()
-    silent = [name for name, p in student.named_parameters() if p.grad is None or not p.grad.any()]
-    assert silent == []
 
 
 def test_a_fresh_network_says_the_mean(inputs):
@@ -195,14 +141,6 @@ def test_a_forecast_goes_on_from_what_is_clean(inputs):
         torch.testing.assert_close(made[row], share * line[row], rtol=1e-4, atol=1e-5)
 
 
-def test_the_discriminator_sees_every_block(model, inputs):
-    taps = []
-    made = call(model, **inputs, taps=taps)
-    assert torch.equal(made, call(model, **inputs))
-    assert [tap.shape for tap in taps] == [(ROWS, 6, 16)] * 2
-    assert not torch.equal(*taps)
-
-
 def test_noise_has_the_spectrum_that_the_network_keeps(model):
     noise = torch.randn(3, 6, 5, generator=torch.Generator().manual_seed(2))
     # Flat at first: another standard normal noise, turned within the frames.
@@ -214,15 +152,6 @@ def test_noise_has_the_spectrum_that_the_network_keeps(model):
     again.load_state_dict(dyed.state_dict())
     assert torch.equal(again.spectrum, dyed.spectrum)
     assert torch.equal(dyed.student().spectrum, dyed.spectrum)
-
-
-def test_a_description_builds_the_same_network(model):
-    kind, stored = describe(model.config)
-    assert kind == "segment_transformer"
-    assert build_model(kind, stored).config == CONFIG
-    for wrong in ({"heads": 3}, {"frames": 1}, {"blocks": 0}, {"features": 0}):
-        with pytest.raises(FormatError):
-            build_model(kind, {**stored, **wrong})
 
 
 def damping(frames=28, **settings):

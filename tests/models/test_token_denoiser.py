@@ -5,7 +5,6 @@ import torch
 
 from moveset.errors import InputError
 from moveset.models.discriminator import DiscriminatorConfig, LatentDiscriminator
-from moveset.models.registry import build_model, describe
 from moveset.models.token_denoiser import TokenDenoiserConfig
 from moveset.recipes import paper
 from tests.conditions import condition_of
@@ -42,33 +41,6 @@ def test_published_shapes(text_tokens):
     torch.testing.assert_close(model.latent_out(model.stack.norm(taps[-1])), eps)
 
 
-def test_a_fresh_student_is_its_teacher_for_every_guidance(inputs):
-    teacher = TINY.build().eval()
-    student = teacher.student()
-    assert not student.training
-    expected = teacher(*inputs)
-    for w in (0.0, 5.0, 15.0, 1e4):
-        assert torch.equal(student(*scaled(inputs, w)), expected)
-    # ... and not by deafness: once the projection is not zero, guidance speaks.
-    torch.nn.init.normal_(student.time.guidance.weight)
-    assert not torch.allclose(student(*scaled(inputs, 5.0)), student(*scaled(inputs, 6.0)))
-    assert torch.equal(teacher(*inputs), expected)  # a copy, not a view
-
-
-def test_a_student_learns_its_guidance_projection_though_it_starts_at_zero(inputs):
-    student = TINY.build().student().train()
-    student(*scaled(inputs, [5.0, 9.0, 14.0])).square().mean().backward()
-    assert student.time.guidance.weight.grad.abs().max() > 0
-
-
-def test_a_teacher_takes_no_guidance_and_a_student_needs_it(inputs):
-    teacher = TINY.build()
-    with pytest.raises(InputError, match="does not take"):
-        teacher(*scaled(inputs, 1.0))
-    with pytest.raises(InputError, match="needs"):
-        teacher.student()(*inputs)
-
-
 def test_time_and_text_matter(inputs):
     z, t, condition = inputs
     model = TINY.build().eval()
@@ -78,27 +50,9 @@ def test_time_and_text_matter(inputs):
     assert not torch.allclose(model(z, t, other), base, atol=1e-6)
 
 
-def test_padding_may_be_nan_and_a_prompt_empty(inputs):
-    z, t, condition = inputs
-    tokens, mask = condition.text.tokens, condition.text.mask
-    model = TINY.build().eval()
-    mask[2] = False
-    expected = model(z, t, condition)
-    assert torch.isfinite(expected).all()
-    padded = condition_of(tokens.masked_fill(~mask[..., None], float("nan")), mask)
-    assert torch.equal(model(z, t, padded), expected)
-
-
 def test_too_much_text_is_one_sentence():
     with pytest.raises(InputError, match="positions"):
         TINY.build()(torch.zeros(1, 5, 4), torch.tensor([1]), condition_of(torch.zeros(1, 25, 6)))
-
-
-def test_rebuilt_from_its_description(inputs):
-    model = TINY.build().eval()
-    twin = build_model(*describe(TINY)).eval()
-    twin.load_state_dict(model.state_dict())
-    assert torch.equal(twin(*inputs), model(*inputs))
 
 
 def test_it_serves_as_the_discriminator_s_backbone(inputs):

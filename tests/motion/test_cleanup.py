@@ -11,7 +11,7 @@ from moveset.motion.clip import Motion
 from moveset.motion.contacts import stances
 from moveset.motion.skeleton import HML22, Skeleton
 from moveset.motion.smoothing import decay, settle
-from tests.motions import gait, shaken, smooth_noise, wander
+from tests.motions import gait, shaken, slid, sliding, smooth_noise, wander
 from tests.takes import motion_of
 
 LEGS = [1, 2, 4, 5]
@@ -19,21 +19,8 @@ ANKLES = [7, 8]
 BELOW_HIPS = [4, 5, 7, 8, 10, 11]
 
 
-def sliding(motion: Motion, planted: torch.Tensor) -> float:
-    """Mean planar speed of toes that are planted in both frames, m/s."""
-    toes = motion.joints.double()[:, [10, 11]]
-    speed = torch.diff(toes, dim=0)[..., [0, 2]].norm(dim=-1) * motion.fps
-    down = planted[:, [1, 3]]
-    return speed[down[1:] & down[:-1]].mean().item()
-
-
 def leg_jerk(motion: Motion) -> torch.Tensor:
     return torch.diff(motion.joints.double()[:, BELOW_HIPS], n=3, dim=0).norm(dim=-1) * motion.fps**3
-
-
-def slid(motion: Motion, factor: float) -> Motion:
-    """The walk gets further than its feet carry it."""
-    return Motion(motion.rotations, motion.root * torch.tensor([1.0, 1.0, factor]), motion.fps, motion.skeleton)
 
 
 def test_a_clean_walk_stays_as_it_is():

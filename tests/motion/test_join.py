@@ -165,7 +165,7 @@ def twice(loop: Motion) -> Motion:
     return Motion(torch.cat((loop.rotations, again.rotations)), torch.cat((loop.root, again.root)), loop.fps)
 
 
-@pytest.mark.parametrize("motion", [wander(60, 60), wander(60, 61, turn=0.8), gait(55), wander(5, 62)], ids=str)
+@pytest.mark.parametrize("motion", [wander(60, 60), wander(60, 61, turn=0.8), gait(55), wander(5, 62)], ids=range(4))
 def test_a_loop_ends_in_the_pose_it_starts_with(motion):
     loop = make_loop(motion)
     assert len(loop) == len(motion)

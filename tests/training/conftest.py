@@ -1,22 +1,13 @@
-"""What tests of recurrent models share, made once in each file: a folder with a corpus, and RDM-7 in it."""
+"""What tests of recurrent models share."""
+
+import shutil
 
 import pytest
 
-from tests.training.recurrent import trained
-from tests.training.segment_corpus import use_words, write_corpus
 
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    """A folder with a corpus, in whose trainings words stand for sentences."""
-    with pytest.MonkeyPatch.context() as patch:
-        use_words(patch)
-        made = tmp_path_factory.mktemp("runs")
-        write_corpus(made)
-        yield made
-
-
-@pytest.fixture(scope="module")
-def rdm7(folder):
-    """RDM-7 where students look for their teacher, and the result of its training."""
-    return trained(folder, "rdm-7", folder / "rdm-7", steps=4, validate_every=4)
+@pytest.fixture(scope="session")
+def rdm7(tiny_run, tmp_path_factory):
+    """RDM-7 as it is after its training: the task and the result."""
+    copied = tmp_path_factory.mktemp("rdm-7") / "run"
+    shutil.copytree(tiny_run.runs / "rdm-7", copied)
+    return tiny_run.train("rdm-7", copied, steps=4, resume=True)

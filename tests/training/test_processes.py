@@ -8,9 +8,8 @@ import pytest
 import torch
 
 from moveset.training import checkpoint
-from moveset.training.engine import run
 from tests.training.tiny_task import train
-from tests.training.two_processes import Regression, config
+from tests.training.two_processes import Regression
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 pytestmark = pytest.mark.timeout(600)  # two processes that wait for each other are slow on a busy machine
@@ -38,15 +37,19 @@ def test_both_processes_hold_equal_parameters(both):
 
 
 def test_two_half_batches_learn_what_one_whole_batch_learns(both, tmp_path):
-    made = []
+    alone = Regression.trained(tmp_path, 20)
+    for one, together in zip(alone.net.parameters(), both[1][0]["regression"], strict=True):
+        torch.testing.assert_close(one.detach().flatten(), torch.tensor(together), rtol=1e-5, atol=1e-6)
 
-    def make(loop):
-        made.append(Regression(loop))
-        return made[0]
 
-    run(make, config(20), tmp_path)
-    for alone, together in zip(made[0].net.parameters(), both[1][0]["regression"], strict=True):
-        torch.testing.assert_close(alone.detach().flatten(), torch.tensor(together), rtol=1e-5, atol=1e-6)
+def test_replicas_of_momo_stay_equal_although_their_losses_differ(both, tmp_path):
+    one, other = both[1]
+    assert one["losses"] != other["losses"]
+    assert one["momo"] == other["momo"]
+    assert one["state"] == other["state"]
+    alone = Regression.trained(tmp_path, 12, momo=True)
+    parameters = torch.nn.utils.parameters_to_vector(alone.net.parameters()).tolist()
+    assert parameters == pytest.approx(one["momo"], rel=1e-3, abs=1e-4)
 
 
 def test_processes_draw_different_noise(both):

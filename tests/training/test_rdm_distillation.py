@@ -11,43 +11,48 @@ from moveset.training import adversarial, bound_segments, rdm_distillation
 from moveset.training.bound_segments import BoundSegments
 from moveset.training.rdm_distillation import RDMStudentConfig
 from moveset.training.trained import load_trained
-from tests.training.recurrent import tensors, trained
 
 
-def test_a_students_discriminator_may_be_shown_the_text_of_others(folder, rdm7, tmp_path, monkeypatch):
+def tensors(task):
+    return {
+        f"{name}.{key}": value.clone()
+        for name, module in {**task.modules(), **task.averages()}.items()
+        for key, value in module.state_dict().items()
+    }
+
+
+def test_a_students_discriminator_may_be_shown_the_text_of_others(tiny_run, tmp_path, monkeypatch):
     asked, hinge = [], adversarial.hinge_discriminator
     monkeypatch.setattr(adversarial, "hinge_discriminator", lambda *given: asked.append(given) or hinge(*given))
     settings = ("mismatched_text=0.5", "inference_points=1.0", "discriminator_max_noise=0.0")
-    trained(folder, "rdm-student", tmp_path / "run", *settings)
+    tiny_run.train("rdm-student", tmp_path / "run", *settings)
     log = [json.loads(line) for line in (tmp_path / "run" / "metrics.jsonl").read_text().splitlines()]
     assert all("mismatched_logit" in line for line in log)
     for real, _, mismatched, share in asked:
         assert share == 0.5
         assert real.shape == mismatched.shape
         assert not torch.equal(real, mismatched)
-    trained(folder, "rdm-student", tmp_path / "plain")
+    tiny_run.train("rdm-student", tmp_path / "plain")
     assert all(mismatched is None for _, _, mismatched, _ in asked[3:])
-    with pytest.raises(InputError, match="mismatched text = 2"):
-        RDMStudentConfig(mismatched_text=2.0)
 
 
 @pytest.mark.parametrize("phases", [1, 2])
-def test_a_student_that_is_told_its_own_past_resumes_exactly(phases, folder, rdm7, tmp_path):
+def test_a_student_that_is_told_its_own_past_resumes_exactly(phases, tiny_run, tmp_path):
     settings = ("rollout_share=0.5", "inference_points=0.5", f"phases={phases}")
-    whole, _ = trained(folder, "rdm-student", tmp_path / "whole", *settings, steps=6, save_every=3)
-    shutil.copytree(tmp_path / "whole" / "step_3", tmp_path / "half" / "step_3")
-    half, _ = trained(folder, "rdm-student", tmp_path / "half", *settings, steps=6, resume=True)
+    whole, _ = tiny_run.train("rdm-student", tmp_path / "whole", *settings, steps=4, save_every=2)
+    shutil.copytree(tmp_path / "whole" / "step_2", tmp_path / "half" / "step_2")
+    half, _ = tiny_run.train("rdm-student", tmp_path / "half", *settings, steps=4, resume=True)
     one, other = tensors(whole), tensors(half)
     assert all(torch.equal(one[name], other[name]) for name in one)
     assert all(torch.equal(whole.state()[name], half.state()[name]) for name in ("previous", "landed", "phase"))
 
 
-def test_streams_are_judged_without_their_past(folder, rdm7, tmp_path, monkeypatch):
+def test_streams_are_judged_without_their_past(tiny_run, tmp_path, monkeypatch):
     judged, features = [], BoundSegments.features
     monkeypatch.setattr(
         BoundSegments, "features", lambda self, *given: judged.append(self.batch.index) or features(self, *given)
     )
-    task, _ = trained(folder, "rdm-student", tmp_path / "run", "rollout_share=0.5", "cutting.first_share=0", steps=4)
+    task, _ = tiny_run.train("rdm-student", tmp_path / "run", "rollout_share=0.5", "cutting.first_share=0", steps=4)
     assert len(judged) == 2 * 4  # what was made, and takes
     assert all((index[task.own.rows] == 0).all() for index in judged)
     takes = [row for row in range(task.config.batch) if row not in task.own.rows.tolist()]
@@ -55,11 +60,10 @@ def test_streams_are_judged_without_their_past(folder, rdm7, tmp_path, monkeypat
     assert (task.own.state()["index"] > 0).all()
 
 
-def test_a_teacher_may_be_told_a_noisy_past(folder, rdm7, tmp_path, monkeypatch):
+def test_a_teacher_may_be_told_a_noisy_past(tiny_run, tmp_path, monkeypatch):
     told, tell = [], BoundSegments._past_at
     monkeypatch.setattr(BoundSegments, "_past_at", lambda *given: told.append((given, tell(*given))) or told[-1][1])
-    trained(
-        folder,
+    tiny_run.train(
         "rdm-student",
         tmp_path / "run",
         "context_noise=true",
@@ -76,15 +80,15 @@ def test_a_teacher_may_be_told_a_noisy_past(folder, rdm7, tmp_path, monkeypatch)
         torch.testing.assert_close(clean, bound.batch.previous, atol=1e-4, rtol=0)
         assert not level_B.any()
     told.clear()
-    trained(folder, "rdm-student", tmp_path / "plain")
+    tiny_run.train("rdm-student", tmp_path / "plain")
     assert all(previous is given[0].batch.previous and not level_B.any() for given, (previous, level_B) in told)
 
 
-def test_a_teacher_may_be_told_a_noisy_past_of_streams_alone(folder, rdm7, tmp_path, monkeypatch):
+def test_a_teacher_may_be_told_a_noisy_past_of_streams_alone(tiny_run, tmp_path, monkeypatch):
     told, tell = [], BoundSegments._past_at
     monkeypatch.setattr(BoundSegments, "_past_at", lambda *given: told.append((given, tell(*given))) or told[-1][1])
     settings = ("context_noise_rollout=true", "trajectory_rows=3", "rollout_share=0.5", "cutting.first_share=0")
-    task, _ = trained(folder, "rdm-student", tmp_path / "run", *settings)
+    task, _ = tiny_run.train("rdm-student", tmp_path / "run", *settings)
     streams = set(task.own.rows.tolist())
     assert {len(given[0].batch.index) for given, _ in told} == {task.config.batch, 3}
     for (bound, t_B), (previous, level_B) in told:
@@ -97,10 +101,10 @@ def test_a_teacher_may_be_told_a_noisy_past_of_streams_alone(folder, rdm7, tmp_p
 
 
 @pytest.mark.parametrize("settings", [("context_noise=true",), ("context_noise_rollout=true", "rollout_share=0.5")])
-def test_a_noisy_past_can_be_validated_whatever_the_batch(settings, folder, rdm7, tmp_path, monkeypatch):
+def test_a_noisy_past_can_be_validated_whatever_the_batch(settings, tiny_run, tmp_path, monkeypatch):
     told, init = [], BoundSegments.__init__
     monkeypatch.setattr(BoundSegments, "__init__", lambda *given: told.append(given) or init(*given))
-    _, result = trained(folder, "rdm-student", tmp_path / "run", *settings, steps=1, validate_every=1)
+    _, result = tiny_run.train("rdm-student", tmp_path / "run", *settings, steps=1, validate_every=1)
     assert result.validation["student_gap"] > 0
     past = told[-1][-1]
     assert len(told[-1][1].index) == 64
@@ -110,7 +114,7 @@ def test_a_noisy_past_can_be_validated_whatever_the_batch(settings, folder, rdm7
         assert past is None
 
 
-def test_in_lower_phases_the_past_has_the_noise_that_the_segment_began_with(folder, rdm7, tmp_path, monkeypatch):
+def test_in_lower_phases_the_past_has_the_noise_that_the_segment_began_with(tiny_run, tmp_path, monkeypatch):
     whites, noise_of = [], rdm_distillation.RDMStudentTask._past_noise
     monkeypatch.setattr(
         rdm_distillation.RDMStudentTask,
@@ -118,7 +122,7 @@ def test_in_lower_phases_the_past_has_the_noise_that_the_segment_began_with(fold
         lambda task, white, noisy: (whites.append(white) if noisy else None) or noise_of(task, white, noisy),
     )
     settings = ("context_noise_rollout=true", "rollout_share=0.5", "phases=2")
-    task, _ = trained(folder, "rdm-student", tmp_path / "run", *settings, steps=4)
+    task, _ = tiny_run.train("rdm-student", tmp_path / "run", *settings, steps=4)
     assert len(whites) == 4
     streams = task.own.rows.tolist()
     for row in range(task.config.batch):
@@ -127,12 +131,7 @@ def test_in_lower_phases_the_past_has_the_noise_that_the_segment_began_with(fold
         assert again == ([] if row not in streams else [1, 3] if streams.index(row) % 2 == 0 else [2])
 
 
-def test_a_noisy_past_of_streams_asks_for_streams(folder, rdm7, tmp_path):
-    with pytest.raises(InputError, match="set rollout_share too"):
-        trained(folder, "rdm-student", tmp_path / "run", "context_noise_rollout=true")
-
-
-def test_lower_phases_meet_what_the_student_landed_at(folder, rdm7, tmp_path, monkeypatch):
+def test_lower_phases_meet_what_the_student_landed_at(tiny_run, tmp_path, monkeypatch):
     met, target = [], rdm_distillation.clean_target
     monkeypatch.setattr(
         rdm_distillation, "clean_target", lambda *given: met.append((given[-1], given[-2])) or target(*given)
@@ -140,7 +139,7 @@ def test_lower_phases_meet_what_the_student_landed_at(folder, rdm7, tmp_path, mo
     landed, land = [], BoundSegments.land
     monkeypatch.setattr(BoundSegments, "land", lambda *given: landed.append(land(*given)) or landed[-1])
     settings = ("rollout_share=0.5", "phases=2", "trajectory_rows=99")
-    task, _ = trained(folder, "rdm-student", tmp_path / "run", *settings, steps=4)
+    task, _ = tiny_run.train("rdm-student", tmp_path / "run", *settings, steps=4)
     first, second = task.own.rows.tolist()
     assert [point_B[[first, second]].tolist() for point_B, _ in met] == [[9, 4], [4, 9]] * 2
     for step, (goes_on, begins) in zip((1, 2, 3), ((first, second), (second, first)) * 2, strict=False):
@@ -148,9 +147,9 @@ def test_lower_phases_meet_what_the_student_landed_at(folder, rdm7, tmp_path, mo
         assert not torch.equal(met[step][1][begins], landed[step - 1][begins])
 
 
-def test_a_student_and_its_streams_wait_while_the_discriminator_learns_alone(folder, rdm7, tmp_path, monkeypatch):
+def test_a_student_and_its_streams_wait_while_the_discriminator_learns_alone(tiny_run, tmp_path, monkeypatch):
     """The student waits; its streams go on, so that what they settle into is what the discriminator meets."""
-    trained(folder, "rdm-student", tmp_path / "first", "rollout_share=0.5", steps=1)
+    tiny_run.train("rdm-student", tmp_path / "first", "rollout_share=0.5", steps=1)
     settings = ("rollout_share=0.5", "discriminator_warmup=2", "adversarial=0.1", "cutting.first_share=0")
     start = tmp_path / "first" / "step_1"
     kept, averaged, judges, past = [], [], [], []
@@ -164,7 +163,7 @@ def test_a_student_and_its_streams_wait_while_the_discriminator_learns_alone(fol
         go_on(task, *given)
 
     monkeypatch.setattr(rdm_distillation.RDMStudentTask, "_go_on", watched)
-    trained(folder, "rdm-student", tmp_path / "run", *settings, steps=5, init=start)
+    tiny_run.train("rdm-student", tmp_path / "run", *settings, steps=5, init=start)
     for held in (kept, averaged):
         same = [all(torch.equal(held[0][name], later[name]) for name in held[0]) for later in held]
         assert same == [True, True, True, False, False]  # the third step is the first that moves them
@@ -172,30 +171,18 @@ def test_a_student_and_its_streams_wait_while_the_discriminator_learns_alone(fol
     assert not torch.equal(past[0], past[1])
 
 
-@pytest.mark.parametrize("wrong", [{"discriminator_warmup": -1}, {"discriminator_warmup": 5, "adversarial": 0.0}])
-def test_a_streams_discriminator_alone_must_exist(wrong):
-    with pytest.raises(InputError, match="discriminator_warmup"):
-        RDMStudentConfig(**wrong)
-
-
-@pytest.mark.parametrize("wrong", [1.5, -0.1])
-def test_a_share_of_own_pasts_is_a_share(wrong):
-    with pytest.raises(InputError, match="rollout_share"):
-        RDMStudentConfig(rollout_share=wrong)
-
-
-def test_places_are_learned_later_by_teacher_and_student(folder, rdm7, tmp_path, monkeypatch):
+def test_places_are_learned_later_by_teacher_and_student(tiny_run, tmp_path, monkeypatch):
     """From a teacher that was trained without, whose every other weight is taken."""
-    before = rdm7[1].checkpoint
-    teacher, _ = trained(
-        folder,
+    before = tiny_run.runs / "rdm-7"
+    teacher, _ = tiny_run.train(
         "rdm-7",
         tmp_path / "teacher",
         "timing=0.5",
         "heading_change=0.5",
         "heading_noise=0.3",
+        "batch=16",
         init=before,
-        steps=1,
+        steps=2,
     )
     assert teacher.denoiser.config.timing
     assert teacher.denoiser.config.heading_change
@@ -203,26 +190,23 @@ def test_places_are_learned_later_by_teacher_and_student(folder, rdm7, tmp_path,
     assert bool(teacher.denoiser.course.weight.any())
     for name in ("timing", "heading_change"):
         with pytest.raises(InputError, match=f"a teacher that was trained with {name}"):
-            trained(folder, "rdm-student", tmp_path / "refused", f"{name}=0.5")
+            tiny_run.train("rdm-student", tmp_path / "refused", f"{name}=0.5")
 
-    (copied := tmp_path / "folder").mkdir()
-    shutil.copytree(tmp_path / "teacher", copied / "rdm-7")
+    sources = {"teacher": tmp_path / "teacher"}
     told, bind = [], bound_segments.guided
     monkeypatch.setattr(
         bound_segments,
         "guided",
         lambda network, condition, *more: told.append((network, condition.past)) or bind(network, condition, *more),
     )
-    corpus = folder / "corpus.safetensors"
-    task, result = trained(
-        copied,
+    task, result = tiny_run.train(
         "rdm-student",
         tmp_path / "student",
         "timing=0.6",
         "heading_change=0.6",
         "heading_noise=0.3",
         "rollout_share=0.5",
-        corpus=corpus,
+        sources=sources,
         steps=4,
     )
     assert bool(task.student.place.weight.any())
@@ -235,14 +219,28 @@ def test_places_are_learned_later_by_teacher_and_student(folder, rdm7, tmp_path,
     for known in ((torch.cat(places) >= 0).all(dim=1), ~torch.cat(turns).isnan()):
         assert 0.1 < float(known.float().mean()) < 0.9
     told.clear()
-    unplaced, _ = trained(copied, "rdm-student", tmp_path / "unplaced", "rollout_share=0.5", corpus=corpus, steps=2)
+    unplaced, _ = tiny_run.train("rdm-student", tmp_path / "unplaced", "rollout_share=0.5", sources=sources, steps=2)
     assert told
     assert all((past.timing < 0).all() and past.heading_change.isnan().all() for _, past in told)
     assert (unplaced.own.state()["place"] < 0).all()
     assert unplaced.own.state()["turned"].isnan().all()
 
 
-def test_a_network_that_cannot_read_places_is_refused(folder, rdm7, tmp_path):
-    for name in ("timing", "heading_change"):
-        with pytest.raises(InputError, match=f"{name} is for the segment transformer"):
-            trained(folder, "light-rdm-1", tmp_path / "run", f"{name}=0.5")
+@pytest.mark.parametrize(
+    ("config", "message"),
+    [
+        ({"mismatched_text": 2.0}, "mismatched text = 2"),
+        ({"discriminator_warmup": -1}, "discriminator_warmup"),
+        ({"discriminator_warmup": 5, "adversarial": 0.0}, "discriminator_warmup"),
+        ({"rollout_share": 1.5}, "rollout_share"),
+        ({"rollout_share": -0.1}, "rollout_share"),
+    ],
+)
+def test_what_a_student_of_streams_cannot_learn_is_refused(config, message):
+    with pytest.raises(InputError, match=message):
+        RDMStudentConfig(**config)
+
+
+def test_a_noisy_past_of_streams_asks_for_streams(tiny_run, tmp_path):
+    with pytest.raises(InputError, match="set rollout_share too"):
+        tiny_run.train("rdm-student", tmp_path / "run", "context_noise_rollout=true")

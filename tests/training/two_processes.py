@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import os
 import sys
 import warnings
 from pathlib import Path
@@ -10,6 +11,8 @@ import torch
 from torch import nn
 
 from moveset.training.engine import EngineConfig, Task, run
+from moveset.training.momo import MomoAdam
+from moveset.training.optim import flatten_optimizer
 from tests.training.tiny_task import TinyConfig, TinyTask
 
 
@@ -22,13 +25,15 @@ class Regression(Task):
 
     name = "regression"
 
-    def __init__(self, loop) -> None:
-        self.config = TinyConfig()
+    def __init__(self, loop, momo: bool = False) -> None:
+        self.config, self.losses = TinyConfig(), []
         table = torch.Generator().manual_seed(3)
         self.x, self.y = torch.randn(12, 4, generator=table), torch.randn(12, 2, generator=table)
         self.net = nn.Sequential(nn.Linear(4, 8), nn.Tanh(), nn.Linear(8, 2))
         self.unused = nn.Linear(4, 4)  # a parameter that no process uses must not stop the average
-        self.optimizer = torch.optim.AdamW([*self.net.parameters(), *self.unused.parameters()], lr=1e-2)
+        parameters = [*self.net.parameters(), *self.unused.parameters()]
+        # A step of ten is one whose cap binds.
+        self.optimizer = MomoAdam(parameters, lr=10.0) if momo else torch.optim.AdamW(parameters, lr=1e-2)
 
     def modules(self):
         return {"net": self.net, "unused": self.unused}
@@ -39,7 +44,19 @@ class Regression(Task):
     def training_step(self, step, loop):
         mine = slice(loop.rank, None, loop.world_size)
         loss = (self.net(self.x[mine]) - self.y[mine]).square().mean()
+        self.losses.append(loss.item())
         return {"norm": loop.minimise(loss, "net"), "loss": loss}
+
+    @classmethod
+    def trained(cls, folder: Path, steps: int, momo: bool = False) -> "Regression":
+        made = []
+
+        def make(loop):
+            made.append(cls(loop, momo))
+            return made[0]
+
+        run(make, config(steps), folder)
+        return made[0]
 
 
 def tiny(folder: Path, stop_at: int = 0, resume: bool = False) -> TinyTask:
@@ -61,16 +78,13 @@ def config(steps: int) -> EngineConfig:
 
 
 def main(folder: Path) -> None:
-    said = {}
-    regressions = []
-
-    def make(loop):
-        said["rank"], said["world"] = loop.rank, loop.world_size
-        regressions.append(Regression(loop))
-        return regressions[0]
-
-    run(make, config(20), folder / "regression")
-    said["regression"] = [p.detach().flatten().tolist() for p in regressions[0].net.parameters()]
+    said = {"rank": int(os.environ["RANK"]), "world": int(os.environ["WORLD_SIZE"])}
+    regression = Regression.trained(folder / "regression", 20)
+    said["regression"] = [p.detach().flatten().tolist() for p in regression.net.parameters()]
+    momo = Regression.trained(folder / "momo", 12, momo=True)
+    said["losses"] = momo.losses
+    said["momo"] = nn.utils.parameters_to_vector(momo.net.parameters()).tolist()
+    said["state"] = {name: value.tolist() for name, value in flatten_optimizer(momo.optimizer)[0].items()}
 
     straight = tiny(folder / "straight")
     tiny(folder / "halves", stop_at=7)

@@ -1,0 +1,66 @@
+"""Every training and every model folder of the recipe "tiny", made once a process from motions by formulas."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from moveset.data.synthetic import synthetic_corpus
+from moveset.training.engine import EngineConfig, run
+from moveset.training.pipeline import Place, Report, train_all
+from moveset.training.tasks import load_recipe, task_maker, with_settings
+
+
+@dataclass(frozen=True)
+class TinyRun:
+    """Read only: ``corpus.safetensors``, ``runs/``, ``models/``, ``stages/``, ``cache/`` and ``train.log``.
+
+    Args:
+        folder: of all of it.
+        report: what was made.
+        lines: what was said meanwhile.
+    """
+
+    folder: Path
+    report: Report
+    lines: tuple[str, ...]
+
+    @classmethod
+    def make(cls, folder: Path) -> "TinyRun":
+        corpus, lines = synthetic_corpus(folder / "corpus.safetensors", clips=24, seed=0), list[str]()
+        return cls(folder, train_all("tiny", corpus, folder, say=lines.append), tuple(lines))
+
+    @property
+    def corpus(self) -> Path:
+        return self.folder / "corpus.safetensors"
+
+    @property
+    def runs(self) -> Path:
+        return self.folder / "runs"
+
+    def model(self, name: str) -> Path:
+        """The folder of "motionpcm", "rdm", "t2m" or a baseline."""
+        return self.folder / "models" / f"{name}-tiny"
+
+    def maker(self, what: str, *settings: str, corpus: Path | None = None, **sources: Path) -> Callable[..., Any]:
+        """What ``engine.run`` needs to train something on top of these runs, or of other ``sources``."""
+        found = Place(data=self.corpus, out=self.folder).sources(what)
+        if corpus:
+            found = replace(found, corpus=corpus, cache=corpus.parent / "cache")
+        return task_maker(what, with_settings(load_recipe("tiny", what).task, settings), replace(found, **sources))
+
+    def train(
+        self, what: str, into: Path, *settings: str, corpus: Path | None = None, sources: dict[str, Path] | None = None,
+        resume: bool = False, init: Any = (), **engine: Any,
+    ) -> Any:  # fmt: skip
+        """A few steps of a training, by default three without validation: the task that it trained, and the result."""
+        maker, made = self.maker(what, *settings, corpus=corpus, **(sources or {})), []
+
+        def make(loop):
+            made.append(maker(loop))
+            return made[0]
+
+        config: EngineConfig = load_recipe("tiny", what).engine
+        given = {"steps": 3, "save_every": 100, "validate_every": 0, **engine}
+        result = run(make, replace(config, **given), into, resume, init)
+        return made[0], result

@@ -1,0 +1,127 @@
+"""Students of a text-to-motion teacher: LCM and MotionPCM, their discriminator, and what is exported of them."""
+
+import json
+import shutil
+
+import pytest
+import torch
+
+from moveset.data.dataset import open_for_training
+from moveset.errors import InputError
+from moveset.pipelines.text_to_motion import TextToMotion
+from moveset.training import checkpoint
+from moveset.training.distillation import DistillationConfig
+from moveset.training.export import ClipExport, export
+
+
+def rows_of(folder):
+    rows = [json.loads(line) for line in (folder / "metrics.jsonl").read_text().splitlines()]
+    return [row for row in rows if row["split"] == "train"]
+
+
+def differs(name, one, other):
+    before, after = (checkpoint.read_tensors(at, name) for at in (one, other))
+    return any(not torch.equal(before[key], after[key]) for key in before)
+
+
+def test_students_are_not_the_teacher_any_more_and_the_decoder_keeps_its_encoder(tiny_run):
+    teacher = checkpoint.read_tensors(checkpoint.resolve(tiny_run.runs / "teacher"), "teacher_ema")
+    for student in ("lcm-1", "pcm-1"):
+        learned = checkpoint.read_tensors(checkpoint.resolve(tiny_run.runs / student), "student")
+        assert any(not torch.equal(teacher[name], learned[name]) for name in teacher)
+        assert learned["guidance.weight"].abs().sum() > 0
+    before, after = (
+        checkpoint.read_tensors(checkpoint.resolve(tiny_run.runs / run), "vae_ema") for run in ("vae", "decoder")
+    )
+    changed = {name for name in before if not torch.equal(before[name], after[name])}
+    assert changed
+    assert not any(name.startswith(("patch_in", "length_in", "encoder", "merge", "to_latent")) for name in changed)
+
+
+def test_a_resumed_distillation_equals_one_that_never_stopped(tiny_run, tmp_path):
+    whole, copy = tiny_run.runs / "pcm-1", tmp_path / "copy"
+    shutil.copytree(whole / "step_2", copy / "step_2")
+    tiny_run.train("pcm-1", copy, steps=4, resume=True)
+    files = {file.name for file in (whole / "step_4").glob("*.safetensors")}
+    assert {"student.safetensors", "student_ema.safetensors", "discriminator.safetensors"} <= files
+    for name in sorted(file.removesuffix(".safetensors") for file in files):
+        assert not differs(name, whole / "step_4", copy / "step_4"), name
+
+
+def test_a_student_goes_on_with_a_discriminator_that_reads(tiny_run, tmp_path):
+    settings = ("inference_points=0.5", "mismatched_text=0.5", "discriminator_max_noise=0.4")
+    shutil.copytree(tiny_run.runs / "pcm-1", tmp_path / "pcm-1")
+    with pytest.warns(UserWarning, match="mismatched_text 0.0 -> 0.5"):
+        _, result = tiny_run.train("pcm-1", tmp_path / "pcm-1", *settings, steps=5, resume=True)
+    assert "mismatched_logit" in rows_of(tmp_path / "pcm-1")[-1]
+    assert differs("discriminator", tmp_path / "pcm-1" / "step_4", result.checkpoint)
+
+
+def test_a_student_waits_while_the_discriminator_learns_alone(tiny_run, tmp_path):
+    start, run = tiny_run.runs / "pcm-1", tmp_path / "pcm-1"
+    tiny_run.train("pcm-1", run, "discriminator_warmup=2", steps=3, save_every=1, keep_last=3, init=start)
+    start = checkpoint.resolve(start)
+    for name in ("student", "student_ema"):
+        assert [differs(name, start, run / f"step_{step}") for step in (1, 2, 3)] == [False, False, True]
+    assert differs("discriminator", start, run / "step_1")
+    rates = [row["lr_student"] for row in rows_of(run)]
+    assert rates[:2] == [0.0, 0.0]
+    assert rates[2] > 0.0
+
+
+@pytest.mark.parametrize("what", ["lcm-1", "pcm-1"])
+def test_a_student_may_be_asked_for_all_of_its_teachers_steps(tiny_run, tmp_path, what):
+    """Settings come in any order."""
+    for rows in (0, 2):
+        _, result = tiny_run.train(what, tmp_path / f"{rows}", f"trajectory_rows={rows}", "batch=4", steps=1)
+        assert all(("trajectory" in row) == bool(rows) for row in rows_of(tmp_path / f"{rows}"))
+    assert differs("student", tmp_path / "0" / "step_1", result.checkpoint)
+
+
+@pytest.mark.parametrize(
+    ("config", "message"),
+    [
+        ({"discriminator_warmup": -1}, "discriminator_warmup"),
+        ({"discriminator_warmup": 5, "adversarial": 0.0}, "discriminator_warmup"),
+        ({"inference_points": 1.5}, "is outside 0"),
+        ({"mismatched_text": -0.1}, "is outside 0"),
+        ({"discriminator_max_noise": 2.0}, "is outside 0"),
+    ],
+)
+def test_what_no_student_can_learn_is_refused(config, message):
+    with pytest.raises(InputError, match=message):
+        DistillationConfig(**config)
+
+
+@pytest.mark.parametrize(
+    ("what", "settings", "message"),
+    [
+        ("pcm-1", ["trajectory_rows=9", "batch=8"], "rows that are trajectory_rows = 9 is outside 0"),
+        ("pcm-1", ["trajectory_rows=-1"], "rows that are trajectory_rows = -1 is outside 0"),
+        ("lcm-1", ["phases=2"], "phases=2 is for pcm"),
+    ],
+)
+def test_what_a_student_cannot_learn_is_refused(tiny_run, tmp_path, what, settings, message):
+    with pytest.raises(InputError, match=message):
+        tiny_run.train(what, tmp_path / "run", *settings)
+
+
+def exported(dataset, runs, out, **networks):
+    named = {"vae": "vae", "teacher": "teacher", **networks}
+    scales = dict.fromkeys(("teacher", *networks), 2.0)
+    return export(ClipExport(name="tiny", runs=named, guidance=scales), dataset, runs, out.parent / "cache", out)
+
+
+def test_a_student_must_fit_its_name(tiny_run, tmp_path):
+    with pytest.raises(InputError, match="a student of 1 phases"):
+        exported(open_for_training(tiny_run.corpus), tiny_run.runs, tmp_path / "wrong", **{"pcm-2": "pcm-1"})
+
+
+def test_a_latent_of_one_token_is_learned_exported_and_sampled(tiny_run, tmp_path):
+    sizes = ("model.tokens=1", "model.token_dim=24")
+    tiny_run.train("vae", tmp_path / "vae", *sizes, "model.slots=6", steps=1)
+    sources = {"vae": tmp_path / "vae", "cache": tmp_path / "cache"}
+    tiny_run.train("teacher", tmp_path / "teacher", *sizes, steps=1, sources=sources)
+    out = exported(open_for_training(tiny_run.corpus), tmp_path, tmp_path / "one")
+    made = TextToMotion.from_pretrained(out, device="cpu")("a person walks", seconds=2.0, steps=3, solver="teacher")
+    assert len(made.motion) == 40
