@@ -13,7 +13,6 @@ from moveset.data.corpus import Corpus
 from moveset.data.crops import CropSampler
 from moveset.data.dataset import CorpusDataset, FolderDataset, corpus_weights, open_for_training
 from moveset.data.feature_store import FeatureStore
-from moveset.data.humanml3d import HUMANML3D, KIT
 from moveset.data.latents import LatentSet
 from moveset.data.synthetic import synthetic_corpus
 from moveset.errors import InputError
@@ -160,28 +159,22 @@ TINY = ("model.width=32", "model.layers=3", "model.heads=2", "model.feed_forward
 
 
 def train(what: str, folder: Path, *settings: str) -> Path:
-    options = ["--steps", "2", "--device", "cpu", "--threads", "1", "--precision", "32-true"]
+    options = ["--steps", "1", "--device", "cpu", "--threads", "1", "--precision", "32-true"]
     options += ["--tensorboard", "False"]
     chosen = [word for setting in settings for word in ("--set", setting)]
     assert main(["train", what, "--recipe", "paper", "--corpus", str(folder), *options, *chosen]) == 0
     run = Path("runs/paper") / what
-    assert checkpoint.latest(run) == run / "step_2"
-    return run / "step_2"
+    assert checkpoint.latest(run) == run / "step_1"
+    return run / "step_1"
 
 
-@pytest.mark.parametrize("layout", [HUMANML3D, KIT], ids=lambda layout: layout.name)
-def test_the_published_recipe_trains_on_a_folder(layout, tmp_path, monkeypatch):
+def test_the_published_recipe_trains_on_a_folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    folder = write_folder(tmp_path / "data", layout)
-    step = train("vae", folder, *TINY, f"codec={layout.codec}", f"model.features={layout.features}")
+    folder = write_folder(tmp_path / "data")
+    step = train("vae", folder, *TINY, "codec=hml", "model.features=263")
     config = checkpoint.read_document(step, "config")["config"]
-    assert (config["codec"], config["loss"], config["model"]["features"]) == (
-        layout.codec,
-        "published",
-        layout.features,
-    )
+    assert (config["codec"], config["loss"], config["model"]["features"]) == ("hml", "published", 263)
     step = train("teacher", folder, *TINY, "text_encoder=minilm", "model.text_dim=384")
     assert all(value.isfinite().all() for value in checkpoint.read_tensors(step, "teacher_ema").values())
-    if layout is HUMANML3D:
-        for student in ("lcm-1", "pcm-1"):
-            train(student, folder, "batch=4", "warmup=1", "text_encoder=minilm")
+    for student in ("lcm-1", "pcm-1"):
+        train(student, folder, "batch=4", "warmup=1", "text_encoder=minilm")

@@ -6,7 +6,7 @@ import torch
 from moveset.errors import InputError
 from moveset.motion import rotations
 from moveset.motion.clip import Motion
-from moveset.motion.skeleton import HML22, KIT21
+from moveset.motion.skeleton import HML22
 from tests.motions import gait, wander
 
 
@@ -21,12 +21,6 @@ def test_slices_move_nothing():
     part = motion[10:20]
     assert (len(part), part.seconds) == (10, 0.5)
     assert torch.equal(part.joints, motion.joints[10:20])
-
-
-def test_transforming_moves_the_joints_rigidly():
-    motion, turn, shift = wander(20, 1), rotations.about("y", 70.0), torch.tensor([1.0, -2.0, 3.0])
-    expected = rotations.rotate(turn, motion.joints) + shift
-    torch.testing.assert_close(motion.transformed(turn, shift).joints, expected, atol=1e-5, rtol=0)
 
 
 @pytest.mark.parametrize("kind", [torch.float64, list, "numpy"])
@@ -60,14 +54,6 @@ def test_canonical_starts_above_the_origin_and_faces_front():
     assert canonical.root[0, 1] == motion.root[0, 1]
     assert rotations.heading_angle(canonical.rotations[0, 0]).abs() < 1e-6
     close(canonical.canonical(), canonical)
-
-
-@pytest.mark.parametrize("skeleton", [HML22, KIT21], ids=lambda s: s.name)
-def test_mirroring_reflects_and_renames_every_joint(skeleton):
-    motion = wander(20, 3, skeleton)
-    expected = motion.joints[:, list(skeleton.mirror_order)] * torch.tensor([-1.0, 1.0, 1.0])
-    torch.testing.assert_close(motion.mirrored().joints, expected, atol=1e-5, rtol=0)
-    close(motion.mirrored().mirrored(), motion)
 
 
 @pytest.mark.parametrize("fps", [20.0, 24.0, 30.0, 60.0, 7.0])

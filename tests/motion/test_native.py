@@ -21,10 +21,6 @@ def motion() -> Motion:
     return Motion(local, root)
 
 
-def test_width_is_the_documented_one() -> None:
-    assert NativeCodec().dim == 269
-
-
 def test_decoding_inverts_encoding(motion: Motion) -> None:
     codec = NativeCodec()
     start = motion.canonical()
@@ -56,11 +52,6 @@ def test_a_crop_of_features_is_the_features_of_the_crop(motion: Motion) -> None:
     keep = [d for d in range(269) if d not in steps]
     assert torch.allclose(whole[:-1], part[:-1], atol=1e-5)
     assert torch.allclose(whole[-1, keep], part[-1, keep], atol=1e-5)
-
-
-def test_mirroring_twice_in_feature_space_is_nothing(motion: Motion) -> None:
-    codec = NativeCodec()
-    assert torch.allclose(codec.encode(motion.mirrored().mirrored()), codec.encode(motion), atol=1e-5)
 
 
 def test_another_rate_is_refused(motion: Motion) -> None:

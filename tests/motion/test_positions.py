@@ -29,7 +29,7 @@ def anatomical(frames: int, seed: int) -> Motion:
 
 
 @pytest.mark.parametrize(
-    "motion", [wander(40, 1), wander(40, 2, bend=0.8), gait(40), wander(20, 3, KIT21), wander(1, 4)], ids=str
+    "motion", [wander(40, 1), wander(40, 2, bend=0.8), gait(40), wander(20, 3, KIT21), wander(1, 4)], ids=range(5)
 )
 def test_joints_come_back(motion):
     found = positions_to_motion(motion.joints, motion.fps, motion.skeleton)

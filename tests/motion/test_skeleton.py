@@ -47,12 +47,6 @@ def test_hml22_is_the_published_order_and_size():
     assert 1.5 < (HML22.rest_positions[15, 1] - HML22.rest_positions[10, 1]).item() < 1.7
 
 
-def test_mirror_order_undoes_itself():
-    for skeleton in BUILT_IN:
-        order = skeleton.mirror_order
-        assert [order[order[j]] for j in range(len(skeleton))] == list(range(len(skeleton)))
-
-
 @pytest.mark.parametrize(
     ("joints", "parents", "offsets", "message"),
     [

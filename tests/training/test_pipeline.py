@@ -81,6 +81,7 @@ def test_a_stage_needs_what_it_stands_on(tiny_run, tmp_path):
 
 def test_trainings_side_by_side_are_those_alone(tiny_run, tmp_path):
     only = ["movement", "length"]
+    shutil.copytree(tiny_run.folder / "cache", tmp_path / "cache")
     report = train_all("tiny", tiny_run.corpus, tmp_path, only=only, jobs=2, say=lambda line: None)
     assert sorted(report.trained) == sorted(only)
     for name in only:
