@@ -121,15 +121,10 @@ def test_more_repeats_keep_those_that_are_there(items, oracle, tmp_path):
     assert len(results.finish()["repeats"]) == 2
 
 
-@pytest.mark.parametrize("change", [{"seed": 1}, {"multimodality": 3}, {"group": 9}])
-def test_another_protocol_is_another_evaluation(items, oracle, tmp_path, change):
+def test_other_settings_weights_data_and_judges_are_other_evaluations(items, oracle, tmp_path, monkeypatch):
     make(*opened(items, oracle, tmp_path), range(4))
-    _, results = opened(items, oracle, tmp_path, replace(PROTOCOL, **change))
-    assert results.done == []
-
-
-def test_other_weights_data_judges_and_settings_are_other_evaluations(items, oracle, tmp_path, monkeypatch):
-    make(*opened(items, oracle, tmp_path), range(4))
+    for change in ({"seed": 1}, {"multimodality": 3}, {"group": 9}):
+        assert opened(items, oracle, tmp_path, replace(PROTOCOL, **change))[1].done == []
     for what in ("weights", "describe"):
         other = Painter()
         monkeypatch.setattr(other, what, lambda: {"paint.safetensors": "2"})
@@ -255,19 +250,15 @@ def test_two_processes_make_the_same_table_as_one(config, alone, tmp_path):
     assert timeless(path) == timeless(alone[1])
 
 
-def test_ranks_of_torchrun_make_the_same_table(config, alone, tmp_path):
+def test_ranks_of_torchrun_make_the_same_table_and_nothing_anew(config, alone, tmp_path):
     early, path = evaluate(config, tmp_path, share=(1, 2))
     assert early is None
     assert not path.exists()
     result, _ = evaluate(config, tmp_path, share=(0, 2))
     assert same(result, alone[0])
-
-
-def test_ranks_of_torchrun_do_not_make_everything_anew(config, alone):
     for rank in range(2):
         with pytest.raises(InputError, match="give a fresh --out"):
             evaluate(config, alone[1].parent, share=(rank, 2), again=True)
-    assert same(evaluate(config, alone[1].parent, processes=1)[0], alone[0])
 
 
 def test_finished_work_makes_nothing(config, alone, monkeypatch):
@@ -291,13 +282,6 @@ class Helper:
         self.exitcode = self.exitcode or -15
 
 
-def test_a_process_that_dies_is_told_of(config, tmp_path, monkeypatch):
-    monkeypatch.setattr(running, "_start", lambda *_: Helper(-9))
-    monkeypatch.setattr(running, "work", lambda *_: None)
-    with pytest.raises(MovesetError, match="process 1 of 2 ended with code -9; run again to resume"):
-        evaluate(config, tmp_path, processes=2)
-
-
 def test_a_process_that_dies_ends_the_others_at_once(config, tmp_path, monkeypatch):
     helpers = [Helper(), Helper()]
     monkeypatch.setattr(running, "_start", lambda config, out, rank, world: helpers[rank - 1])
@@ -308,7 +292,7 @@ def test_a_process_that_dies_ends_the_others_at_once(config, tmp_path, monkeypat
         raise AssertionError("this repeat went on")
 
     monkeypatch.setattr(running, "run_repeat", repeat)
-    with pytest.raises(MovesetError, match="process 2 of 3 ended with code 1"):
+    with pytest.raises(MovesetError, match="process 2 of 3 ended with code 1; run again to resume"):
         evaluate(config, tmp_path, processes=3)
     assert helpers[0].exitcode == -15
 

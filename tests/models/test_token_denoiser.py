@@ -27,15 +27,15 @@ def scaled(inputs, w):
 
 
 def test_published_sizes():
-    assert sum(p.numel() for p in paper.teacher().build().parameters()) == 8_237_856
-    assert sum(p.numel() for p in paper.student().build().parameters()) == 8_434_464
+    with torch.device("meta"):
+        counts = [sum(p.numel() for p in config.build().parameters()) for config in (paper.teacher(), paper.student())]
+    assert counts == [8_237_856, 8_434_464]
 
 
-@pytest.mark.parametrize("text_tokens", [1, 12])
-def test_published_shapes(text_tokens):
+def test_published_shapes():
     model, taps = paper.student().build().eval(), []
     z, t, w = torch.randn(2, 16, 32), torch.tensor([999, 499]), torch.tensor([7.0, 11.5])
-    eps = model(z, t, condition_of(torch.randn(2, text_tokens, 768), scale=w), taps)
+    eps = model(z, t, condition_of(torch.randn(2, 12, 768), scale=w), taps)
     assert eps.shape == z.shape
     assert [tuple(tap.shape) for tap in taps] == [(2, 16, 256)] * 9
     torch.testing.assert_close(model.latent_out(model.stack.norm(taps[-1])), eps)

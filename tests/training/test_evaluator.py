@@ -45,7 +45,7 @@ def test_the_movement_autoencoder_learns(tiny_run, tmp_path):
 
 
 def test_it_learns_what_belongs_together(tiny_run, tmp_path):
-    losses = over_fitted(tiny_run, "evaluator", tmp_path / "run", "negatives=all", "batch=12", "lr=0.05", steps=20)
+    losses = over_fitted(tiny_run, "evaluator", tmp_path / "run", "negatives=all", "batch=12", "lr=0.02", steps=40)
     assert losses[-1] < 0.5 * losses[0]
 
 
