@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 import torch
+from fastapi.testclient import TestClient
 
 from moveset import MotionStream, TextToMotion
 from moveset.io import load
@@ -15,6 +16,8 @@ from moveset.pipelines.model_config import DEFAULT_MODEL, DEFAULT_STREAM, ClipCo
 from moveset.pipelines.model_folder import ModelFolder, shipped
 from moveset.pipelines.stream_batch import StreamBatch
 from moveset.pipelines.stream_settings import check_stream
+from moveset.server.app import create_app
+from moveset.server.service import Options
 
 ROOT = Path(__file__).resolve().parents[1]
 EXAMPLES = sorted((ROOT / "examples").glob("0*.py"))
@@ -49,6 +52,16 @@ def test_every_network_of_streams_ships():
     assert {"rdm", "md", "flow", "pcm-1"} <= set(config.models)
     assert config.network in config.denoisers
     assert config.provenance
+
+
+def test_the_server_offers_what_ships():
+    with TestClient(create_app(Options(device="cpu")), base_url="http://127.0.0.1") as client:
+        found = client.get("/v1/models").json()
+        assert found["default"] == {"clip": DEFAULT_MODEL, "stream": DEFAULT_STREAM}
+        assert {model["license"] for model in found["models"]} == {"CC-BY-NC-4.0"}
+        assert len(client.get("/v1/prompts").json()["prompts"]) == 24
+        body = {"prompts": [{"text": "a person walks forward", "seconds": 2.0}], "seed": 7}
+        assert client.post("/v1/generate", json=body).json()["warnings"] == []
 
 
 def test_a_whole_process(tmp_path):

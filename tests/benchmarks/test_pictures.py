@@ -1,5 +1,6 @@
 """The sheets of the documents show the end of streams, whole, below one another."""
 
+from functools import partial
 from itertools import islice
 from pathlib import Path
 
@@ -13,14 +14,14 @@ FOLDER = Path(__file__).resolve().parents[2] / "benchmarks"
 
 
 @pytest.mark.parametrize("segments", [2, 8])
-def test_the_last_seconds_are_the_streams_own(segments, monkeypatch):
+def test_the_last_seconds_are_the_streams_own(segments, tiny_streams, monkeypatch):
     monkeypatch.syspath_prepend(str(FOLDER))
     from pictures import SHOWN, last_seconds
 
-    told = {"prompt": "a person walks", "seed": 3, "device": "cpu"}
-    pieces = [segment.motion for segment in islice(MotionStream.from_pretrained(**told), segments)]
+    opened = partial(MotionStream.from_pretrained, tiny_streams, "a person walks", seed=3, device="cpu")
+    pieces = [segment.motion for segment in islice(opened(), segments)]
     frames = len(pieces[0])
-    found = last_seconds(MotionStream.from_pretrained(**told), (segments - 1) * frames / 20.0 / 60.0)
+    found = last_seconds(opened(), (segments - 1) * frames / 20.0 / 60.0)
     assert len(found) == min(segments * frames, int(SHOWN * 20.0))
     assert torch.equal(found.root, torch.cat([piece.root for piece in pieces])[-len(found) :])
 

@@ -16,26 +16,18 @@ NOT_TO_GENERATE = {*SLOW, "diffusers", "moveset.training", "moveset.data"} - {
 }  # fmt: skip
 
 
-def imported_after(code):
-    """Modules in sys.modules after running code in a fresh interpreter."""
+@pytest.mark.parametrize(
+    ("code", "unwanted"),
+    [
+        ("from moveset.cli.__main__ import main; main(['--help'])", SLOW),
+        ("import moveset, moveset.io", SLOW),
+        ("from moveset import TextToMotion; import moveset.cli.generate", NOT_TO_GENERATE),
+    ],
+)
+def test_what_starts_imports_only_what_it_needs(code, unwanted):
     script = f"{code}\nimport sys\nprint('\\n'.join(sys.modules))"
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
-    return set(done.stdout.split())
-
-
-def test_help_imports_nothing_slow():
-    modules = imported_after("from moveset.cli.__main__ import main\nmain(['--help'])")
-    assert not modules & set(SLOW)
-
-
-def test_importing_the_package_imports_nothing_slow():
-    assert not imported_after("import moveset") & set(SLOW)
-
-
-def test_generating_imports_only_what_it_needs():
-    modules = imported_after("from moveset import TextToMotion\nimport moveset.cli.generate")
-    assert "torch" in modules
-    assert not modules & NOT_TO_GENERATE
+    assert not set(done.stdout.split()) & set(unwanted)
 
 
 def test_overview_names_every_verb(capsys):

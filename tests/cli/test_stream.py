@@ -91,52 +91,39 @@ def test_files_grow_together_and_the_same_seed_gives_the_same_bytes(stream, tmp_
     assert (notes["prompt"], notes["seed"], notes["network"], notes["steps"]) == ("a person walks", 7, "pcm-1", 1)
 
 
-def test_how_long_it_lasts(stream):
-    def frames(*arguments):
-        return sum(row["frames"] for row in rows(stream(*arguments, "--json")[1]))
+W, B, V = "walk", "bow", "wave"
 
-    assert frames("walk") == 4 * 28
-    assert frames("walk", "bow") == 8 * 28
-    assert frames("walk", "bow", "--seconds", "1", "0.7") == 34
-    assert frames("walk", "--seconds", "1.4", "--total", "4") == 80
+
+@pytest.mark.parametrize(
+    ("arguments", "prompts", "frames"),
+    [
+        ("walk|bow", [W] * 4 + [B] * 4, 224),
+        ("walk|bow|--seconds|1|0.7", [W, B], 34),
+        ("walk|--seconds|1.4|--total|4", [W] * 3, 80),
+        ("walk|bow|--seconds|1.4|--total|5.6", [W, B, B, B], 112),
+        ("walk|bow|--seconds|1.4|--total|5.6|--loop", [W, B, W, B], 112),
+        ("walk, then bow", [W] * 3 + [B] * 3, 168),
+        ("walk, then bow|--seconds|5.6|--total|7", [W] * 2 + [B] * 3, 140),
+        ("walk, then bow|--no-stages|--total|2.8", ["walk, then bow"] * 2, 56),
+        # A short total is shared by all that there is to do; durations that were asked for stay, and so do rounds.
+        ("walk, then bow, then wave|--total|8.4", [W] * 2 + [B] * 2 + [V] * 2, 168),
+        ("walk|bow, then wave|--total|7", [W] * 2 + [B] * 2 + [V], 140),
+        ("walk|bow|--seconds|4.2|--total|4.2", [W] * 3, 84),
+        ("walk|bow|--loop|--total|5.6", [W] * 4, 112),
+        # There is no segment for everyone: the last stay away, as they would with --seconds.
+        ("walk, then bow, then wave|--total|2.8", [W, B], 56),
+    ],
+)
+def test_whose_time_it_is_and_how_long_it_lasts(stream, arguments, prompts, frames):
+    found = rows(stream(*arguments.split("|"), "--json")[1])
+    assert [row["prompt"] for row in found] == prompts
+    assert sum(row["frames"] for row in found) == frames
 
 
 def test_rounded_durations_are_told(stream):
     _, _, err = stream("walk", "bow", "kick", "--seconds", "2", "3", "1", "--json")
     assert "moveset: prompts change every 1.4 s, so they last 1.4, 4.2 s" in err
     assert "change every" not in stream("walk", "bow", "--seconds", "2.8", "1", "--json")[2]
-
-
-def test_the_end_loops_or_is_held(stream):
-    def said(*more):
-        return [
-            row["prompt"] for row in rows(stream("a", "b", "--seconds", "1.4", "--total", "5.6", *more, "--json")[1])
-        ]
-
-    assert said() == ["a", "b", "b", "b"]
-    assert said("--loop") == ["a", "b", "a", "b"]
-
-
-def test_what_comes_after_what_is_done_in_that_order(stream):
-    def said(*arguments):
-        return [row["prompt"] for row in rows(stream(*arguments, "--json")[1])]
-
-    assert said("walk, then bow") == ["walk"] * 3 + ["bow"] * 3
-    assert said("walk, then bow", "--seconds", "5.6", "--total", "7") == ["walk"] * 2 + ["bow"] * 3
-    assert said("walk, then bow", "--no-stages") == ["walk, then bow"] * 4
-
-
-def test_a_short_total_is_shared_by_all_there_is_to_do(stream):
-    def said(*given):
-        return [row["prompt"] for row in rows(stream(*given, "--json")[1])]
-
-    assert said("walk, then bow, then wave", "--total", "8.4") == ["walk"] * 2 + ["bow"] * 2 + ["wave"] * 2
-    assert said("walk", "bow, then wave", "--total", "7") == ["walk"] * 2 + ["bow"] * 2 + ["wave"]
-    # Durations that were asked for stay, and so do rounds.
-    assert said("walk", "bow", "--seconds", "4.2", "--total", "4.2") == ["walk"] * 3
-    assert said("walk", "bow", "--loop", "--total", "5.6") == ["walk"] * 4
-    # There is no segment for everyone: the last stay away, as they would with --seconds.
-    assert said("walk, then bow, then wave", "--total", "2.8") == ["walk", "bow"]
 
 
 def test_what_never_comes_is_told(stream):

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from moveset.errors import FormatError, InputError
 from moveset.io.arrays import npz_metadata, read_npy, read_npz, write_amass, write_npy, write_npz
+from moveset.io.numpy_file import array_shape, read_array, read_arrays
 from moveset.motion import rotations
 from moveset.motion.clip import Motion
 from moveset.motion.retarget import retarget
@@ -127,6 +128,8 @@ BAD_NPY = {
     "pickle": b"\x80\x04\x95\x0b\x00\x00\x00\x00\x00\x00\x00\x8c\x07os.exit\x94.",
     "endless header": b"\x93NUMPY\x01\x00" + np.uint16(118).tobytes() + b"{'shape': (3, 22, 3".ljust(117) + b"\n",
     "long header": b"\x93NUMPY\x02\x00" + np.uint32(20_000).tobytes() + b"{".ljust(20_000) + bytes(9),
+    "bytes after its end": npy(np.zeros((3, 22, 3))) + b"x",
+    "header of operators": b"\x93NUMPY\x01\x00" + np.uint16(118).tobytes() + (b"{" + b"-" * 40).ljust(117) + b"\n",
     "header of no keys": b"\x93NUMPY\x01\x00" + np.uint16(118).tobytes() + b"{[]: 1}".ljust(117) + b"\n",
     "header is code": b"\x93NUMPY\x01\x00" + np.uint16(118).tobytes() + b"__import__('os').getcwd()".ljust(117) + b"\n",
 }
@@ -241,3 +244,28 @@ def small_npz(tmp_path_factory):
     folder = tmp_path_factory.mktemp("npz")
     write_npz(Motion(rotations.identity(2, 22), torch.zeros(2, 3)), folder / "a.npz")
     return (folder / "a.npz").read_bytes(), folder
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64, np.int16, np.uint8, ">f4"])
+@pytest.mark.parametrize("order", ["C", "F"])
+def test_numbers_of_any_kind_are_read(tmp_path, dtype, order):
+    values = np.asarray(np.arange(60).reshape(5, 4, 3), dtype=dtype, order=order)
+    np.save(tmp_path / "a.npy", values)
+    assert array_shape(tmp_path / "a.npy") == (5, 4, 3)
+    assert torch.equal(read_array(tmp_path / "a.npy"), torch.arange(60.0).reshape(5, 4, 3))
+
+
+def test_objects_are_never_unpickled(tmp_path):
+    np.save(tmp_path / "a.npy", np.array([{}], dtype=object), allow_pickle=True)
+    with pytest.raises(FormatError, match="kind needed"):
+        read_array(tmp_path / "a.npy")
+    np.savez(tmp_path / "a.npz", gender=np.array([object()]), trans=np.ones((2, 3)))
+    assert read_arrays(tmp_path / "a.npz", ["trans", "poses"]).keys() == {"trans"}
+    with pytest.raises(FormatError, match="kind needed"):
+        read_arrays(tmp_path / "a.npz", ["gender"])
+
+
+def test_missing_files(tmp_path):
+    for read in (read_array, array_shape, lambda p: read_arrays(p, ["poses"])):
+        with pytest.raises(InputError, match=r"(?i)no( such)? file"):
+            read(tmp_path / "nothing.npy")

@@ -156,12 +156,6 @@ def test_travel_and_turns_in_words():
     assert travel_in_words(spin) == "on the spot, turns 450° right"
 
 
-def test_same_motion_same_bytes(tmp_path):
-    for name in ("a.png", "b.png"):
-        write_filmstrip(gait(12), tmp_path / name)
-    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
-
-
 def test_metadata_of_other_files_is_refused(tmp_path):
     (tmp_path / "a.png").write_bytes(b"no picture")
     with pytest.raises(FormatError, match="no PNG"):

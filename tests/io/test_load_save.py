@@ -2,8 +2,6 @@
 
 import json
 import os
-import subprocess
-import sys
 from dataclasses import replace
 
 import pytest
@@ -220,10 +218,3 @@ def test_feet_stand_on_the_floor_in_every_format(tmp_path):
         found = load(tmp_path / name)
         lowest = found.joints[:, list(found.skeleton.feet), 1].min()
         assert float(lowest) == pytest.approx(0.0, abs=1e-3), name
-
-
-def test_importing_io_imports_no_slow_library():
-    slow = ("PIL", "pygltflib", "imageio_ffmpeg", "torch")
-    code = f"import sys, moveset.io; print([name for name in {slow} if name in sys.modules])"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "[]"

@@ -75,14 +75,6 @@ def test_one_frame_makes_a_film(tmp_path):
         assert (tmp_path / name).stat().st_size > 1000
 
 
-def test_same_motion_same_bytes(tmp_path):
-    for name in ("a", "b"):
-        write_mp4(gait(6), tmp_path / f"{name}.mp4")
-        write_gif(gait(6), tmp_path / f"{name}.gif")
-    for suffix in ("mp4", "gif"):
-        assert (tmp_path / f"a.{suffix}").read_bytes() == (tmp_path / f"b.{suffix}").read_bytes()
-
-
 @pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="cores cannot be taken away from a process here")
 @pytest.mark.skipif((os.cpu_count() or 1) < 2, reason="needs two cores")
 def test_a_film_does_not_depend_on_the_number_of_cores(tmp_path):

@@ -86,13 +86,13 @@ def test_numbers_that_cannot_be_stored_are_refused(state, base, value):
 
 def test_differences_need_their_base(state, base):
     stored, stored_base = subtracted(state, halved(base)), halved(base)
-    with pytest.raises(ValueError, match="'matrix' is a difference from nothing"):
-        restored(stored)
-    with pytest.raises(ValueError, match="'matrix' is a difference from nothing"):
-        restored(stored, {k: v for k, v in stored_base.items() if k != "matrix"})
-    with pytest.raises(ValueError, match="'matrix' is a difference from nothing"):
-        restored({k: v for k, v in stored.items() if k != "matrix:scale"}, stored_base)
-    with pytest.raises(ValueError, match="no difference from a tensor of shape"):
-        restored(stored, stored_base | {"matrix": torch.zeros(64, 40)})
-    with pytest.raises(ValueError, match="no difference from a tensor of shape"):
-        restored(stored | {"matrix:scale": torch.ones(39)}, stored_base)
+    none, other = "'matrix' is a difference from nothing", "no difference from a tensor of shape"
+    for difference, from_base, message in (
+        (stored, None, none),
+        (stored, {k: v for k, v in stored_base.items() if k != "matrix"}, none),
+        ({k: v for k, v in stored.items() if k != "matrix:scale"}, stored_base, none),
+        (stored, stored_base | {"matrix": torch.zeros(64, 40)}, other),
+        (stored | {"matrix:scale": torch.ones(39)}, stored_base, other),
+    ):
+        with pytest.raises(ValueError, match=message):
+            restored(difference, from_base)

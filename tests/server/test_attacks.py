@@ -160,8 +160,7 @@ def test_a_thousand_connections(program):
     run(attack, program)
 
 
-def test_connections_that_say_nothing(start):
-    program = start()
+def test_connections_that_say_nothing(program):
     sockets = [socket.create_connection(("127.0.0.1", program.port)) for _ in range(250)]
     assert program.health()["status"] == "ok"
     for one in sockets:

@@ -316,17 +316,6 @@ def test_who_asks_for_the_head_is_told_what_get_would_be(client, path):
     assert head.headers["content-type"] == got.headers["content-type"]
 
 
-def test_refusals_are_for_people(client):
-    wrong = client.post("/v1/generate", content="x", headers={"Content-Type": "application/json"})
-    assert said(wrong, 422, "invalid") == "what was sent is no JSON; see /docs"
-    assert "prompts.0: this should be an object" in said(
-        client.post("/v1/generate", json={"prompts": ["a person walks"]}), 422, "invalid"
-    )
-    assert "100 should be less than or equal to 60" in said(
-        client.post("/v1/generate", json={"prompts": [{**WALK, "seconds": 100}]}), 422, "invalid"
-    )
-
-
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
 def test_a_worker_that_is_gone_is_told(serving, monkeypatch):
     with serving() as client:
