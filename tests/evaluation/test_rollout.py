@@ -26,6 +26,11 @@ def items(tmp_path_factory):
     return open_test_set(content_corpus(tmp_path_factory.mktemp("corpus") / "corpus.safetensors", frames=90), "test")
 
 
+@pytest.fixture(scope="module")
+def oracle(items):
+    return Oracle(items)
+
+
 def draws(items, seed=0):
     return items.draw(torch.Generator().manual_seed(seed))
 
@@ -73,8 +78,8 @@ def test_the_real_motion_is_the_clips_in_a_row(items):
     assert [x.shape for x in features] == [(min(WINDOW, len(joints) - 1 - s), 263) for s in starts(len(joints))]
 
 
-def test_real_rollouts_against_themselves(items):
-    session = Session(PROTOCOL.fitted(items, False), items, Given("real"), Oracle(items))
+def test_real_rollouts_against_themselves(items, oracle):
+    session = Session(PROTOCOL.fitted(items, False), items, Given("real"), oracle)
     found = run_rollout(session, 0)
     assert found["metrics"]["fid"] == pytest.approx(0.0, abs=1e-6)
     assert found["windows"] == sum(1 for _ in range(found["rollouts"])) * 5
@@ -82,20 +87,23 @@ def test_real_rollouts_against_themselves(items):
     assert {"drift_height", "drift_speed", "drift_jerk", "drift_skating", "skating"} <= set(found["metrics"])
 
 
-def test_models_are_told_the_timeline(items):
+def test_models_are_told_the_timeline(items, oracle):
     painter = Painter()
     painter.segment = 1.4
-    session = Session(PROTOCOL.fitted(items, True), items, painter, Oracle(items))
+    session = Session(PROTOCOL.fitted(items, True), items, painter, oracle)
     found = run_rollout(session, 0)
     assert found == {**run_rollout(session, 0), "seconds": found["seconds"]}
     assert all(580 <= one.frames <= 600 and len(one.parts) > 3 for one in painter.asked)
+    # Of single actions.
+    told = {prompt for one in painter.asked for prompt, _ in one.parts}
+    assert "a person walks and then waves with the left hand" not in told
     assert found["metrics"]["boundary_jerk"] > 0
     assert "multimodality" not in found["metrics"]
 
 
-def test_too_few_windows_are_refused_before_anything_is_made(items):
+def test_too_few_windows_are_refused_before_anything_is_made(items, oracle):
     painter = Painter()
-    session = Session(Protocol(split="rollout", group=1000), items, painter, Oracle(items))
+    session = Session(Protocol(split="rollout", group=1000), items, painter, oracle)
     with pytest.raises(InputError, match=r"windows of all rollouts: R-precision needs groups of 1000"):
         run_rollout(session, 0)
     assert not painter.asked
@@ -130,13 +138,6 @@ def test_a_caption_with_tokens_is_read_with_them(tmp_path):
     (draw, *_) = draws(long)
     assert Rollout((draw,), (230,)).said(0, WINDOW)[0] == draw.caption
     assert draw.caption.tokens
-
-
-def test_single_actions_only(items):
-    painter = Painter()
-    run_rollout(Session(PROTOCOL.fitted(items, True), items, painter, Oracle(items)), 0)
-    told = {prompt for one in painter.asked for prompt, _ in one.parts}
-    assert "a person walks and then waves with the left hand" not in told
 
 
 def test_what_sinks_drifts():

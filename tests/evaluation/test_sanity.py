@@ -102,6 +102,11 @@ def report(items):
     return run(Descriptor, items)
 
 
+@pytest.fixture(scope="module")
+def timeless(items):
+    return run(Timeless, items)
+
+
 def test_an_evaluator_that_sees_and_reads_holds(report):
     assert failed(report) == set()
     assert report.passed
@@ -114,23 +119,18 @@ def test_an_evaluator_that_sees_and_reads_holds(report):
     assert rising[0] > report["FID, two real halves"].value > 0
 
 
-@pytest.mark.parametrize(
-    ("judge", "expected"),
-    [
-        (Deaf, {f"R-precision@{k}, real" for k in (1, 2, 3)}),
-        (Timeless, {"FID, time reversed", "FID, sliding at 0.5 m/s"}),
-        (Guessing, {"R-precision@1, real", *BROKEN}),
-    ],
-)
-def test_blind_spots_are_found(items, judge, expected):
-    report = run(judge, items)
-    assert expected <= failed(report)
-    assert not report.passed
+def test_blind_spots_are_found(items, timeless):
+    for report, expected in (
+        (run(Deaf, items), {f"R-precision@{k}, real" for k in (1, 2, 3)}),
+        (timeless, {"FID, time reversed", "FID, sliding at 0.5 m/s"}),
+        (run(Guessing, items), {"R-precision@1, real", *BROKEN}),
+    ):
+        assert expected <= failed(report)
+        assert not report.passed
 
 
 def test_the_same_seed_gives_the_same_report(items, report):
     assert run(Descriptor, items) == report
-    assert run(Descriptor, items, seed=1) != report
 
 
 def test_items_without_labels_are_grouped_freely(items):
@@ -140,8 +140,8 @@ def test_items_without_labels_are_grouped_freely(items):
     assert report["R-precision@1, real"].value > 0.5  # a text may describe several of its group
 
 
-def test_report_reads_as_a_table_and_as_json(items):
-    report = run(Timeless, items)
+def test_report_reads_as_a_table_and_as_json(timeless):
+    report = timeless
     text = report.to_markdown()
     assert text.startswith(f"Evaluator descriptor: {LABELS * COPIES} items, ")
     assert text.count("\n| ") == 1 + len(report.checks)
