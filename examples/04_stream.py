@@ -22,4 +22,4 @@ print("the stored stream goes on alike:", bool((again.motion.rotations == follow
 timeline = MotionStream.from_pretrained(
     prompt=["a person runs", "a person jumps"], seconds=[4.2, 2.8], seed_motion=following.motion, network="rdm"
 )
-print("segments of each prompt:", timeline.timeline.segments())
+print("prompts begin with segments", timeline.timeline.starts)

@@ -1,6 +1,7 @@
-"""The front door: the weights that ship, from a sentence to files, in processes of their own."""
+"""The front door: the weights that ship, from a sentence to files."""
 
 import json
+import runpy
 import subprocess
 import sys
 from pathlib import Path
@@ -10,6 +11,7 @@ import torch
 from fastapi.testclient import TestClient
 
 from moveset import MotionStream, TextToMotion
+from moveset.cli.__main__ import main
 from moveset.io import load
 from moveset.io.manifest import VerifiedFolder
 from moveset.pipelines.model_config import DEFAULT_MODEL, DEFAULT_STREAM, ClipConfig, StreamConfig
@@ -98,22 +100,21 @@ def test_bodies_stand_on_the_floor(t2m):
         assert -0.1 < float(joints[..., 1].min()) < 0.1
 
 
-def test_a_whole_process_that_streams(tmp_path):
+def test_a_stream_of_half_a_minute(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
     prompts = ["a person walks forward", "a person waves with both hands"]
     command = ["stream", *prompts, "--seconds", "4", "4", "--total", "30", "-o", "take.bvh", "--json"]
-    done = subprocess.run(
-        [sys.executable, "-m", "moveset.cli", *command], cwd=tmp_path, capture_output=True, text=True, check=True
-    )
-    lines = [json.loads(line) for line in done.stdout.splitlines()]
+    assert main(command) == 0
+    lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     assert [line["segment"] for line in lines] == list(range(len(lines)))
     assert {line["prompt"] for line in lines} == set(prompts)
     assert len(load(tmp_path / "take.bvh")) == 600
 
 
-@pytest.mark.parametrize("network", ["pcm-1", "rdm"])
-def test_a_stream_walks_and_then_waves(network):
+@pytest.mark.parametrize(("network", "seeds"), [("pcm-1", 5), ("rdm", 3)])
+def test_a_stream_walks_and_then_waves(network, seeds):
     walked, lifted = [], []
-    for seed in SEEDS:
+    for seed in range(seeds):
         stream = MotionStream.from_pretrained(prompt="a person walks forward", seed=seed, network=network, device="cpu")
         walk = [next(stream).motion for _ in range(4)]
         stream.prompt("a person waves with both hands")
@@ -123,8 +124,8 @@ def test_a_stream_walks_and_then_waves(network):
         joints = [motion.joints for motion in wave]
         wrists, neck = ([j[:, k, 1] for j in joints] for k in (slice(20, 22), 12))
         lifted.append(max(float((w.amin(1) - n).max()) for w, n in zip(wrists, neck, strict=True)))
-    assert sorted(walked)[2] > 2.5, walked  # half a walking pace for 5.6 s
-    assert sum(both > 0 for both in lifted) >= 3, lifted
+    assert sorted(walked)[seeds // 2] > 2.5, walked  # half a walking pace for 5.6 s
+    assert sum(both > 0 for both in lifted) > seeds // 2, lifted
 
 
 def test_who_walks_goes_on_walking():
@@ -140,10 +141,11 @@ def test_who_walks_goes_on_walking():
 
 
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.stem)
-def test_examples_run(example, tmp_path):
-    done = subprocess.run([sys.executable, str(example)], cwd=tmp_path, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    assert done.stdout
+def test_examples_run(example, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", [str(example)])
+    runpy.run_path(str(example), run_name="__main__")
+    assert capsys.readouterr().out
 
 
 def made(t2m, prompt, steps, seed):

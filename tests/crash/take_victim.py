@@ -1,10 +1,12 @@
 """A process that forks writers of takes, each to be killed at another moment.
 
-Arguments: a folder and a format (".bvh"). Writer n makes ``folder/n/take.bvh`` of four pieces of ``motion()`` and dies
-by SIGKILL at its n-th operation on the disk; a write is done by half before. After each piece it notes its number of
-frames in ``folder/n.noted``. Ends after the first writer that survived, and prints how many were killed.
+Arguments: a folder and formats (".bvh"). Of each, writer n makes ``folder/.bvh/n/take.bvh`` of four pieces of
+``motion()`` and dies by SIGKILL at its n-th operation on the disk; a write is done by half before. After each piece it
+notes its number of frames in ``folder/.bvh/n.noted``. Goes on to the next format after the first writer that survived,
+and prints how many were killed.
 """
 
+import itertools
 import os
 import signal
 import sys
@@ -48,10 +50,12 @@ def record(path: Path, whole: Motion, noted: int, point: int) -> None:
     write(path, whole, lambda frames: note(noted, f"{frames}\n".encode()))
 
 
-def main(folder: Path, suffix: str) -> None:
+def kill(folder: Path, suffix: str) -> int:
+    """How many writers of a format were killed."""
+    folder.mkdir()
     whole = motion()
     write(folder / f"warm{suffix}", whole, lambda _: None)  # so that the forked ones import nothing
-    for point in range(10**6):
+    for point in itertools.count():
         (folder / str(point)).mkdir()
         noted = os.open(folder / f"{point}.noted", os.O_WRONLY | os.O_CREAT)
         process = os.fork()
@@ -65,9 +69,12 @@ def main(folder: Path, suffix: str) -> None:
         os.close(noted)
         code = os.waitstatus_to_exitcode(os.waitpid(process, 0)[1])
         if code != -signal.SIGKILL:
-            print(point)
-            sys.exit(code)
+            if code:
+                sys.exit(code)
+            return point
+    raise AssertionError("unreachable")
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), sys.argv[2])
+    for kind in sys.argv[2:]:
+        print(kill(Path(sys.argv[1], kind), kind), flush=True)

@@ -17,16 +17,27 @@ REPOSITORY = Path(__file__).resolve().parents[2]
 pytestmark = [pytest.mark.skipif(os.name == "nt", reason="kills by POSIX signals"), pytest.mark.timeout(600)]
 
 
-@pytest.mark.parametrize("suffix", [".bvh", ".glb", ".npz", ".html"])
-def test_sigkill_at_every_operation_on_the_disk(suffix, tmp_path):
+SUFFIXES = (".bvh", ".glb", ".npz", ".html")
+
+
+@pytest.fixture(scope="module")
+def killed(tmp_path_factory):
+    """A folder of what killed writers of each format left, and how many of them there were."""
+    folder = tmp_path_factory.mktemp("killed")
     environment = {**os.environ, "PYTHONPATH": str(REPOSITORY), "OMP_NUM_THREADS": "1"}
-    command = [sys.executable, "-m", "tests.crash.take_victim", str(tmp_path), suffix]
+    command = [sys.executable, "-m", "tests.crash.take_victim", str(folder), *SUFFIXES]
     done = subprocess.run(command, cwd=REPOSITORY, env=environment, text=True, capture_output=True, timeout=540)
     assert done.returncode == 0, done.stderr[-2000:]
-    whole, kills, recovered = motion(), int(done.stdout), []
+    return folder, dict(zip(SUFFIXES, map(int, done.stdout.split()), strict=True))
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_sigkill_at_every_operation_on_the_disk(suffix, killed):
+    home, kills = killed[0] / suffix, killed[1][suffix]
+    whole, recovered = motion(), []
     for point in range(kills + 1):
-        folder, path = tmp_path / str(point), tmp_path / str(point) / f"take{suffix}"
-        noted = [0, *map(int, (tmp_path / f"{point}.noted").read_text().split())][-1]
+        folder, path = home / str(point), home / str(point) / f"take{suffix}"
+        noted = [0, *map(int, (home / f"{point}.noted").read_text().split())][-1]
         if (folder / f"take{suffix}.part").exists():
             with suppress(FormatError):
                 recovered.append(recover_take(path))

@@ -143,18 +143,6 @@ def test_a_prompt_is_checked_and_leaves_the_stream_as_it_was(opened):
     assert next(made).prompt == WALK
 
 
-def test_every_prompt_is_encoded_once(opened, encoder, monkeypatch):
-    seen = []
-    monkeypatch.setattr(encoder, "encode", lambda s, encode=encoder.encode: seen.append(*s) or encode(s))
-    made = opened([WALK, BOW], 1.4, loop=True)
-    take(made, 6)
-    made.prompt("a person waves")
-    take(made, 2)
-    assert {prompt: seen.count(prompt) for prompt in (WALK, BOW, "a person waves")} == {
-        WALK: 1, BOW: 1, "a person waves": 1
-    }  # fmt: skip
-
-
 def test_a_timeline_is_rounded_together(opened):
     made = opened(["a", "b", "c"], [3.0, 0.1, 4.0])
     # 3.0, 3.1 and 7.1 s are 2.1, 2.2 and 5.1 segments; each prompt gets at least one.
