@@ -53,6 +53,16 @@ def test_a_benchmark_says_in_one_line_what_is_wrong(program, arguments, message,
     assert (ended.value.code, out, said.count("\n"), message in said) == (2, "", 1, True), said
 
 
+def test_a_module_that_python_starts_says_it_so_too(place, monkeypatch, capsys):
+    monkeypatch.chdir(place)
+    monkeypatch.setattr(sys, "argv", ["report", "rdm"])
+    monkeypatch.delitem(sys.modules, "moveset.evaluation.report", raising=False)
+    with pytest.raises(SystemExit) as ended:
+        runpy.run_module("moveset.evaluation.report", run_name="__main__")
+    said = capsys.readouterr().err
+    assert (ended.value.code, said.count("\n"), "there is no folder rdm" in said) == (2, 1, True), said
+
+
 @pytest.mark.parametrize(
     ("error", "code", "message"),
     [(KeyboardInterrupt(), 130, "interrupted"), (OSError(28, "No space left"), 1, "OSError: [Errno 28] No space left")],
