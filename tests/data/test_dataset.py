@@ -176,5 +176,4 @@ def test_the_published_recipe_trains_on_a_folder(tmp_path, monkeypatch):
     assert (config["codec"], config["loss"], config["model"]["features"]) == ("hml", "published", 263)
     step = train("teacher", folder, *TINY, "text_encoder=minilm", "model.text_dim=384")
     assert all(value.isfinite().all() for value in checkpoint.read_tensors(step, "teacher_ema").values())
-    for student in ("lcm-1", "pcm-1"):
-        train(student, folder, "batch=4", "warmup=1", "text_encoder=minilm")
+    train("pcm-1", folder, "batch=4", "warmup=1", "text_encoder=minilm")

@@ -1,8 +1,6 @@
 """Packed quaternions: small, close, and safe for any bits."""
 
 import torch
-from hypothesis import given
-from hypothesis import strategies as st
 
 from moveset.data.quantize import pack, unpack
 from moveset.motion import rotations
@@ -18,9 +16,8 @@ def error(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
     return rotations.angle(rotations.mul(rotations.inv(a.double()), b.double()))
 
 
-@given(st.integers(0, 10_000))
-def test_error_is_below_the_promise(seed):
-    q = random_rotations(500, seed)
+def test_error_is_below_the_promise():
+    q = random_rotations(50_000, 0)
     assert error(q, unpack(pack(q))).max() < 1.5e-4
 
 

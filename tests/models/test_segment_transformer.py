@@ -66,43 +66,35 @@ def test_who_is_alone_takes_every_segment_for_a_first_one(model, inputs):
     assert torch.equal(call(alone, **inputs, prepare=True), made)
 
 
-def test_a_place_in_the_time_of_the_sentence_is_read_where_it_is_known(model, inputs):
-    placed = replace(CONFIG, timing=True).build().eval()
-    lacking = placed.load_state_dict(model.state_dict(), strict=False)
-    assert lacking.missing_keys == ["place.weight"]
-    assert placed.learned_later["place.weight"] == "timing"
-    place = torch.tensor([[0.0, 98.0], [28.0, 70.0], [-1.0, -1.0], [28.0, 28.0]])
-    # Fresh, it changes nothing; nor does it ever where nothing is told.
-    assert torch.equal(call(placed, **inputs, place_B2=place), call(model, **inputs))
-    placed = awake(placed.config)
-    untold, told = call(placed, **inputs), call(placed, **inputs, place_B2=place)
-    assert torch.equal(call(placed, **inputs, place_B2=torch.full((ROWS, 2), -1.0)), untold)
-    moved = gap(told, untold)
-    assert float(moved[2]) == 0
-    assert float(moved[[0, 1, 3]].min()) > 1e-3
-    assert torch.equal(call(placed, **inputs, place_B2=torch.tensor([[0.0, 197.0]]).expand(ROWS, 2)), untold)
-    # Behind it is not ahead of it.
-    assert float(gap(call(placed, **inputs, place_B2=place.flip(1)), told)[:2].min()) > 1e-3
-    assert torch.equal(call(placed, **inputs, place_B2=place, prepare=True), told)
-    assert torch.equal(call(model, **inputs, place_B2=place), call(model, **inputs))
+PLACE = torch.tensor([[0.0, 98.0], [28.0, 70.0], [-1.0, -1.0], [28.0, 28.0]])
+TURN = torch.tensor([0.0, 1.5, float("nan"), -1.5])
 
 
-def test_how_far_a_way_has_turned_is_read_where_it_is_known(model, inputs):
-    coursed = replace(CONFIG, heading_change=True).build().eval()
-    assert coursed.load_state_dict(model.state_dict(), strict=False).missing_keys == ["course.weight"]
-    assert coursed.learned_later["course.weight"] == "heading_change"
-    turned = torch.tensor([0.0, 1.5, float("nan"), -1.5])
-    assert torch.equal(call(coursed, **inputs, turned_B=turned), call(model, **inputs))
-    coursed = awake(coursed.config)
-    untold, told = call(coursed, **inputs), call(coursed, **inputs, turned_B=turned)
-    moved = gap(told, untold)
+@pytest.mark.parametrize(
+    ("reads", "weight", "given", "told", "untold", "other"),
+    [
+        # Behind it is not ahead of it; nobody knows of 197 frames.
+        ("timing", "place", "place_B2", PLACE, [PLACE * 0 - 1.0, torch.tensor([[0.0, 197.0]] * 4)], PLACE.flip(1)),
+        # Not to have turned is something to know, too; more than a turn is not.
+        ("heading_change", "course", "turned_B", TURN, [torch.full((4,), float("nan")), torch.full((4,), 6.3)], -TURN),
+    ],
+    ids=["place", "turn"],
+)  # fmt: skip
+def test_place_and_turn_are_read_where_they_are_known(model, inputs, reads, weight, given, told, untold, other):
+    fresh = replace(CONFIG, **{reads: True}).build().eval()
+    assert fresh.load_state_dict(model.state_dict(), strict=False).missing_keys == [f"{weight}.weight"]
+    assert fresh.learned_later[f"{weight}.weight"] == reads
+    # Fresh, it changes nothing; nor does it ever where nothing is told, or to who does not read it.
+    plain = call(model, **inputs)
+    assert torch.equal(call(fresh, **inputs, **{given: told}), plain)
+    assert torch.equal(call(model, **inputs, **{given: told}), plain)
+    network = awake(fresh.config)
+    silent, heard = call(network, **inputs), call(network, **inputs, **{given: told})
+    assert all(torch.equal(call(network, **inputs, **{given: nothing}), silent) for nothing in untold)
+    moved = gap(heard, silent)
     assert float(moved[2]) == 0
-    # Not to have turned is something to know, too.
     assert float(moved[[0, 1, 3]].min()) > 1e-3
-    assert float(gap(call(coursed, **inputs, turned_B=-turned), told)[[1, 3]].min()) > 1e-3
-    assert torch.equal(call(coursed, **inputs, turned_B=torch.full((ROWS,), 6.3)), untold)  # more than a turn
-    assert torch.equal(call(coursed, **inputs, turned_B=turned, prepare=True), told)
-    assert torch.equal(call(model, **inputs, turned_B=turned), call(model, **inputs))
+    assert float(gap(call(network, **inputs, **{given: other}), heard)[1]) > 1e-3
 
 
 def test_the_level_of_the_previous_segment_is_read(model, inputs):

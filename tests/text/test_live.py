@@ -5,7 +5,7 @@ import torch
 
 from moveset.text.cache import EmbeddingCache
 from moveset.text.live import LiveEmbeddings
-from tests.text.test_cache import LetterEncoder
+from tests.text.test_cache import LetterEncoder, same
 
 CACHED = ["a person walks", "a person jumps slowly", "left"]
 OTHER = ["right hand", "a person waves and then walks", "hand then hand then hand then hand then hand"]
@@ -16,12 +16,6 @@ def live(request, tmp_path):
     encoder = LetterEncoder()
     cache = EmbeddingCache.build(encoder, CACHED, tmp_path / "text.safetensors") if request.param == "cache" else None
     return LiveEmbeddings(encoder, cache)
-
-
-def same(found, wanted):
-    torch.testing.assert_close(found.tokens, wanted.tokens, atol=0.02, rtol=1e-3)
-    torch.testing.assert_close(found.pooled, wanted.pooled, atol=1e-3, rtol=0)
-    assert torch.equal(found.mask, wanted.mask)
 
 
 @pytest.mark.parametrize("prepared", [[], OTHER[:1], CACHED[:2] + OTHER])

@@ -1,5 +1,6 @@
 """Model folders are the averaged networks of the latest checkpoints, with the statistics and captions of their data."""
 
+import shutil
 from dataclasses import asdict, replace
 
 import pytest
@@ -38,15 +39,15 @@ def write_run(runs, name, task, **modules):
 
 
 @pytest.fixture(scope="module")
-def dataset(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("data")
-    return open_for_training(synthetic_corpus(folder / "corpus.safetensors", clips=12, seed=0))
+def dataset(tiny_run):
+    return open_for_training(tiny_run.corpus)
 
 
 @pytest.fixture(scope="module")
-def runs(tmp_path_factory):
+def runs(tiny_run, tmp_path_factory):
     """Run folders as the training leaves them, of networks that were hardly trained."""
     runs = tmp_path_factory.mktemp("runs")
+    shutil.copytree(tiny_run.folder / "cache", runs / "cache")
     with torch.random.fork_rng(devices=[]), torch.no_grad():
         torch.manual_seed(0)
         rdm, md, flow = MODEL.build(), MODEL.build(), FLOW.build()

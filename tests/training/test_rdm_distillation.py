@@ -114,23 +114,6 @@ def test_a_noisy_past_can_be_validated_whatever_the_batch(settings, tiny_run, tm
         assert past is None
 
 
-def test_in_lower_phases_the_past_has_the_noise_that_the_segment_began_with(tiny_run, tmp_path, monkeypatch):
-    whites, noise_of = [], rdm_distillation.RDMStudentTask._past_noise
-    monkeypatch.setattr(
-        rdm_distillation.RDMStudentTask,
-        "_past_noise",
-        lambda task, white, noisy: (whites.append(white) if noisy else None) or noise_of(task, white, noisy),
-    )
-    settings = ("context_noise_rollout=true", "rollout_share=0.5", "phases=2")
-    task, _ = tiny_run.train("rdm-student", tmp_path / "run", *settings, steps=4)
-    assert len(whites) == 4
-    streams = task.own.rows.tolist()
-    for row in range(task.config.batch):
-        # The first stream has both phases of a segment in two steps, the second a step later, and so on.
-        again = [step for step in (1, 2, 3) if torch.equal(whites[step][row], whites[step - 1][row])]
-        assert again == ([] if row not in streams else [1, 3] if streams.index(row) % 2 == 0 else [2])
-
-
 def test_lower_phases_meet_what_the_student_landed_at(tiny_run, tmp_path, monkeypatch):
     met, target = [], rdm_distillation.clean_target
     monkeypatch.setattr(
