@@ -79,7 +79,7 @@ def test_json_for_programs(evaluate):
     code, out, _ = evaluate("flow", "--repeats", "1", "--multimodality", "0", "--items", "70", "--json")
     assert code == 0
     result = json.loads(out)["results"][0]
-    assert (result["model"], result["network"], result["items"]) == ("flow", "pcm-1", 70)
+    assert (result["model"], result["network"], result["items"]) == ("tiny-stream", "pcm-1", 70)
     assert result["metrics"]["boundary_jerk"]["mean"] > 0
     assert result["metrics"]["fid"]["interval"] is None
 
