@@ -1,6 +1,6 @@
 """The training curves of a folder of runs as one picture and one small JSON, from their ``metrics.jsonl``.
 
-python benchmarks/curves.py --runs runs/small/runs --out results
+python benchmarks/curves.py --runs runs/small --out results
 """
 
 import json
@@ -53,7 +53,7 @@ def points(path: Path, split: str, name: str) -> list[tuple[int, float]]:
 def main() -> None:
     """See the module."""
     parser = Parser()
-    parser.add_argument("--runs", type=Path, default=Path("runs/small/runs"))
+    parser.add_argument("--runs", type=Path, default=Path("runs/small"))
     parser.add_argument("--out", type=Path, default=Path("results"))
     given = parser.parse_args()
     # Its folder must be one that can be written to.

@@ -12,10 +12,13 @@ from moveset.data.humanml3d import HUMANML3D, KIT
 from moveset.data.synthetic import synthetic_corpus
 from moveset.motion.features import get_codec
 
-MODELS = ("motionpcm-tiny", "rdm-tiny", "dip-tiny")
+# A busy machine takes some minutes for all of it.
+pytestmark = pytest.mark.timeout(900)
+
+MODELS = ("motionpcm-tiny", "rdm-tiny")
 STAGES = (
-    "vae", "decoder", "teacher", "length", "lcm-1", "pcm-", "rdm-7", "md-7", "rdm-student", "dip", "movement",
-    "evaluator", "export t2m", *(f"export {model}" for model in MODELS),
+    "vae", "decoder", "teacher", "length", "lcm-1", "pcm-", "rdm-7", "md-7", "rdm-student", "movement", "evaluator",
+    "export t2m", *(f"export {model}" for model in MODELS),
 )  # fmt: skip
 
 
@@ -25,7 +28,7 @@ def corpus(tmp_path_factory):
 
 
 @pytest.fixture(
-    scope="module", params=[(HUMANML3D, "humanml3d", ("motiondiffuse",)), (KIT, "kit-ml", ())], ids=["hml", "kit"]
+    scope="module", params=[(HUMANML3D, "humanml3d", ("motiondiffuse", "dip")), (KIT, "kit-ml", ())], ids=["hml", "kit"]
 )
 def trained(request, corpus, tmp_path_factory):
     """A folder as published ones are, and the models of every stage trained on it."""
@@ -43,10 +46,10 @@ def trained(request, corpus, tmp_path_factory):
 def test_both_papers_tables_come_of_a_folder(trained, monkeypatch, capsys):
     _, place, baselines = trained
     monkeypatch.chdir(place)
-    rows = {
-        "motionpcm": ("real", "vae", "teacher", "lcm-1", "lcm-4", "pcm-1"),
-        "rdm": ("real", "md-7", "rdm-7", "rdm-pcm-1", "triangle-2", "dip", *(["motiondiffuse"] if baselines else [])),
-    }
+    rows = {"motionpcm": ("real", "pcm-1"), "rdm": ("real", "rdm-pcm-1")}
+    if baselines:
+        rows["motionpcm"] += ("vae", "teacher", "lcm-1", "lcm-4")
+        rows["rdm"] += ("md-7", "rdm-7", "triangle-2", "dip", "motiondiffuse")
     models = [str(Path("models") / model) for model in (*MODELS, *baselines)]
     for suite, keys in rows.items():
         given = ["--data", "data", "--evaluator", "models/t2m-tiny", "--repeats", "1", "--multimodality", "0"]

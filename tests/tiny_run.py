@@ -36,7 +36,7 @@ class TinyRun:
 
     @property
     def runs(self) -> Path:
-        return self.folder / "runs"
+        return self.folder
 
     def model(self, name: str) -> Path:
         """The folder of "motionpcm", "rdm", "t2m" or a baseline."""

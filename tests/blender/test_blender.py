@@ -36,12 +36,12 @@ def blender():
     return joints
 
 
-@pytest.mark.parametrize("rig", ["hml22", "mixamo", "ue5"])
-def test_blender_sees_the_same_joints_in_bvh_and_glb(blender, rig, tmp_path):
+@pytest.mark.parametrize("rig", ["hml22", "kit21", "smpl", "mixamo", "vrm", "ue5"])
+def test_blender_sees_the_same_joints_in_every_file_that_it_reads(blender, rig, tmp_path):
     motion = retarget(wander(30, seed=8, turn=1.0), rig)
     names = motion.skeleton.joints
     seen = {}
-    for suffix in (".glb", ".bvh"):
+    for suffix in (".glb", ".gltf", ".bvh"):
         save(motion, tmp_path / f"a{suffix}")
         seen[suffix] = blender(tmp_path / f"a{suffix}", names, motion.fps)
         assert seen[suffix].shape == (30, len(names), 3)

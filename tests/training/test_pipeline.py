@@ -49,7 +49,7 @@ def test_what_was_cut_off_goes_on_and_only_that(tiny_run, tmp_path):
     for part in ("stages", "runs/length", "cache"):
         shutil.copytree(tiny_run.folder / part, tmp_path / part)
     shutil.copy(tiny_run.corpus, tmp_path)
-    run, note = tmp_path / "runs" / "length", tmp_path / "stages" / "length.json"
+    run, note = tmp_path / "length", tmp_path / "stages" / "length.json"
     whole = checkpoint.read_tensors(checkpoint.resolve(run), "length")
     shutil.rmtree(run / "step_4")
     note.write_text(json.dumps({"key": json.loads(note.read_text())["key"]}))
@@ -85,5 +85,5 @@ def test_trainings_side_by_side_are_those_alone(tiny_run, tmp_path):
     report = train_all("tiny", tiny_run.corpus, tmp_path, only=only, jobs=2, say=lambda line: None)
     assert sorted(report.trained) == sorted(only)
     for name in only:
-        one, other = (checkpoint.read_tensors(x / "runs" / name / "step_4", name) for x in (tiny_run.folder, tmp_path))
+        one, other = (checkpoint.read_tensors(x / name / "step_4", name) for x in (tiny_run.folder, tmp_path))
         assert all(one[key].equal(other[key]) for key in one)

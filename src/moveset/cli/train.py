@@ -71,7 +71,7 @@ def train(
         folder: Where checkpoints and logs go; by default runs/RECIPE/WHAT. Of export: where model folders go; by
             default runs/RECIPE/models.
         corpus: What `moveset data build` wrote, or a HumanML3D or KIT-ML folder.
-        raw: Of all: the archives that the corpus is built from first, as for `moveset data build`.
+        raw: Of all: the archives that the corpus is built from first, if it is not there, as by `moveset data build`.
         out: Of all: where runs, models and the log go; by default runs/RECIPE.
         only: Of all: a stage, or the beginning of the names of several, such as rdm; may be given several times.
         jobs: Of all: trainings side by side.
@@ -126,11 +126,9 @@ def _all(
     from moveset.data.build import build_corpus
     from moveset.training.pipeline import train_all
 
-    if raw is not None:
-        corpus = out / "corpus.safetensors"
-        if not corpus.is_file():
-            out.mkdir(parents=True, exist_ok=True)
-            build_corpus(raw, corpus, workers=os.cpu_count() or 1)
+    if raw is not None and not corpus.is_file():
+        corpus.parent.mkdir(parents=True, exist_ok=True)
+        build_corpus(raw, corpus, workers=os.cpu_count() or 1)
     report = train_all(recipe, corpus, out, only=only, device=device, jobs=jobs)
     if report.stopped_by:
         return 130

@@ -270,3 +270,10 @@ EXPORTS: tuple[Export, ...] = (
     *(BaselineExport(name=f"{run}-small", runs={"denoiser": run}) for run in ("motiondiffuse", "dip")),
     EvaluatorExport(name="t2m-small", runs={"evaluator": "evaluator"}),
 )  # fmt: skip
+
+# What trainings took on one shared core: by these and by how it goes, `moveset train all` says how much is left.
+HOURS = {
+    "movement": 0.3, "evaluator": 0.35, "length": 0.05, "vae": 0.4, "decoder": 0.6, "teacher": 0.7, "lcm-1": 0.5,
+    "pcm-1": 0.9, "pcm-2": 1.0, "pcm-4": 1.0, "rdm-7": 1.7, "md-7": 1.7, "rdm-4": 1.7, "rdm-14": 1.7, "md-4": 1.7,
+    "rdm-student": 0.5,
+}  # fmt: skip

@@ -52,7 +52,7 @@ class Place:
 
     Args:
         data: a corpus file, or a HumanML3D or KIT-ML folder.
-        out: gets ``runs/``, ``models/``, ``stages/``, ``cache/`` and ``train.log``.
+        out: gets a folder of every training by its name, ``models/``, ``stages/``, ``cache/`` and ``train.log``.
     """
 
     data: Path
@@ -60,10 +60,8 @@ class Place:
 
     def sources(self, name: str) -> Sources:
         """What a training reads."""
-        runs, needed = self.out / "runs", TASKS[name]
-        return Sources(
-            corpus=self.data, vae=runs / "vae", teacher=runs / (needed.teacher or "teacher"), cache=self.out / "cache"
-        )
+        teacher = self.out / (TASKS[name].teacher or "teacher")
+        return Sources(corpus=self.data, vae=self.out / "vae", teacher=teacher, cache=self.out / "cache")
 
 
 @dataclass(frozen=True)
@@ -203,7 +201,7 @@ def _in_a_process(stage: Stage, key: str, place: Place) -> None:
 def train_stage(stage: Stage, key: str, place: Place) -> str | None:
     """One training to its end, from where it is; the signal that stopped it, if one did."""
     assert stage.engine is not None
-    folder = place.out / "runs" / stage.name
+    folder = place.out / stage.name
     _note(place, stage, key)
     result = run(task_maker(stage.name, stage.task, place.sources(stage.name)), stage.engine, folder, True)
     if result.stopped_by is None:
@@ -215,7 +213,7 @@ def _export(stage: Stage, keys: Mapping[str, str], place: Place, log: "_Log") ->
     assert stage.model is not None
     log.begin(stage)
     folder = place.out / "models" / stage.model.name
-    export(stage.model, open_for_training(place.data), place.out / "runs", place.out / "cache", folder)
+    export(stage.model, open_for_training(place.data), place.out, place.out / "cache", folder)
     _note(place, stage, keys[stage.name], finished=True)
     log.end(stage)
     return folder
@@ -240,7 +238,7 @@ def _check(every: Iterable[Stage], chosen: Sequence[Stage], keys: Mapping[str, s
     for stage in chosen:
         noted = _noted(place, stage)
         if noted.get("key", keys[stage.name]) != keys[stage.name] and stage.model is None:
-            folder = place.out / "runs" / stage.name
+            folder = place.out / stage.name
             raise InputError(
                 f"{folder} was trained by other settings, on other data or on top of something else; remove it, or "
                 "give another folder"
@@ -257,7 +255,7 @@ def _done(stage: Stage, keys: Mapping[str, str], place: Place) -> bool:
     if stage.model is not None:
         return (place.out / "models" / stage.model.name).is_dir()
     assert stage.engine is not None
-    return checkpoint.steps(place.out / "runs" / stage.name)[-1:] == [stage.engine.steps]
+    return checkpoint.steps(place.out / stage.name)[-1:] == [stage.engine.steps]
 
 
 def _note(place: Place, stage: Stage, key: str, **more: Any) -> None:

@@ -98,8 +98,10 @@ def load_recipes(name: str) -> dict[str, Recipe]:
     """
     if name not in RECIPES:
         raise InputError(f"there is no recipe {name!r}; choose one of {', '.join(RECIPES)}")
-    training: dict[str, Callable[[], Recipe]] = importlib.import_module(f"moveset.recipes.{name}").TRAINING
-    return {what: make() for what, make in training.items()}
+    module = importlib.import_module(f"moveset.recipes.{name}")
+    training: dict[str, Callable[[], Recipe]] = module.TRAINING
+    hours: dict[str, float] = getattr(module, "HOURS", {})
+    return {what: dataclasses.replace(make(), hours=hours.get(what, 0.0)) for what, make in training.items()}
 
 
 def load_recipe(name: str, what: str) -> Recipe:
