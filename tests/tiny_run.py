@@ -13,7 +13,7 @@ from moveset.training.tasks import load_recipe, task_maker, with_settings
 
 @dataclass(frozen=True)
 class TinyRun:
-    """Read only: ``corpus.safetensors``, ``runs/``, ``models/``, ``stages/``, ``cache/`` and ``train.log``.
+    """Read only: a corpus, a folder of every training, ``models/``, ``stages/``, ``cache/`` and ``train.log``.
 
     Args:
         folder: of all of it.

@@ -46,7 +46,7 @@ def test_what_is_done_is_not_done_again(tiny_run):
 
 
 def test_what_was_cut_off_goes_on_and_only_that(tiny_run, tmp_path):
-    for part in ("stages", "runs/length", "cache"):
+    for part in ("stages", "length", "cache"):
         shutil.copytree(tiny_run.folder / part, tmp_path / part)
     shutil.copy(tiny_run.corpus, tmp_path)
     run, note = tmp_path / "length", tmp_path / "stages" / "length.json"
