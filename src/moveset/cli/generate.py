@@ -120,7 +120,7 @@ def prepare(arguments: Sequence[str]) -> list[str]:
     ['a person walks', '--seconds', '3', '--seconds', '2', '-o', 'a.bvh', '-o', 'b.glb', 'then waves']
     """
     # Without blanks any extension, so that a wrong one is refused; with blanks io.WRITABLE, which is slow to import.
-    file = r"(?i)\S+\.(\w{3}|html)|[^\n]+\.(bvh|glb|npz|npy|html|mp4|gif|png)"
+    file = r"(?i)\S+\.(\w{3}|gltf|vrma|html)|[^\n]+\.(bvh|glb|gltf|vrma|npz|npy|html|mp4|gif|png)"
     more = {"--seconds": r"[\d.]+(e\d+)?", "-o": file, "--output": file}
     out: list[str] = []
     flag = ""
