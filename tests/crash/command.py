@@ -18,5 +18,5 @@ def make(config, sources, loop):
 if __name__ == "__main__":
     recipe = tasks.Recipe(task=TinyConfig(), engine=ENGINE)
     sys.modules["moveset.recipes.tiny"] = types.SimpleNamespace(TRAINING={"vae": lambda: recipe})
-    tasks.TASKS["vae"] = "tests.crash.command:make"
+    tasks.TASKS["vae"] = tasks.Trainable("tests.crash.command:make")
     sys.exit(main())

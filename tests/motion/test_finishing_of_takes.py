@@ -25,6 +25,8 @@ def test_who_is_not_on_the_feet_is_left_alone(real_data, kind):
         pytest.skip(f"no takes of {folder} here")
     reader = cmu if folder.startswith("cmu") else more_mocap
     ref = next(ref for ref in reader.list_takes(real_data / folder) if ref.name == name)
+    if not ref.path.is_file():
+        pytest.skip(f"no {ref.path.name} here")
     run = max(reader.read_take(ref).runs, key=len)
     motion = posture.on_floor(run.rotations, run.root, posture.floor_of(run.rotations, run.root))
     codec = get_codec("native")

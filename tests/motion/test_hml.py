@@ -262,7 +262,8 @@ def real_motions(real_data):
     takes = [bandai_namco.read_take(r) for r in takes[:2]]
     takes += [cmu.read_take(r) for r in cmu.list_takes(real_data / "cmu") if r.name in ("02_01", "07_03")]
     assert len(takes) >= 2
-    return [take.motion[:40] for take in takes]
+    runs = [take.runs[0] for take in takes]
+    return [Motion(run.rotations, run.root)[:40] for run in runs]
 
 
 def test_real_takes_equal_the_oracle_and_survive_the_round_trip(real_data):
