@@ -236,13 +236,13 @@ def test_reconstruction_learns_a_transition_that_depends_on_text():
     index = torch.ones(32, dtype=torch.long)
     optimizer = torch.optim.Adam(flow.parameters(), lr=5e-2)
     losses = []
-    for _ in range(20):
+    for _ in range(60):
         loss = (flow(x, flow.context(pooled, index)) - target).square().mean()
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()
         losses.append(loss.item())
-    assert losses[-1] < 0.2 * losses[0]
+    assert losses[-1] < 0.1 * losses[0]
 
 
 def test_a_flow_comes_back_from_its_description_and_weights():
