@@ -10,7 +10,6 @@ import torch
 
 from moveset.cli import train as command
 from moveset.data.humanml3d import KIT
-from moveset.data.paraphrase import paraphrase
 from moveset.diffusion.schedule import cosine, linear
 from moveset.errors import InputError
 from moveset.models.registry import build_model, parse_config
@@ -101,7 +100,7 @@ def test_a_course_is_learned_from_a_bent_past(tiny_run, tmp_path):
     [
         ("optimizer=adamw", "batch=3"),
         ("optimizer=momo", "batch=3"),
-        ("augmentation.paraphrased=0.2", "augmentation.reworded=0.6"),
+        ("augmentation.token_dropout=0.2", "augmentation.embedding_noise=0.3"),
     ],
 )
 def test_four_steps_are_two_a_stop_and_two(settings, tiny_run, tmp_path):
@@ -111,7 +110,7 @@ def test_four_steps_are_two_a_stop_and_two(settings, tiny_run, tmp_path):
     tiny_run.train("rdm-7", straight, *settings, steps=4, save_every=1, keep_last=4)
     shutil.copytree(straight / "step_2", halves / "step_2")
     workers = 2 * settings[0].startswith("augmentation")
-    task, _ = tiny_run.train("rdm-7", halves, *settings, steps=4, save_every=1, resume=True, workers=workers)
+    tiny_run.train("rdm-7", halves, *settings, steps=4, save_every=1, resume=True, workers=workers)
     names = {file.name for file in (straight / "step_4").iterdir()}
     assert {"denoiser.safetensors", "flow_ema.safetensors", "optimizer_flow.safetensors"} <= names
     for name in sorted(name for name in names if name.endswith(".safetensors")):
@@ -123,10 +122,6 @@ def test_four_steps_are_two_a_stop_and_two(settings, tiny_run, tmp_path):
 
     assert [moved("flow", step) for step in (2, 3)] == [True, False]
     assert moved("denoiser", 3)
-    if workers:
-        written = set(task.data.train.all_captions())
-        said = [caption for step in range(12) for caption in task.data.train.batch(8, 0, step).captions]
-        assert any(caption not in written and paraphrase(caption) not in written for caption in said)
 
 
 def test_variants_train(tiny_run, tmp_path):
@@ -144,7 +139,6 @@ def test_variants_train(tiny_run, tmp_path):
 @pytest.mark.parametrize(
     ("what", "settings", "message"),
     [
-        ("rdm-7", ["augmentation.paraphrased=0.5", "augmentation.reworded=0.6"], "no more than 1 together"),
         ("rdm-7", ["predict=eps"], "without a flow"),
         ("rdm-7", ["md_condition=none"], "without a flow"),
         ("rdm-7", ["max_tokens=77"], "disturbed captions"),

@@ -18,7 +18,6 @@ from tqdm import tqdm
 from moveset.data.dataset import Dataset
 from moveset.data.feature_store import Crop, FeatureStore
 from moveset.data.splits import Split
-from moveset.data.text_augmentation import AS_WRITTEN, say
 from moveset.errors import InputError
 from moveset.io.limits import atomic_write
 
@@ -53,10 +52,7 @@ class LatentSet:
         std: (M, N, d) posterior standard deviations.
         frames: (M,) clip lengths.
         clip: (M,) numbers of clips in the dataset and the feature store.
-        augmentation: what share of captions in a batch is said otherwise.
     """
-
-    augmentation = AS_WRITTEN
 
     def __init__(self, dataset: Dataset, split: Split, tensors: dict[str, Tensor]) -> None:
         self.mean, self.std = tensors["mean"].float(), tensors["std"].float()
@@ -116,10 +112,10 @@ class LatentSet:
         entries = torch.multinomial(self.weights, size, replacement=True, generator=generator)
         noise = torch.randn(size, *self.mean.shape[1:], generator=generator)
         z0 = (self.mean[entries] + self.std[entries] * noise - self.center) / self.scale
-        pick, other = torch.rand(2, size, generator=generator).tolist()
         captions = []
-        for entry, place, chance in zip(entries.tolist(), pick, other, strict=True):
-            captions.append(say(self.captions(entry), self.augmentation, place, chance))
+        for entry, pick in zip(entries.tolist(), torch.rand(size, generator=generator).tolist(), strict=True):
+            options = self.captions(entry)
+            captions.append(options[int(pick * len(options))])
         return LatentBatch(z0, self.frames[entries], captions)
 
 

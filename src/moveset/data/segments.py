@@ -17,7 +17,6 @@ from moveset.data.augment import MAX_FRAMES
 from moveset.data.dataset import Dataset
 from moveset.data.feature_store import FeatureStore
 from moveset.data.splits import Split
-from moveset.data.text_augmentation import AS_WRITTEN, TextAugmentation, say
 from moveset.motion.features import FeatureCodec
 
 # Frames of a segment by N, the number of segments of the longest clip.
@@ -69,11 +68,6 @@ class SegmentBatch:
     captions: list[str]
     previous_captions: list[str]
 
-    @property
-    def said(self) -> list[str]:
-        """Whatever is said in it."""
-        return self.captions + self.previous_captions
-
     def rows(self, count: int) -> "SegmentBatch":
         """The first so many."""
         return SegmentBatch(*(getattr(self, field.name)[:count] for field in fields(self)))
@@ -105,11 +99,7 @@ class Row:
 
 
 class ClipSet:
-    """Clips of one split with their sentences by part, drawn by weight.
-
-    Args:
-        augmentation: what share of captions is said otherwise.
-    """
+    """Clips of one split with their sentences by part, drawn by weight."""
 
     def __init__(
         self,
@@ -118,9 +108,8 @@ class ClipSet:
         store: FeatureStore,
         codec: FeatureCodec,
         cutting: CuttingConfig,
-        augmentation: TextAugmentation = AS_WRITTEN,
     ) -> None:
-        self.cutting, self.augmentation = cutting, augmentation
+        self.cutting = cutting
         yaw = codec.groups["root_yaw"]
         self._yaw = (yaw.start, float(store.normalizer.mean[yaw]), float(store.normalizer.std[yaw]))
         clips = dataset.split(split)
@@ -133,16 +122,16 @@ class ClipSet:
         return sorted({caption for row in self.rows for said in (row.whole, *row.said) for caption in said})
 
     def draw(self, size: int, seed: int, step: int) -> list[tuple[Row, list[float]]]:
-        """The clips of a step's batch, each with seven numbers in [0, 1): a pure function of (seed, step)."""
+        """The clips of a step's batch, each with five numbers in [0, 1): a pure function of (seed, step)."""
         generator = torch.Generator().manual_seed(seed * 1_000_003 + step)
         chosen = torch.multinomial(self.weights, size, replacement=True, generator=generator).tolist()
-        numbers = torch.rand(size, 7, generator=generator).tolist()
+        numbers = torch.rand(size, 5, generator=generator).tolist()
         return [(self.rows[row], chance) for row, chance in zip(chosen, numbers, strict=True)]
 
     def say(self, clip: Row, start: int, frames: int, chance: Sequence[float]) -> str:
-        """A sentence for these frames, chosen by three numbers in [0, 1)."""
+        """A sentence for these frames, chosen by two numbers in [0, 1)."""
         options = clip.whole if self._of_all(clip, chance) else clip.said[_part(clip, start, frames)]
-        return say(options, self.augmentation, chance[1], chance[2])
+        return options[int(chance[1] * len(options))]
 
     def span(self, clip: Row, start: int, frames: int, chance: Sequence[float]) -> tuple[int, int]:
         """First and last frame, exclusive, of what the sentence is said to that the same numbers choose."""
@@ -172,9 +161,8 @@ class SegmentSet(ClipSet):
         codec: FeatureCodec,
         cutting: CuttingConfig,
         frames: int,
-        augmentation: TextAugmentation = AS_WRITTEN,
     ) -> None:
-        super().__init__(dataset, split, store, codec, cutting, augmentation)
+        super().__init__(dataset, split, store, codec, cutting)
         self.frames = frames
 
     def batch(self, size: int, seed: int, step: int) -> SegmentBatch:

@@ -29,7 +29,7 @@ from moveset.training.teacher import TeacherConfig
 from moveset.training.vae import VAETrainingConfig
 
 _ENGINE = EngineConfig(steps=4, save_every=2, validate_every=4, log_every=1, precision="32-true", tensorboard=False)
-_ROUGH = TextAugmentation(paraphrased=0.5, token_dropout=0.1, embedding_noise=0.1)
+_ROUGH = TextAugmentation(token_dropout=0.1, embedding_noise=0.1)
 _VAE = TimedVAEConfig(width=32, frame_width=16, encoder_blocks=1, decoder_blocks=1, token_blocks=1, frame_blocks=1)
 
 
@@ -141,7 +141,7 @@ def evaluator() -> Recipe:
 def length() -> Recipe:
     """A width of 16."""
     model = LengthPredictorConfig(width=16)
-    return Recipe(task=LengthConfig(model=model, batch=8, augmentation=_ROUGH), engine=_ENGINE)
+    return Recipe(task=LengthConfig(model=model, batch=8), engine=_ENGINE)
 
 
 def _volume(task: RDMConfig) -> Recipe:

@@ -129,9 +129,6 @@ class EmbeddingCache:
             self, tokens=self.tokens.to(device), pooled=self.pooled.to(device), offsets=self.offsets.to(device)
         )
 
-    def prepare(self, sentences: Sequence[str]) -> None:
-        """Nothing has to be done before lookups of sentences that are all here (cf. ``LiveEmbeddings``)."""
-
     def rows(self, sentences: Sequence[str]) -> Tensor:
         """(B,) row numbers of sentences. Raises InputError for one that is not in the cache."""
         try:

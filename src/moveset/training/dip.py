@@ -14,7 +14,7 @@ from moveset.data.dataset import Dataset
 from moveset.data.feature_store import FeatureStore
 from moveset.data.segments import ClipSet, CuttingConfig
 from moveset.data.splits import Split
-from moveset.data.text_augmentation import AS_WRITTEN, TextAugmentation
+from moveset.data.text_augmentation import TextAugmentation
 from moveset.diffusion.schedule import cosine
 from moveset.diffusion.steps import add_noise
 from moveset.errors import InputError
@@ -78,11 +78,6 @@ class PieceBatch:
     clean: Tensor
     captions: list[str]
 
-    @property
-    def said(self) -> list[str]:
-        """Whatever is said in it."""
-        return self.captions
-
     def to(self, device: torch.device | str) -> "PieceBatch":
         """The same on another device."""
         return PieceBatch(self.prefix.to(device), self.clean.to(device), self.captions)
@@ -106,10 +101,9 @@ class PieceSet(ClipSet):
         codec: FeatureCodec,
         cutting: CuttingConfig,
         model: DipDecoderConfig,
-        augmentation: TextAugmentation = AS_WRITTEN,
         standing: float = 0.0,
     ) -> None:
-        super().__init__(dataset, split, store, codec, cutting, augmentation)
+        super().__init__(dataset, split, store, codec, cutting)
         self.prefix, self.frames, self.standing = model.prefix, model.frames, standing
         if standing:
             self.idle = idle_pose(dataset, store, codec).expand(self.prefix, -1)
@@ -137,16 +131,9 @@ class PieceSet(ClipSet):
 class PieceData(SegmentData):
     """Pieces and embedded captions of both splits."""
 
-    def cut(
-        self,
-        config: DiPConfig,
-        dataset: Dataset,
-        split: Split,
-        store: FeatureStore,
-        augmentation: TextAugmentation,
-    ) -> PieceSet:
+    def cut(self, config: DiPConfig, dataset: Dataset, split: Split, store: FeatureStore) -> PieceSet:
         """Pieces of a split."""
-        return PieceSet(dataset, split, store, self.codec, config.cutting, config.model, augmentation, config.standing)
+        return PieceSet(dataset, split, store, self.codec, config.cutting, config.model, config.standing)
 
 
 def idle_pose(dataset: Dataset, store: FeatureStore, codec: FeatureCodec) -> Tensor:

@@ -16,8 +16,6 @@ from moveset.data.dataset import Dataset
 from moveset.data.feature_store import FeatureStore
 from moveset.data.glove_files import read_glove
 from moveset.data.latents import LatentSet
-from moveset.data.rewordings import all_words
-from moveset.data.text_augmentation import TextAugmentation, wordings
 from moveset.errors import InputError
 from moveset.evaluation.evaluator import Evaluator, EvaluatorCard
 from moveset.motion.features import get_codec
@@ -190,7 +188,7 @@ def _clips(
     config = ClipConfig(**fields, latent=(vae.module.config.tokens, vae.module.config.token_dim), points=points)
     statistics = {**_statistics(store), "latent_mean": latents.center, "latent_std": latents.scale}
     bases = dict.fromkeys(students, "teacher") if what.differences else None
-    return save_model(out, config, modules, statistics, known, pooled, bases, trained_words(dataset, teacher.task))
+    return save_model(out, config, modules, statistics, known, pooled, bases, trained_words(dataset))
 
 
 def _stream(
@@ -218,8 +216,7 @@ def _stream(
         **fields, segment=rdm.task["grid"]["frames"], depth_cap=rdm.task["depth_cap"], points=points, **what.sampling()
     )
     bases = dict.fromkeys(students, RDM) if what.differences else None
-    words = trained_words(dataset, rdm.task)
-    return save_model(out, config, modules, _statistics(store), known, pooled, bases, words)
+    return save_model(out, config, modules, _statistics(store), known, pooled, bases, trained_words(dataset))
 
 
 def _baseline(
@@ -285,17 +282,10 @@ def known_captions(dataset: Dataset) -> list[str]:
     return sorted(chosen)
 
 
-def trained_words(dataset: Dataset, task: Mapping[str, Any]) -> set[str]:
-    """Words of all that a network was told in its training: captions, and their other wordings.
-
-    Args:
-        dataset: of the training.
-        task: its configuration.
-    """
+def trained_words(dataset: Dataset) -> set[str]:
+    """Words of all captions that networks are told in training on a dataset."""
     captions = {caption for item in dataset.split("train") for caption in dataset.clip(item).captions}
-    augmentation = TextAugmentation(**task["augmentation"])
-    words = {word for sentence in wordings(sorted(captions), augmentation) for word in words_of(sentence)}
-    return words | all_words() if augmentation.reworded else words
+    return {word for caption in captions for word in words_of(caption)}
 
 
 def familiarity_limit(dataset: Dataset, known: list[str], pooled_PC: Tensor, text_encoder: str) -> float:

@@ -8,13 +8,12 @@ from torch.nn.functional import cross_entropy
 
 from moveset.data.dataset import Dataset, open_for_training
 from moveset.data.splits import Split
-from moveset.data.text_augmentation import TextAugmentation, say
 from moveset.errors import InputError
 from moveset.models.length import LengthPredictorConfig
 from moveset.models.registry import describe
 from moveset.training.engine import Loop, Task
 from moveset.training.optim import cosine_lr
-from moveset.training.reading import open_text
+from moveset.training.reading import embedded
 from moveset.training.tasks import Sources
 
 
@@ -24,8 +23,6 @@ class LengthConfig:
 
     Args:
         model: its ``text_dim`` follows from the text encoder.
-        augmentation: how captions are said otherwise; seen again and again as they are written, lengths are learned of
-            the very words.
     """
 
     model: LengthPredictorConfig = field(default_factory=LengthPredictorConfig)
@@ -34,7 +31,6 @@ class LengthConfig:
     warmup: int = 0
     smoothing: float = 0.05
     text_encoder: str = "minilm"
-    augmentation: TextAugmentation = field(default_factory=TextAugmentation)
     kind: str = field(init=False)
 
     def __post_init__(self) -> None:
@@ -54,12 +50,9 @@ class LengthTask(Task):
         self.steps, self.seed = loop.config.steps, loop.config.seed * 64 + loop.rank
         dataset = open_for_training(sources.corpus)
         self.train, self.val = _pairs(dataset, "train"), _pairs(dataset, "val")
-        captions, others = ([text for texts, _ in pairs for text in texts] for pairs in (self.train, self.val))
+        captions = [text for texts, _ in self.train + self.val for text in texts]
         with loop.fabric.rank_zero_first():
-            self.text = open_text(
-                sources.cache, config.text_encoder, sorted({*captions}), sorted({*others}), config.augmentation,
-                loop.device,
-            )  # fmt: skip
+            self.text = embedded(sources.cache, config.text_encoder, captions).to(loop.device)
         self.config = config = replace(config, model=replace(config.model, text_dim=self.text.widths[1]))
         self.length = config.model.build().to(loop.device)
         self.optimizer = torch.optim.AdamW(self.length.parameters(), config.lr, weight_decay=0.01)
@@ -76,12 +69,9 @@ class LengthTask(Task):
     def training_step(self, step: int, loop: Loop) -> dict[str, Tensor]:
         generator = torch.Generator().manual_seed(self.seed * 1_000_003 + step)
         rows = torch.randint(len(self.train), (self.config.batch,), generator=generator).tolist()
-        pick, other = torch.rand(2, self.config.batch, generator=generator).tolist()
-        captions = [
-            say(self.train[row][0], self.config.augmentation, place, chance)
-            for row, place, chance in zip(rows, pick, other, strict=True)
-        ]
-        self.text.prepare(captions)
+        options = [self.train[row][0] for row in rows]
+        pick = torch.rand(self.config.batch, generator=generator).tolist()
+        captions = [texts[int(place * len(texts))] for texts, place in zip(options, pick, strict=True)]
         classes = self.length.classes_of(torch.tensor([self.train[row][1] for row in rows])).to(loop.device)
         logits = self.length(self.text.pooled_of(captions).float())
         loss = cross_entropy(logits, classes, label_smoothing=self.config.smoothing)

@@ -5,54 +5,29 @@ from pathlib import Path
 
 import torch
 
-from moveset.data.text_augmentation import TextAugmentation, wordings
-from moveset.errors import InputError
+from moveset.data.text_augmentation import TextAugmentation
 from moveset.text.cache import EmbeddingCache, cache_file
 from moveset.text.encoder import TextEmbedding, get_text_encoder
-from moveset.text.live import LiveEmbeddings
 
 MAX_TOKENS = 32
 
 
-def open_text(
-    folder: Path,
-    encoder: str,
-    captions: Sequence[str],
-    others: Sequence[str],
-    augmentation: TextAugmentation,
-    device: torch.device,
-) -> EmbeddingCache | LiveEmbeddings:
-    """What captions of a training are looked up in, on a device.
+def embedded(folder: Path, encoder: str, captions: Sequence[str]) -> EmbeddingCache:
+    """Embeddings of captions, from a training's text cache, to which those it lacks are added.
 
     Args:
-        folder: where the text cache is kept, which is made or added to if it may have to hold something new.
+        folder: where the cache is kept.
         encoder: its name, as for ``get_text_encoder``.
-        captions: of training, which are disturbed, and ``others``, which are not.
+        captions: in any order and number.
 
     Raises:
-        InputError: shares of captions that add up to more than all of them, or an encoder that is not here.
+        InputError: an encoder that is not here.
     """
-    if augmentation.paraphrased + augmentation.reworded > 1.0:
-        raise InputError(
-            f"augmentation.paraphrased={augmentation.paraphrased:g} and "
-            f"augmentation.reworded={augmentation.reworded:g} are shares of the same captions; give no more than 1 "
-            "together"
-        )
-    path = cache_file(folder, encoder)
-    if augmentation.reworded:
-        live = get_text_encoder(encoder, device=device)
-        held = EmbeddingCache.open(path, encoder=live.name).to(device) if path.is_file() else None
-        return LiveEmbeddings(live, held)
-    return embedded(folder, encoder, sorted({*wordings(captions, augmentation), *others})).to(device)
-
-
-def embedded(folder: Path, encoder: str, captions: Sequence[str]) -> EmbeddingCache:
-    """Captions as they are, from a training's text cache, or added to it: a training that rewords leaves none."""
-    return EmbeddingCache.build(get_text_encoder(encoder), captions, cache_file(folder, encoder))
+    return EmbeddingCache.build(get_text_encoder(encoder), sorted({*captions}), cache_file(folder, encoder))
 
 
 def read_captions(
-    text: EmbeddingCache | LiveEmbeddings,
+    text: EmbeddingCache,
     captions: Sequence[str],
     augmentation: TextAugmentation,
     augmented_by: torch.Generator | None = None,

@@ -10,14 +10,13 @@ from moveset.data.feature_store import FeatureStore
 from moveset.data.loader import Ahead
 from moveset.data.segments import SegmentSet
 from moveset.data.splits import Split
-from moveset.data.text_augmentation import AS_WRITTEN, TextAugmentation
+from moveset.data.text_augmentation import AS_WRITTEN
 from moveset.diffusion.coloured import temporal_spectrum
 from moveset.errors import InputError
 from moveset.text.cache import EmbeddingCache
 from moveset.text.encoder import TextEmbedding
-from moveset.text.live import LiveEmbeddings
 from moveset.training.engine import Loop
-from moveset.training.reading import MAX_TOKENS, open_text, read_captions
+from moveset.training.reading import MAX_TOKENS, embedded, read_captions
 from moveset.training.tasks import Sources
 
 
@@ -28,7 +27,8 @@ class SegmentData:
         config: the task's; another task's has the same fields where it gives another ``cut``.
 
     Raises:
-        InputError: disturbed captions that are to be read further than that is possible, or as of ``open_text``.
+        InputError: disturbed captions that are to be read further than that is possible, or an encoder that is
+            not here.
     """
 
     def __init__(self, sources: Sources, config: Any, loop: Loop) -> None:
@@ -41,32 +41,23 @@ class SegmentData:
         with loop.fabric.rank_zero_first():
             self.text = self._open(sources, config, loop.rank == 0)
 
-    def _open(self, sources: Sources, config: Any, progress: bool) -> EmbeddingCache | LiveEmbeddings:
+    def _open(self, sources: Sources, config: Any, progress: bool) -> EmbeddingCache:
         dataset = open_for_training(sources.corpus)
         codec = choose_codec(dataset, config.codec)
         store = FeatureStore.cached(dataset, codec.name, sources.cache, progress)
         self.codec, self.normalizer = codec, store.normalizer
-        self.train = self.cut(config, dataset, "train", store, config.augmentation)
-        self.val = self.cut(config, dataset, "val", store, AS_WRITTEN)
-        captions, others = self.train.all_captions(), self.val.all_captions()
-        return open_text(sources.cache, config.text_encoder, captions, others, config.augmentation, self.device)
+        self.train = self.cut(config, dataset, "train", store)
+        self.val = self.cut(config, dataset, "val", store)
+        captions = [*self.train.all_captions(), *self.val.all_captions()]
+        return embedded(sources.cache, config.text_encoder, captions).to(self.device)
 
-    def cut(
-        self,
-        config: Any,
-        dataset: Dataset,
-        split: Split,
-        store: FeatureStore,
-        augmentation: TextAugmentation,
-    ) -> Any:
+    def cut(self, config: Any, dataset: Dataset, split: Split, store: FeatureStore) -> Any:
         """Segments of a split."""
-        return SegmentSet(dataset, split, store, self.codec, config.cutting, config.grid.frames, augmentation)
+        return SegmentSet(dataset, split, store, self.codec, config.cutting, config.grid.frames)
 
     def training_batch(self, size: int, step: int) -> Any:
         """The batch of a training step, where the training computes, its text ready to be read."""
-        batch = self._ahead.get(step, lambda step: self.train.batch(size, self.seed, step)).to(self.device)
-        self.text.prepare(batch.said)
-        return batch
+        return self._ahead.get(step, lambda step: self.train.batch(size, self.seed, step)).to(self.device)
 
     def read(self, captions: list[str], augmented_by: torch.Generator | None = None) -> TextEmbedding:
         """Token states of captions, and their pooled vectors; roughened if given a generator."""

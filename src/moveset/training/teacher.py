@@ -20,7 +20,7 @@ from moveset.text.encoder import TextEmbedding
 from moveset.training.ema import Ema, ema_warmup
 from moveset.training.engine import Loop, Task
 from moveset.training.optim import cosine_lr
-from moveset.training.reading import open_text, read_captions
+from moveset.training.reading import embedded, read_captions
 from moveset.training.tasks import Sources
 from moveset.training.trained import load_trained
 
@@ -60,16 +60,13 @@ class LatentData:
         store = FeatureStore.cached(dataset, vae.task["codec"], sources.cache, progress)
         latents = sources.cache / f"latents-{vae.digest[:12]}"
         self.train = LatentSet.of(dataset, "train", store, vae.module, Path(f"{latents}-train.safetensors"))
-        self.train.augmentation = self.augmentation
         self.val = LatentSet.of(dataset, "val", store, vae.module, Path(f"{latents}-val.safetensors"), windows=0)
-        captions, others = self.train.all_captions(), self.val.all_captions()
-        self.text = open_text(sources.cache, text_encoder, captions, others, self.augmentation, self.device)
+        captions = [*self.train.all_captions(), *self.val.all_captions()]
+        self.text = embedded(sources.cache, text_encoder, captions).to(self.device)
 
     def batch(self, size: int, step: int) -> LatentBatch:
         """Training latents of a step, on the device."""
-        batch = self.train.batch(size, self.seed, step).to(self.device)
-        self.text.prepare(batch.captions)
-        return batch
+        return self.train.batch(size, self.seed, step).to(self.device)
 
     def read(self, captions: list[str], augmented_by: torch.Generator | None = None) -> TextEmbedding:
         """Token states of captions; "" is the unconditional input. Roughened if given a generator."""
