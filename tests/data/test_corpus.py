@@ -9,7 +9,6 @@ import torch
 
 from moveset.data.captions import mirror_text
 from moveset.data.corpus import Corpus, CorpusWriter, TakeEntry
-from moveset.data.labels import mirror_label
 from moveset.data.records import ClipRecord
 from moveset.data.synthetic import synthetic_corpus, synthetic_motion
 from moveset.errors import FormatError, InputError, MovesetError
@@ -90,7 +89,7 @@ def test_mirrored_clips_are_mirrored_in_motion_words_and_labels(corpus):
     for i in (*corpus.indices(composed=False)[:12], *corpus.indices(composed=True)[:3]):
         assert torch.equal(corpus.motion(i, mirrored=True).root, corpus.motion(i).mirrored().root)
         assert corpus.captions(i, mirrored=True) == tuple(mirror_text(s) for s in corpus.captions(i))
-        assert corpus.contents(i, mirrored=True) == tuple(mirror_label(c) for c in corpus.contents(i))
+        assert corpus.contents(i, mirrored=True) == tuple(mirror_text(c) for c in corpus.contents(i))
 
 
 def test_indices_select(corpus):

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from moveset.data import feature_store
-from moveset.data.captions import train_captions
+from moveset.data.bandai_captions import bandai_captions
 from moveset.data.corpus import Corpus, CorpusWriter, TakeEntry
 from moveset.data.dataset import CorpusDataset, FolderDataset, open_for_training
 from moveset.data.feature_store import FeatureStore
@@ -36,7 +36,7 @@ def corpus(path, seed=0, frames=(40, 52, 48), splits=("train", "train", "val"), 
         writer.add_take(
             TakeEntry(
                 name=f"{k}", take=f"{k}", source="s", content="walk", style=None, split=split, subject="s",
-                captions=train_captions("walk", plain=said), motion=synthetic_motion("walk", count, seed=seed + k),
+                captions=bandai_captions("walk")[:said], motion=synthetic_motion("walk", count, seed=seed + k),
             )
         )  # fmt: skip
     return CorpusDataset(Corpus.open(writer.write(path)))

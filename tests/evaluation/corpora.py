@@ -1,23 +1,23 @@
 """Corpora and folders of motion with known items, for tests of evaluation."""
 
 import json
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
-from moveset.data import phrases
-from moveset.data.captions import train_captions
 from moveset.data.corpus import CorpusWriter, TakeEntry
-from moveset.data.labels import mirror_label
+from moveset.data.descriptions import said_otherwise
+from moveset.data.english import inflect
 from moveset.data.records import ClipRecord, Part, Recipe
 from moveset.data.synthetic import KINDS, synthetic_motion
+from moveset.data.verbs import VERBS
 
 FRAMES = 40
+CONTENTS = (*VERBS[:10], "wave-left-hand", *VERBS[13:41])
 
 
 def content_corpus(path: Path, *, frames: int = FRAMES, short: int = 0, split: str = "test") -> Path:
-    """A take of every content there are words for, the k-th ``frames + k % 5`` long, and one composition in time.
+    """A take of every content, the k-th ``frames + k % 5`` long, and one composition in time.
 
     Args:
         path: the file.
@@ -26,14 +26,13 @@ def content_corpus(path: Path, *, frames: int = FRAMES, short: int = 0, split: s
         split: of all of them.
     """
     writer = CorpusWriter()
-    contents = list(phrases.TRAIN)
-    captions = own_captions(contents)
+    contents = CONTENTS
     for k, content in enumerate([*contents, *contents[:short]]):
         length = frames + k % 5 if k < len(contents) else 20
         writer.add_take(
             TakeEntry(
                 name=f"take{k}", take=f"take{k}", source="synthetic", content=content, style=None,
-                captions=captions[content], split=split, subject="s",
+                captions=own_captions(content), split=split, subject="s",
                 motion=synthetic_motion(KINDS[k % len(KINDS)], length, seed=k),
             )
         )  # fmt: skip
@@ -48,25 +47,20 @@ def content_corpus(path: Path, *, frames: int = FRAMES, short: int = 0, split: s
     return writer.write(path)
 
 
-def own_captions(contents: Sequence[str]) -> dict[str, tuple[str, ...]]:
-    """Three sentences of each content that no other content has, nor a mirror image of it."""
-    users: dict[str, set[str]] = {}
-    for content in contents:
-        for mirrored in (mirror_label(content), content):
-            for sentence in train_captions(mirrored):
-                users.setdefault(sentence, set()).add(mirrored)
-    return {c: tuple(s for s in train_captions(c) if users[s] == {c})[:3] for c in contents}
+def own_captions(content: str) -> tuple[str, ...]:
+    """Three sentences of a content that no other content has."""
+    verb, _, hand = content.partition("-left-")
+    return said_otherwise(f"a person {inflect(verb, 'present')}{hand and f' with the left {hand}'}")[:3]
 
 
 def motion_folder(path: Path, count: int = 40, frames: int = 40) -> Path:
     """Joint positions with a list of distinct prompts."""
     path.mkdir(parents=True)
-    contents, lines = list(phrases.TRAIN), []
-    captions = own_captions(contents)
+    lines = []
     for k in range(count):
         motion = synthetic_motion(KINDS[k % len(KINDS)], frames, seed=100 + k)
         np.save(path / f"m-{k:03d}.npy", motion.joints.numpy())
-        prompt = captions[contents[k % len(contents)]][k // len(contents)]
+        prompt = own_captions(CONTENTS[k % len(CONTENTS)])[k // len(CONTENTS)]
         lines.append(json.dumps({"name": f"{k:03d}", "prompt": prompt}))
     (path / "prompts.jsonl").write_text("\n".join(lines) + "\n")
     return path

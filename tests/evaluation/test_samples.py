@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from moveset.data.captions import mirror_text, train_captions
+from moveset.data.captions import mirror_text
 from moveset.data.humanml3d import HUMANML3D, KIT, HumanML3D
 from moveset.errors import FormatError, InputError
 from moveset.evaluation.samples import LONGEST, Sample, open_test_set
@@ -73,7 +73,6 @@ def test_a_prompt_is_one_of_the_captions(items):
 def test_all_captions_are_drawn_alike(items):
     item = items.items[0]
     assert len(set(item.captions)) == 3
-    assert set(item.captions) < set(train_captions("walk"))
     draws = [items.draw(generator(k))[0].caption for k in range(90)]
     assert min(draws.count(caption) for caption in item.captions) > 15
 

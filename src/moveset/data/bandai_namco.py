@@ -6,6 +6,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
+from moveset.data.bandai_captions import SAME_STYLE
 from moveset.data.hml22_calibration import FPS, assemble, turn
 from moveset.data.resample import resampled
 from moveset.data.takes import ImportedRun, ImportedTake, TakeRef
@@ -72,7 +73,8 @@ def list_takes(root: Path) -> list[TakeRef]:
         if len(parts) != 4:
             raise InputError(f"{path} is not named dataset-K_CONTENT_STYLE_NNN.bvh; restore its original name")
         source = "bandai" + parts[0][-1]
-        takes.append(TakeRef(path.stem, source, path, source, path.stem, content=parts[1], style=parts[2]))
+        style = SAME_STYLE.get(parts[2], parts[2])
+        takes.append(TakeRef(path.stem, source, path, source, path.stem, content=parts[1], style=style))
     if not takes:
         raise InputError(f"{root} holds no dataset-1/data/*.bvh or dataset-2/data/*.bvh; give the unpacked data set")
     return takes

@@ -18,12 +18,11 @@ from torch import Tensor
 
 from moveset.data import posture
 from moveset.data.augment import MAX_FRAMES, quiet_moments
-from moveset.data.captions import train_captions
+from moveset.data.bandai_captions import bandai_captions
 from moveset.data.compose import add_compositions
 from moveset.data.corpus import CorpusWriter
 from moveset.data.descriptions import STANDING_STILL, described, said_otherwise, spelled_out
 from moveset.data.importing import import_all, read_cached
-from moveset.data.labels import canonical_style
 from moveset.data.raw import FREE, find_spans, find_takes, unpacked
 from moveset.data.records import ClipRecord
 from moveset.data.spans import Span
@@ -194,7 +193,7 @@ def _stands(ref: TakeRef, runs: Sequence[_Run], held_out: list[tuple[int, int]])
 def _said_of_all(ref: TakeRef) -> tuple[str, ...]:
     """Sentences for all of a take, from what its set says about it."""
     if ref.source.startswith("bandai"):
-        return train_captions(ref.content, canonical_style(ref.style) if ref.style else None)
+        return bandai_captions(ref.content, ref.style)
     if ref.sentence:
         return tuple(dict.fromkeys(said for told in spelled_out(ref.sentence) for said in said_otherwise(told)))
     return described(ref.description or "")
@@ -317,7 +316,7 @@ def _add(
             group=ref.group,
             kind="take",
             contents=content if sentences else (),
-            style=canonical_style(ref.style) if ref.style else None,
+            style=ref.style,
             split=piece.split,
             fps=FPS,
             frames=piece.stop - piece.start,

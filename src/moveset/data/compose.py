@@ -18,12 +18,12 @@ from moveset.data.augment import MAX_FRAMES, corner_radius, legs_differ
 from moveset.data.captions import mirror_text
 from moveset.data.corpus import CorpusWriter
 from moveset.data.descriptions import without_person
+from moveset.data.english import inflect
 from moveset.data.records import ClipRecord, Kind, Part, Recipe
 from moveset.data.splits import Split
 from moveset.data.verbs import LOCOMOTION, STANDING
 from moveset.motion import rotations
 from moveset.motion.clip import Motion
-from moveset.text.english import inflect
 
 _SPLITS: tuple[Split, ...] = ("train", "val", "test")
 _BLEND = 12

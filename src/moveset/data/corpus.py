@@ -21,7 +21,6 @@ from torch import Tensor
 
 from moveset.data.augment import bent, compose_body, compose_in_time, stretched
 from moveset.data.captions import mirror_text
-from moveset.data.labels import mirror_label
 from moveset.data.quantize import pack, unpack
 from moveset.data.records import ClipRecord, Part, Recipe, Run, record_from_json, record_to_json, run_from_json
 from moveset.data.splits import Split
@@ -135,7 +134,7 @@ class Corpus:
     def contents(self, i: int, mirrored: bool = False) -> tuple[str, ...]:
         """Content labels of clip ``i``: one, or two for a composition of two things."""
         labels = self._record(i).contents
-        return tuple(mirror_label(c) for c in labels) if mirrored else labels
+        return tuple(mirror_text(c) for c in labels) if mirrored else labels
 
     def indices(
         self, split: Split | None = None, composed: bool | None = None, captioned: bool | None = None

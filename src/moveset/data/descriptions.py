@@ -2,8 +2,8 @@
 
 import re
 
+from moveset.data.english import article, inflect
 from moveset.data.verbs import VERBS, verbs_of
-from moveset.text.english import article, inflect
 
 #: Descriptions that say nothing about what is done.
 _NOTHING = re.compile(

@@ -6,7 +6,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from moveset.data import captions
+from moveset.data.bandai_captions import bandai_captions
 from moveset.data.compose import add_compositions
 from moveset.data.corpus import CorpusWriter, TakeEntry
 from moveset.data.splits import Split
@@ -123,7 +123,7 @@ def synthetic_corpus(path: str | Path, clips: int = 24, seed: int = 0) -> Path:
                 source="synthetic",
                 content=kind,
                 style="normal",
-                captions=captions.train_captions(kind, plain=12),
+                captions=bandai_captions(kind),
                 split=split,
                 subject="synthetic",
                 motion=synthetic_motion(kind, frames, seed=seed * 1000 + k),

@@ -5,7 +5,7 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from functools import cache
 
-from moveset.text.english import FORMS, inflect
+from moveset.data.english import FORMS, inflect
 
 #: Verbs of motion that captions of motion use, commonest first where two share a form.
 _LIST = """

@@ -61,15 +61,6 @@ def inflect(verb: str, form: str) -> str:
     return verb + verb[-1] * _doubles(verb) + "ed"
 
 
-def inflect_marked(phrase: str, form: str) -> str:
-    """A phrase with all its verbs, which brackets mark, in a form of ``inflect``.
-
-    >>> inflect_marked("[walk] forward and [turn] left", "ing")
-    'walking forward and turning left'
-    """
-    return re.sub(r"\[(\w+)\]", lambda m: inflect(m[1], form), phrase)
-
-
 def article(a: str, word: str) -> str:
     """The indefinite article before a word, by its first letter; ``a`` is "a" or "A".
 
