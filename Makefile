@@ -17,14 +17,17 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check
 TORCH := -c constraints.txt $(if $(TORCH_INDEX),--index-url $(TORCH_INDEX)) torch
 SOURCES := $(shell find src -type f -not -path '*/__pycache__/*' -not -path '*.egg-info/*')
 
-.PHONY: demo test lint format viewer tables clean
+.PHONY: demo test pytest lint format viewer tables clean
 # One clip or segment at a time is quickest with one thread where threads sleep while they wait.
 demo: .venv/.demo
 	OMP_NUM_THREADS=$${OMP_NUM_THREADS:-1} $(BIN)/python examples/demo.py
 
-# Two processes; each begins with its half in order, so that what tests share is made once, and ends with the other's rest.
-test: .venv/.dev lint
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses 2 --dist worksteal
+# Two processes and lint beside them; what tests of several files share is made once, and the longest comes first.
+test: .venv/.dev
+	$(MAKE) --no-print-directory --jobs 2 lint pytest
+
+pytest: .venv/.dev
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses 2 --dist loadgroup --no-loadscope-reorder
 
 lint: .venv/.dev
 	$(BIN)/ruff check .

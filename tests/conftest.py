@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 settings.register_profile("moveset", deadline=None)
 settings.load_profile("moveset")
 
+# Fixtures that cost many seconds or a browser: all tests that use one run in the same process, so that it is made once.
+COSTLY = ("tiny_run", "browser")
 REPOSITORY = Path(__file__).resolve().parents[1]
 # What the tests read from the archives; a folder given by MOVESET_RAW or data/raw may hold the whole sets.
 MEMBERS = {
@@ -43,6 +45,20 @@ MEMBERS = {
         ),
     ),
 }
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """With ``--dist loadgroup``: a file's tests run in one process, which makes what they share once; longest first."""
+    files = {item.path: _costly(item) for item in items if _costly(item)}
+    items.sort(key=lambda item: item.path not in files)
+    for item in items:
+        name = files.get(item.path) or item.path.relative_to(REPOSITORY)
+        item.add_marker(pytest.mark.xdist_group(str(name)))
+
+
+def _costly(item: pytest.Item) -> str | None:
+    return next((name for name in COSTLY if name in getattr(item, "fixturenames", ())), None)
 
 
 @pytest.fixture(scope="session")
@@ -104,7 +120,7 @@ def _unpacked(archives: dict[str, Path]) -> Path:
 
 @pytest.fixture(scope="session")
 def tiny_run(tmp_path_factory: pytest.TempPathFactory) -> "TinyRun":
-    """Trained and exported models of every kind; made once a process, and read only."""
+    """Trained and exported models of every kind; made once, and read only."""
     from tests.tiny_run import TinyRun
 
     return TinyRun.make(tmp_path_factory.mktemp("tiny-run"))

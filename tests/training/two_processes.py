@@ -1,12 +1,16 @@
-"""What ``torchrun`` starts in test_processes.py: the same things in every process, each saying what it found."""
+"""What test_processes.py starts: the same things in each of two processes, each saying what it found."""
 
 import hashlib
 import json
 import os
+import signal
+import socket
 import sys
 import warnings
+from contextlib import suppress
 from pathlib import Path
 
+import lightning_fabric  # noqa: F401 (imported here so that the forked processes start at once)
 import torch
 from torch import nn
 
@@ -97,5 +101,33 @@ def main(folder: Path) -> None:
     (folder / f"rank_{said['rank']}.json").write_text(json.dumps(said))
 
 
+def launch(folder: Path) -> int:
+    """Fork the processes with the environment that ``torchrun`` gives, so that everything is imported once.
+
+    Returns:
+        The first exit code that is not 0, whereupon the other process is ended; else 0.
+    """
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = str(free.getsockname()[1])
+    said = {"TORCHELASTIC_RUN_ID": "test", "MASTER_ADDR": "127.0.0.1", "MASTER_PORT": port, "GROUP_RANK": "0"}
+    os.environ |= {**said, "WORLD_SIZE": "2", "LOCAL_WORLD_SIZE": "2"}
+    running = set()
+    for rank in ("0", "1"):
+        if (process := os.fork()) == 0:
+            os.environ |= {"RANK": rank, "LOCAL_RANK": rank}
+            main(folder)
+            return 0
+        running.add(process)
+    while running:
+        process, status = os.wait()
+        running.discard(process)
+        if code := os.waitstatus_to_exitcode(status):
+            for other in running:
+                with suppress(ProcessLookupError):
+                    os.kill(other, signal.SIGKILL)
+            return code
+    return 0
+
+
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    sys.exit(launch(Path(sys.argv[1])))
