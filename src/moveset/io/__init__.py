@@ -69,6 +69,7 @@ def load(
     source_fps: float | None = None,
     animation: str | None = None,
     body: Body | None = None,
+    as_stored: bool = False,
 ) -> "Motion":
     """Read a motion, Y up and facing +Z at rest.
 
@@ -78,12 +79,15 @@ def load(
         source_fps: frames per second of the file, whatever it says.
         animation: name of one of a glTF file's animations, or number of one of an array's motions.
         body: what is known of the body in a .bvh or glTF file, where it should not be guessed.
+        as_stored: leave the body standing as it does in the file, whatever its axes.
 
     Raises:
         InputError: an unknown extension, or a file that cannot be read.
         FormatError: a file that is damaged, absurd or not what its extension says.
     """
-    motion = plain_load(path, fps=fps, source_fps=source_fps, animation=animation, body=body)
+    motion = _loaded(path, fps, source_fps, animation, body)
+    if as_stored:
+        return motion
     if (suffix := Path(path).suffix.lower()) in _BODIES:
         placed = _placed(motion, body or Body(), in_metres=suffix == ".bvh")
         # Our own glTF files are as they are meant to be; a BVH file that once was ours has been through other hands.
@@ -98,15 +102,9 @@ def load(
     return motion
 
 
-def plain_load(
-    path: str | Path,
-    *,
-    fps: float | None = None,
-    source_fps: float | None = None,
-    animation: str | None = None,
-    body: Body | None = None,
+def _loaded(
+    path: str | Path, fps: float | None, source_fps: float | None, animation: str | None, body: Body | None
 ) -> "Motion":
-    """As ``load``, but with the body standing as it does in the file, whatever its axes."""
     from dataclasses import replace
 
     suffix = _suffix(path, READABLE, "read")

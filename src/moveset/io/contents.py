@@ -70,14 +70,14 @@ def inspect(path: str | Path, *, source_fps: float | None = None, animation: str
     Raises:
         InputError, FormatError: the file cannot be read.
     """
-    from moveset.io import load, plain_load, read_metadata
+    from moveset.io import load, read_metadata
     from moveset.motion.reference import find_reference
     from moveset.motion.rigs import recognised
 
     path = Path(path)
     with warnings.catch_warnings(record=True) as heard:
         warnings.simplefilter("always")
-        plain = plain_load(path, source_fps=source_fps, animation=animation)
+        plain = load(path, source_fps=source_fps, animation=animation, as_stored=True)
         motion = load(path, source_fps=source_fps, animation=animation)
         try:
             found, reference = recognised(plain.skeleton), find_reference(plain)

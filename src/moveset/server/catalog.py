@@ -87,9 +87,10 @@ class Catalog:
         Raises:
             InputError: no such number of steps, or guidance out of range.
         """
-        _check_steps(_clip_row(t2m), steps)
-        teacher = steps == TEACHER_STEPS and "teacher" in t2m.bundle.config.models
-        return check_method(t2m.bundle.config, "teacher" if teacher else "pcm", steps, guidance)
+        row, config = _clip_row(t2m), t2m.bundle.config
+        _check_steps(row, steps)
+        chosen = row["default_steps"] if steps is None else steps
+        return check_method(config, _solvers(config)[chosen], chosen, guidance)
 
     def request(
         self,
@@ -181,19 +182,24 @@ def _check_steps(row: dict[str, Any], steps: int | None) -> None:
         raise InputError(f"model {row['name']!r} has no {steps} steps; choose {choice}")
 
 
+def _solvers(config: ClipConfig) -> dict[int, str]:
+    """Who samples in so many steps: the students, then the teacher."""
+    return dict.fromkeys(config.steps("pcm"), "pcm") | (
+        {TEACHER_STEPS: "teacher"} if "teacher" in config.models else {}
+    )
+
+
 def _clip_row(t2m: TextToMotion) -> dict[str, Any]:
     config = t2m.bundle.config
-    students = list(config.steps("pcm"))
-    steps = students + [TEACHER_STEPS] * ("teacher" in config.models)
-    default = students[0] if students else TEACHER_STEPS
-    network = f"pcm-{default}" if students else "teacher"
+    solvers = _solvers(config)
+    default = next(iter(solvers))
     return {
         "name": config.name,
         "task": "clip",
         "fps": config.fps,
-        "steps": steps,
+        "steps": list(solvers),
         "default_steps": default,
-        "guidance": config.guidance[network],
+        "guidance": check_method(config, solvers[default], default).guidance,
         "min_seconds": config.min_frames / config.fps,
         "max_seconds": config.max_frames / config.fps,
         "license": _license(t2m.bundle),

@@ -67,5 +67,29 @@ def perturb_heading(
     return steered, turned_B + astray_B
 
 
+def perturb_past(
+    previous_BnD: Tensor,
+    index_B: Tensor,
+    rate: float,
+    codec: FeatureCodec,
+    normalizer: Normalizer,
+    generator: torch.Generator,
+) -> Tensor:
+    """Normalised segments with a steady turn of normally distributed speed added, but where ``index_B`` says none is.
+
+    A network that is told its own past, slightly bent, learns to walk on straight instead of round.
+
+    Args:
+        rate: deviation of the turn in radians a second.
+        generator: drawn from on its own device.
+    """
+    yaw = codec.groups["root_yaw"]
+    turn_B = torch.randn(len(previous_BnD), generator=generator, device=generator.device) * rate / codec.fps
+    turn_B = turn_B.to(previous_BnD.device) * (index_B > 0)
+    bent = previous_BnD.clone()
+    bent[..., yaw] += turn_B[:, None, None] / normalizer.std[yaw].to(previous_BnD.device)
+    return bent
+
+
 def _hidden(rows: Tensor, share: float, generator: torch.Generator) -> Tensor:
     return (torch.rand(len(rows), generator=generator, device=generator.device) < 1 - share).to(rows.device)

@@ -18,7 +18,7 @@ from moveset.errors import InputError
 from moveset.models.condition import Condition, Denoiser, Prediction, guided
 from moveset.models.discriminator import DiscriminatorConfig, LatentDiscriminator
 from moveset.models.latent_denoiser import LatentDenoiserConfig
-from moveset.models.registry import describe, parse_config, require_range
+from moveset.models.registry import ModelConfig, describe, parse_config, require_range
 from moveset.models.token_denoiser import TokenDenoiserConfig
 from moveset.pcm.consistency import (
     Draws,
@@ -44,23 +44,24 @@ from moveset.training.trained import load_trained
 
 
 @dataclass(frozen=True, kw_only=True)
-class DistillationConfig:
-    """What a student is and how it learns; the learning rate is a cosine over the run.
+class StudentConfig:
+    """How a student of clips or of segments learns; the learning rate is a cosine over the run.
 
     Args:
         points: solver points N of the grid (k = 1000 / N).
-        phases: M; 1 for LCM.
+        phases: M, evaluations of a sample; 1 for LCM.
         guidance: range of the guidance scale w that the student is trained for.
         huber: c of the pseudo-Huber distance.
         adversarial: weight of the discriminator's verdict; 0 leaves the discriminator out.
         inference_points: share of a batch that is moved to the points which sampling evaluates; 0 as published.
-        mismatched_text: share of real latents with another item's text in what the discriminator is to call fake, so
+        mismatched_text: share of real samples with another item's text in what the discriminator is to call fake, so
             that it judges what is said too; 0 as published.
         discriminator_max_noise: the lower part of a phase in which the discriminator looks; 1 as published.
         discriminator_warmup: steps at the beginning in which the discriminator learns and the student waits, so that a
             student that is good already (``--init``) is not pushed by one that knows nothing yet; 0 as published.
         trajectory_rows: rows of a batch that are asked, besides, for what all of the teacher's steps lead to from where
-            sampling enters a phase (``pcm.consistency.phase_entry`` and ``trajectory_target``); 0 as published.
+            sampling enters a phase (``pcm.consistency.phase_entry`` and ``trajectory_target``, and
+            ``rdm.distillation.trajectory_target``); 0 as published.
         ema: decay of the target network.
         model: the student's architecture; filled in from the teacher's.
     """
@@ -82,30 +83,32 @@ class DistillationConfig:
     discriminator_lr: float = 1e-4
     text_encoder: str = "minilm"
     augmentation: TextAugmentation = field(default_factory=TextAugmentation)
-    model: LatentDenoiserConfig | TokenDenoiserConfig | None = None
+    model: ModelConfig | None = None
     kind: str = field(init=False, default="")
 
     def __post_init__(self) -> None:
-        require_shares(self.inference_points, self.mismatched_text, self.discriminator_max_noise)
-        require_warmup(self.discriminator_warmup, self.adversarial)
+        require_range("share of sampled points", self.inference_points, 0.0, 1.0)
+        require_range("share of mismatched text", self.mismatched_text, 0.0, 1.0)
+        require_range("judged span", self.discriminator_max_noise, 0.0, 1.0)
+        if self.discriminator_warmup < 0 or (self.discriminator_warmup and not self.adversarial):
+            raise InputError(
+                f"discriminator_warmup = {self.discriminator_warmup} asks for a discriminator and 0 steps at least; "
+                "set adversarial too"
+            )
         if self.model is not None:
             object.__setattr__(self, "kind", describe(self.model)[0])
 
-
-def require_shares(inference_points: float, mismatched_text: float, discriminator_max_noise: float) -> None:
-    """Raises InputError for what is not between 0 and 1."""
-    require_range("share of sampled points", inference_points, 0.0, 1.0)
-    require_range("share of mismatched text", mismatched_text, 0.0, 1.0)
-    require_range("judged span", discriminator_max_noise, 0.0, 1.0)
+    def learning_rate(self, step: int, steps: int) -> float:
+        """Of the student in a step of a run of so many; its cosine begins when it no longer waits."""
+        alone = self.discriminator_warmup
+        return cosine_lr(max(step - alone, 0), self.lr, self.warmup, steps - alone)
 
 
-def require_warmup(discriminator_warmup: int, adversarial: float) -> None:
-    """Raises InputError for a discriminator that learns alone without being there, or for less than no step."""
-    if discriminator_warmup < 0 or (discriminator_warmup and not adversarial):
-        raise InputError(
-            f"discriminator_warmup = {discriminator_warmup} asks for a discriminator and 0 steps at least; set "
-            "adversarial too"
-        )
+@dataclass(frozen=True, kw_only=True)
+class DistillationConfig(StudentConfig):
+    """What a student of clips is and how it learns."""
+
+    model: LatentDenoiserConfig | TokenDenoiserConfig | None = None
 
 
 class _DistillationTask(Task):
@@ -137,8 +140,7 @@ class _DistillationTask(Task):
         return {"student": self.optimizer}
 
     def learning_rates(self, step: int) -> dict[str, float]:
-        alone = self.config.discriminator_warmup
-        return {"student": cosine_lr(max(step - alone, 0), self.config.lr, self.config.warmup, self.steps - alone)}
+        return {"student": self.config.learning_rate(step, self.steps)}
 
     def validate(self, step: int, loop: Loop) -> dict[str, float]:
         """Mean squared distance in the latent to the teacher's 50 guided steps from the same noise, captions of val."""

@@ -26,15 +26,14 @@ from moveset.rdm.grid import GridConfig, corrupt, draw
 from moveset.rdm.losses import flow_loss, masked_mse, velocity_loss
 from moveset.rdm.transport import Transport
 from moveset.text.encoder import TextEmbedding
-from moveset.training.condition_dropout import drop_heading_change, drop_timing, perturb_heading
+from moveset.training.condition_dropout import drop_heading_change, drop_timing, perturb_heading, perturb_past
 from moveset.training.ema import Ema, ema_warmup
 from moveset.training.engine import Loop, Task
-from moveset.training.foot_loss import foot_error
-from moveset.training.heading_loss import heading_error, perturb_past
 from moveset.training.momo import MomoAdam
 from moveset.training.optim import cosine_lr
 from moveset.training.reading import MAX_TOKENS
 from moveset.training.segment_data import SegmentData, forecast, spectrum
+from moveset.training.segment_losses import foot_error, heading_error
 from moveset.training.tasks import Sources
 
 SCHEDULE = linear()
@@ -66,8 +65,8 @@ class RDMConfig:
         noise: "white" (the paper), or "coloured" with the temporal spectrum of the training segments
             (``diffusion.coloured``).
         forecast: start the segment transformer's forecast from a fit to the data instead of from zero.
-        feet: weight of the error of the feet's velocities in the world (``training.foot_loss``), for clean predictions.
-        heading: weight of the error of the turn that a segment's steps add up to (``training.heading_loss``), likewise.
+        feet: weight of the error of the feet's velocities in the world, for clean predictions.
+        heading: weight of the error of the turn that a segment's steps add up to, likewise (``segment_losses``).
         past_perturbation: deviation, in radians a second, of a steady turn that is added to the segment before, as it
             is told.
         velocity: weight of the error of frame-to-frame differences.

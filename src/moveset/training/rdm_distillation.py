@@ -12,13 +12,12 @@ import torch
 from torch import Tensor, nn
 
 from moveset.data.segments import CuttingConfig, SegmentBatch
-from moveset.data.text_augmentation import TextAugmentation
 from moveset.diffusion.phases import PhaseGrid
 from moveset.diffusion.steps import add_noise, over, predict_eps, renoise
 from moveset.errors import InputError
 from moveset.models.condition import Denoiser
 from moveset.models.discriminator import DiscriminatorConfig
-from moveset.models.registry import describe, require_range
+from moveset.models.registry import require_range
 from moveset.models.segment_transformer import SegmentTransformerConfig
 from moveset.motion.features import Normalizer
 from moveset.pcm.consistency import Draws, draw
@@ -31,44 +30,32 @@ from moveset.rdm.transport import Transport
 from moveset.text.encoder import TextEmbedding
 from moveset.training.adversarial import discriminator_step
 from moveset.training.bound_segments import BoundSegments
-from moveset.training.condition_dropout import drop_heading_change, drop_timing, perturb_heading
-from moveset.training.distillation import require_shares, require_warmup
+from moveset.training.condition_dropout import drop_heading_change, drop_timing, perturb_heading, perturb_past
+from moveset.training.distillation import StudentConfig
 from moveset.training.ema import Ema
 from moveset.training.engine import Loop, Task
-from moveset.training.heading_loss import heading_error, perturb_past
-from moveset.training.optim import cosine_lr
 from moveset.training.rdm import SCHEDULE, RDMConfig, feature_weights
 from moveset.training.rollout import Rollout
 from moveset.training.segment_data import SegmentData
+from moveset.training.segment_losses import heading_error
 from moveset.training.tasks import Sources
 from moveset.training.trained import load_trained
 
 
 @dataclass(frozen=True, kw_only=True)
-class RDMStudentConfig:
-    """What a few-step student is and how it learns; the learning rate is a cosine over the run.
+class RDMStudentConfig(StudentConfig):
+    """What a few-step student of segments is and how it learns.
 
     Args:
-        points: solver points N of the grid.
-        phases: M, evaluations of a segment.
-        guidance: range of the guidance scale w that the student is trained for.
-        huber: c of the pseudo-Huber distance.
-        adversarial: weight of the discriminator's verdict; 0 leaves the discriminator out.
-        inference_points, mismatched_text, discriminator_max_noise, discriminator_warmup: as for clips
-            (``training.distillation.DistillationConfig``).
-        ema: decay of the target network.
         root: weight of the four root features, as in the teacher's training.
         tremor: of the student's network, see ``SegmentTransformerConfig``; one evaluation trembles more than ten.
-        trajectory_rows: rows of a batch that are, besides, asked at the top of a phase for what all of the teacher's
-            steps come to (``rdm.distillation.trajectory_target``).
         heading, past_perturbation: as in the teacher's training (``RDMConfig``); the teacher is told the bent past too.
         context_noise: tell the teacher the segment before at a level somewhat below the one it is asked at, as most of
             its training did, instead of finished; the student is told a finished one, as in use.
         context_noise_rollout: tell it so of ``rollout_share`` only: from a noisy past the teacher goes on more lively
             than from the tired one that a stream may have come to; told takes' pasts as they are, it can be followed.
         rollout_share: share of a batch's rows that are told what the student made itself (``training.rollout``). They
-            are
-            asked at the top of each phase in turn, and judged without their past: not whether a segment goes on as
+            are asked at the top of each phase in turn, and judged without their past: not whether a segment goes on as
             takes do, but whether it shows what is said as takes do.
         timing: share of takes' segments that are told where they lie in the time of their sentence, and of the
             sentences of ``rollout_share`` that have an end, for a teacher that was told so (``RDMConfig.timing``).
@@ -76,26 +63,15 @@ class RDMStudentConfig:
             turned; streams of ``rollout_share`` are told it where the takes are that they begin with, or whose
             sentences they are given.
         codec, frames: filled in from the teacher's.
-        model: the student's architecture; filled in from the teacher's.
     """
 
-    points: int = 10
-    phases: int = 1
     guidance: tuple[float, float] = (0.0, 3.0)
-    huber: float = 0.5
-    adversarial: float = 0.1
-    inference_points: float = 0.0
-    mismatched_text: float = 0.0
-    discriminator_max_noise: float = 1.0
-    discriminator_warmup: int = 0
-    ema: float = 0.95
     batch: int = 64
     lr: float = 3e-4
     warmup: int = 100
     discriminator_lr: float = 1e-3
     root: float = 5.0
     tremor: float = 0.0
-    trajectory_rows: int = 0
     heading: float = 0.0
     past_perturbation: float = 0.0
     context_noise: bool = False
@@ -104,20 +80,14 @@ class RDMStudentConfig:
     timing: float = 0.0
     heading_change: float = 0.0
     heading_noise: float = 0.0
-    text_encoder: str = "minilm"
     cutting: CuttingConfig = field(default_factory=CuttingConfig)
-    augmentation: TextAugmentation = field(default_factory=TextAugmentation)
     codec: str = ""
     frames: int = 0
     model: SegmentTransformerConfig | None = None
-    kind: str = field(init=False, default="")
 
     def __post_init__(self) -> None:
-        require_shares(self.inference_points, self.mismatched_text, self.discriminator_max_noise)
-        require_warmup(self.discriminator_warmup, self.adversarial)
+        super().__post_init__()
         require_range("rollout_share, the share of rows told what the student made,", self.rollout_share, 0.0, 1.0)
-        if self.model is not None:
-            object.__setattr__(self, "kind", describe(self.model)[0])
 
 
 class RDMStudentTask(Task):
@@ -186,8 +156,7 @@ class RDMStudentTask(Task):
         self.own.load_state(state, self.scale.device)
 
     def learning_rates(self, step: int) -> dict[str, float]:
-        alone = self.config.discriminator_warmup
-        return {"student": cosine_lr(max(step - alone, 0), self.config.lr, self.config.warmup, self.steps - alone)}
+        return {"student": self.config.learning_rate(step, self.steps)}
 
     def training_step(self, step: int, loop: Loop) -> dict[str, Tensor]:
         config = self.config

@@ -7,7 +7,8 @@ import torch
 
 from moveset.data.synthetic import synthetic_motion
 from moveset.motion.features import Normalizer, get_codec
-from moveset.training.heading_loss import KNEE, heading_error, perturb_past
+from moveset.training.condition_dropout import perturb_past
+from moveset.training.segment_losses import KNEE, heading_error
 
 CODEC = get_codec("native")
 

@@ -1,0 +1,44 @@
+"""How well predicted segments move as real ones do: by what a viewer sees, not by features.
+
+A squared error of features lets root and legs err apart, and feet that stand slide by the difference. Nor does it see a
+turn of five degrees a second, a tenth of the deviation that the yaw step has in all motion; who watches a straight walk
+does.
+Shapes: B rows, n frames, D features.
+"""
+
+from torch import Tensor
+
+from moveset.motion.features import FeatureCodec, Normalizer
+from moveset.pcm.losses import huber
+
+KNEE = 0.1  # radians above which an error counts in proportion only: how far a turn goes can seldom be known
+
+
+def foot_error(
+    made_BnD: Tensor, real_BnD: Tensor, valid_Bn: Tensor, codec: FeatureCodec, normalizer: Normalizer
+) -> Tensor:
+    """Mean squared error (B,) of the world velocities of ankles and toes, in (m/s)², over valid steps.
+
+    Both sequences are placed by their own root path, starting alike.
+    """
+    feet = list(codec.skeleton.feet)
+    made, real = (
+        codec.joints(normalizer.denormalize(x.float()))[..., feet, :].diff(dim=1) * codec.fps
+        for x in (made_BnD, real_BnD)
+    )
+    error_Bn = (made - real).square().sum(dim=-1).mean(dim=-1)
+    steps_Bn = (valid_Bn[:, 1:] & valid_Bn[:, :-1]).to(error_Bn.dtype)
+    return (error_Bn * steps_Bn).sum(dim=1) / steps_Bn.sum(dim=1).clamp_min(1)
+
+
+def heading_error(
+    made_BnD: Tensor, real_BnD: Tensor, valid_Bn: Tensor, codec: FeatureCodec, normalizer: Normalizer
+) -> Tensor:
+    """Mean pseudo-Huber distance (B,) of the headings that each frame leads to; both sequences start facing alike.
+
+    In radians, as the codec's yaw step has them (``hml``: of half the angle).
+    """
+    yaw = codec.groups["root_yaw"]
+    steps_Bn = ((made_BnD - real_BnD)[..., yaw].float() * normalizer.std[yaw].to(made_BnD.device))[..., 0]
+    error_Bn = huber((steps_Bn * valid_Bn).cumsum(dim=1), KNEE) * valid_Bn
+    return error_Bn.sum(dim=1) / valid_Bn.sum(dim=1).clamp_min(1)
