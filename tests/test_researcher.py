@@ -24,7 +24,8 @@ STAGES = (
 
 @pytest.fixture(scope="module")
 def corpus(tmp_path_factory):
-    return synthetic_corpus(tmp_path_factory.mktemp("corpus") / "corpus.safetensors", clips=190, seed=0)
+    """As many takes to be judged by as a group of R-precision has, and few to learn from."""
+    return synthetic_corpus(tmp_path_factory.mktemp("corpus") / "corpus.safetensors", clips=62, held_out=38)
 
 
 @pytest.fixture(
@@ -48,8 +49,8 @@ def test_both_papers_tables_come_of_a_folder(trained, monkeypatch, capsys):
     monkeypatch.chdir(place)
     rows = {"motionpcm": ("real", "pcm-1"), "rdm": ("real", "rdm-pcm-1")}
     if baselines:
-        rows["motionpcm"] += ("vae", "teacher", "lcm-1", "lcm-4")
-        rows["rdm"] += ("md-7", "rdm-7", "triangle-2", "dip", "motiondiffuse")
+        rows["motionpcm"] += ("vae", "teacher", "lcm-1")
+        rows["rdm"] += ("md-7", "rdm-7", "dip", "motiondiffuse")
     models = [str(Path("models") / model) for model in (*MODELS, *baselines)]
     for suite, keys in rows.items():
         given = ["--data", "data", "--evaluator", "models/t2m-tiny", "--repeats", "1", "--multimodality", "0"]

@@ -100,6 +100,38 @@ def test_bodies_stand_on_the_floor(t2m):
         assert -0.1 < float(joints[..., 1].min()) < 0.1
 
 
+@pytest.mark.parametrize("solver", ["pcm", "lcm", "teacher"])
+def test_a_clip_is_the_same_twice_and_in_any_company(t2m, solver):
+    """To the last bit one at a time, to float tolerance in a batch; variants are the seeds that follow."""
+    for steps in (3,) if solver == "teacher" else t2m.bundle.config.steps(solver):
+        given = {"seconds": 2.0, "steps": steps, "solver": solver, "foot_lock": False}
+        alone, together = (t2m("a person walks", num=3, batch=batch, **given) for batch in (1, 3))
+        for k, (one, other) in enumerate(zip(alone.motions, together.motions, strict=True)):
+            assert same(one, t2m("a person walks", seed=k, **given).motion)
+            torch.testing.assert_close(one.joints, other.joints, atol=1e-4, rtol=0)
+
+
+def test_a_timeline_is_the_same_twice(t2m):
+    one, other = (t2m(["a person walks", "a person bows"], seconds=[2.0, 1.5], seed=7).motion for _ in range(2))
+    assert same(one, other)
+
+
+def test_a_stream_is_the_same_twice_and_in_any_company():
+    bundle = ModelFolder.open(DEFAULT_STREAM, StreamConfig)
+    for network in {bundle.config.network, "rdm"}:
+        settings = check_stream(bundle.config, network=network).settings
+        made = []
+        for _ in range(2):
+            stream = MotionStream.from_pretrained(prompt="a person walks", seed=7, network=network, device="cpu")
+            made.append([next(stream).motion for _ in range(2)])
+        assert all(same(one, other) for one, other in zip(*made, strict=True))
+        group = StreamBatch(bundle, settings, device="cpu")
+        lanes = [group.open(prompt, seed) for prompt, seed in (("a person walks", 7), ("a person bows", 8))]
+        for alone in made[0]:
+            in_company = group.step(lanes)[0].motion
+            torch.testing.assert_close(in_company.joints, alone.joints, atol=1e-4, rtol=0)
+
+
 def test_a_stream_of_half_a_minute(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     prompts = ["a person walks forward", "a person waves with both hands"]
@@ -146,6 +178,10 @@ def test_examples_run(example, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(sys, "argv", [str(example)])
     runpy.run_path(str(example), run_name="__main__")
     assert capsys.readouterr().out
+
+
+def same(one, other):
+    return torch.equal(one.rotations, other.rotations) and torch.equal(one.root, other.root)
 
 
 def made(t2m, prompt, steps, seed):

@@ -101,20 +101,26 @@ def synthetic_motion(
     return Motion(motion.rotations, motion.root - lowest[:, None] * torch.tensor((0.0, 1.0, 0.0)), fps)
 
 
-def synthetic_corpus(path: str | Path, clips: int = 24, seed: int = 0) -> Path:
+def synthetic_corpus(path: str | Path, clips: int = 24, seed: int = 0, held_out: int | None = None) -> Path:
     """A small corpus of synthetic takes in every split, and a few training compositions.
+
+    Args:
+        path: of the file.
+        clips: how many takes.
+        seed: of their lengths and motions.
+        held_out: of them for testing and validation, by turns; by default a fifth.
 
     Raises:
         InputError: fewer than 12 clips, or the path cannot be written.
     """
     if clips < 12:
         raise InputError(f"a synthetic corpus of {clips} clips cannot fill three splits; use at least 12")
+    held_out = max(4, clips // 5) if held_out is None else held_out
     writer = CorpusWriter()
     generator = torch.Generator().manual_seed(seed)
     for k in range(clips):
         kind = KINDS[k % len(KINDS)]
-        held_out = k >= clips - max(4, clips // 5)
-        split: Split = "train" if not held_out else "val" if k % 2 else "test"
+        split: Split = "train" if k < clips - held_out else "val" if k % 2 else "test"
         frames = int(torch.randint(40, 120, (1,), generator=generator))
         writer.add_take(
             TakeEntry(
