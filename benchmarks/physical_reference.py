@@ -25,34 +25,22 @@ SEGMENT = 28
 SHORTEST = 24
 
 
-def padded(clips: list[Tensor]) -> tuple[Tensor, Tensor]:
-    """(B, F, J, 3) and (B,) lengths."""
-    return torch.nn.utils.rnn.pad_sequence(clips, batch_first=True), torch.tensor([len(c) for c in clips])
-
-
 def measured(clips: list[Tensor], fps: float) -> dict[str, list[float]]:
-    """Each measure of each clip, in batches of clips of about one length."""
+    """Each measure of each clip."""
     out: dict[str, list[float]] = {}
-    order = sorted(clips, key=len)
-    for k in range(0, len(order), 64):
-        joints, lengths = padded(order[k : k + 64])
-        found = measure(joints, fps, lengths)
+    for joints in clips:
+        found = measure(joints, fps)
         for name in found.__dataclass_fields__:
-            out.setdefault(name, []).extend(getattr(found, name).tolist())
-        out.setdefault("skating_window_5", []).extend(skating(joints, fps, lengths, window=5).tolist())
+            out.setdefault(name, []).append(float(getattr(found, name)))
+        out.setdefault("skating_window_5", []).append(float(skating(joints, fps, window=5)))
     return out
 
 
 def seams(clips: list[Tensor], fps: float) -> dict[str, float]:
     """Boundary jerk of all clips that are long enough for a seam: none of them has one there."""
-    long = sorted((c for c in clips if len(c) > SEGMENT + 4), key=len)
-    near, elsewhere = [], []
-    for k in range(0, len(long), 64):
-        joints, lengths = padded(long[k : k + 64])
-        found = boundary_jerk(joints, fps, torch.arange(SEGMENT, joints.shape[1], SEGMENT), lengths)
-        near.append(found.near)
-        elsewhere.append(found.elsewhere)
-    a, b = float(torch.cat(near).mean()), float(torch.cat(elsewhere).mean())
+    long = [clip for clip in clips if len(clip) > SEGMENT + 4]
+    found = [boundary_jerk(joints, fps, range(SEGMENT, len(joints), SEGMENT)) for joints in long]
+    a, b = (float(torch.stack([getattr(one, side) for one in found]).mean()) for side in ("near", "elsewhere"))
     return {"takes": len(long), "near": a, "elsewhere": b, "ratio": a / b}
 
 

@@ -342,7 +342,7 @@ def test_jobs_open_what_they_name(bundle, streams):
         "tiny-stream-rdm-start2-shapetriangle"
     )
     assert opened(model="real").slug == "real"
-    with pytest.raises(InputError, match="--start is a setting of streams"):
+    with pytest.raises(InputError, match="start is a setting of streams"):
         opened(model=folder, settings=(("start", 2),))
     with pytest.raises(InputError, match="unknown model"):
         opened(model="nothing")

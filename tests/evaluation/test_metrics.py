@@ -243,14 +243,10 @@ def test_joint_errors_by_hand():
     assert metrics.mpjpe(a[0], b[0]).shape == ()
 
 
-def test_joint_errors_do_not_see_padding():
+def test_joints_that_cannot_be_compared_are_refused():
     a, b = normal(2, 10, 22, 3), normal(2, 10, 22, 3, seed=1)
-    expected = metrics.mpjpe(a[1, :4], b[1, :4])
     a[1, 4:] = math.nan
-    assert metrics.mpjpe(a, b, torch.tensor([10, 4]))[1] == pytest.approx(float(expected))
     with pytest.raises(InputError, match="finite"):
         metrics.mpjpe(a, b)
-    with pytest.raises(InputError, match="1 to 10"):
-        metrics.mpjpe(a, b, torch.tensor([10, 11]))
     with pytest.raises(InputError, match="one shape"):
         metrics.mpjpe(a, b[:1])

@@ -22,11 +22,7 @@ def evaluate(
     network: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None,
     steps: Annotated[int | None, tyro.conf.arg(metavar="N")] = None,
     guidance: Annotated[float | None, tyro.conf.arg(metavar="W")] = None,
-    start: Annotated[int | None, tyro.conf.arg(metavar="R")] = None,
-    lag: Annotated[int | None, tyro.conf.arg(metavar="N")] = None,
-    past_lag: Annotated[int | None, tyro.conf.arg(metavar="N")] = None,
-    eta: Annotated[float | None, tyro.conf.arg(metavar="X")] = None,
-    shape: Literal["parallelogram", "triangle"] | None = None,
+    set: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="NAME=VALUE")] = (),
     split: Literal["test", "val", "rollout"] = "test",
     repeats: Annotated[int, tyro.conf.arg(metavar="N")] = 20,
     seed: Annotated[int, tyro.conf.arg(metavar="N")] = 0,
@@ -39,9 +35,7 @@ def evaluate(
     items: Annotated[int | None, tyro.conf.arg(metavar="N")] = None,
     composed: bool = True,
     mirrored: bool = True,
-    seams: Annotated[float, tyro.conf.arg(metavar="S")] = 0.0,
     foot_lock: bool = True,
-    stages: bool = True,
     suite: Literal["motionpcm", "rdm"] | None = None,
     row: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(metavar="KEY")] = (),
     sanity: tyro.conf.FlagCreatePairsOff[bool] = False,
@@ -60,11 +54,8 @@ def evaluate(
         network: Which network of the model; by default the model's own choice.
         steps: Sampling steps; by default the network's own.
         guidance: How strongly the text is followed (w); by default the model's own choice.
-        start: Streams by rdm: steps that remain when the next segment enters (R).
-        lag: Streams by rdm: steps that a segment stays behind the one before it.
-        past_lag: Streams by rdm, one segment after the other: steps that the finished segment is told to be ahead.
-        eta: Streams by rdm or md: share of fresh noise in every step.
-        shape: Streams by rdm: the shape of the staircase.
+        set: Streams: a setting of how they are sampled, such as eta=1, start=7, lag=1, past_lag=1 or stages=false, as
+            for `moveset stream`, or shape=triangle; may be given several times.
         split: test, once, at the end; val for every choice; rollout: half a minute of changing prompts, in windows.
         repeats: How often captions, crops, noise and groups are drawn again; intervals are over these.
         seed: The same seed gives the same table.
@@ -77,9 +68,7 @@ def evaluate(
         items: At most so many items, drawn at random, for a quick look.
         composed: Judge compositions of takes too, as well as takes.
         mirrored: Judge mirror images too.
-        seams: Measure jerk every so many seconds as at the seams of a stream, to compare streams with.
         foot_lock: Judge motion with planted feet held, as users get it.
-        stages: Streams: take sentences apart that say what comes after what, as users get it.
         suite: Evaluate all rows of a paper's tables, and write the tables; models are folders of more rows.
         row: Only this row of the suite; may be given several times.
         sanity: Check the evaluator itself: real, jittered, reversed and frozen motion, shuffled and wrong sentences.
@@ -92,13 +81,13 @@ def evaluate(
     """
     from moveset.evaluation.protocol import Protocol
     from moveset.evaluation.run import EvaluationConfig
+    from moveset.pipelines.generator import Sampler
+    from moveset.training.tasks import with_settings
 
-    protocol = Protocol(split=split, repeats=repeats, seed=seed, multimodality=multimodality, seams=seams)
-    given = {"guidance": guidance, "start": start, "lag": lag, "past_lag": past_lag, "eta": eta, "shape": shape}
-    given["stages"] = None if stages else False
-    settings = tuple((name, value) for name, value in given.items() if value is not None)
+    sampler = with_settings(Sampler(steps=steps, guidance=guidance), set)
+    protocol = Protocol(split=split, repeats=repeats, seed=seed, multimodality=multimodality)
     common = EvaluationConfig(
-        network=network, steps=steps, settings=settings, motions=motions, prompts=prompts,
+        network=network, steps=sampler.steps, settings=tuple(sampler.given().items()), motions=motions, prompts=prompts,
         motions_fps=20.0 if motions_fps is None else motions_fps, data=data, evaluator=evaluator, protocol=protocol,
         composed=composed, mirrored=mirrored, items=items, foot_lock=foot_lock, batch=batch, device=device,
     )  # fmt: skip

@@ -144,15 +144,14 @@ def multimodality(motion_TnE: Tensor, generator: torch.Generator, pairs: int = 1
     return (motion[:, first] - motion[:, second]).norm(dim=-1).mean().item()
 
 
-def mpjpe(a: Tensor, b: Tensor, lengths: Tensor | None = None, *, aligned: bool = False) -> Tensor:
+def mpjpe(a: Tensor, b: Tensor, *, aligned: bool = False) -> Tensor:
     """Mean distance of joints of a and b (..., F, J, 3), in their unit: one float64 value a clip.
 
     Args:
-        lengths: (...) frames of each clip that are real; padding does not count.
         aligned: move the root (joint 0) of every frame to one place first, so that only posture is compared.
 
     Raises:
-        InputError: shapes that differ, or joints that are not finite where they count.
+        InputError: shapes that differ, or joints that are not finite.
     """
     if a.shape != b.shape or a.ndim < 3 or a.shape[-1] != 3:
         raise InputError(
@@ -162,17 +161,9 @@ def mpjpe(a: Tensor, b: Tensor, lengths: Tensor | None = None, *, aligned: bool 
     if aligned:
         a, b = a - a[..., :1, :], b - b[..., :1, :]
     apart = (a - b).norm(dim=-1).mean(dim=-1)
-    frames = a.shape[-3]
-    if lengths is None:
-        lengths = torch.full(apart.shape[:-1], frames)
-    if lengths.shape != apart.shape[:-1] or (
-        lengths.numel() and not 1 <= int(lengths.min()) <= int(lengths.max()) <= frames
-    ):
-        raise InputError(f"lengths {tuple(lengths.shape)} must be one each of {tuple(apart.shape[:-1])}, 1 to {frames}")
-    real = torch.arange(frames) < lengths[..., None]
-    if not torch.isfinite(apart[real]).all():
+    if not torch.isfinite(apart).all():
         raise InputError("joint positions must be finite; repair or leave out the clips that are not")
-    return torch.where(real, apart, 0.0).sum(dim=-1) / lengths
+    return apart.mean(dim=-1)
 
 
 def _distances(text_ME: Tensor, motion_ME: Tensor, groups: Sequence[Sequence[int]]) -> Tensor:

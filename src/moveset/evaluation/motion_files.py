@@ -32,20 +32,19 @@ MIN_FRAMES = 5
 BONES = (0.5, 50.0)
 
 
-def folder_motions(folder: Path, prompts: Path | None, fps: float, codec: str = "hml") -> TestSet:
+def folder_motions(folder: Path, prompts: Path | None, fps: float) -> TestSet:
     """The motions of a folder as items that are judged by their own prompts.
 
     Args:
         folder: of ``.npy`` files (F, J, 3).
         prompts: JSONL file; None for ``prompts.jsonl`` in the folder if it is there, else text files.
         fps: frame rate of the files.
-        codec: of the evaluator's features, which says how many joints there are.
 
     Raises:
         InputError: no files, a file without a prompt, or joints of another shape.
         FormatError: a damaged file, or positions that are not finite.
     """
-    features = get_codec(codec)
+    features = get_codec("hml")
     assert isinstance(features, HmlCodec)
     if not folder.is_dir():
         raise InputError(f"there is no folder {str(folder)!r}; give a folder of .npy joint positions")

@@ -42,7 +42,6 @@ SHORT = {
 }
 REAL = "real"
 MAX_PROCESSES, MAX_CORES = 8, 256
-NEAREST_SEAMS = 5  # frames: ``measures.boundary_jerk`` compares what is within two of a seam with what is not
 
 Progress = Callable[[int, int, str], None]
 
@@ -100,11 +99,6 @@ def open_session(config: EvaluationConfig) -> Session:
     if not 1 <= config.batch <= 4096:
         raise InputError(f"batch {config.batch} is not in 1 to 4096; give 64 on a CPU, more on a GPU")
     generator, items = open_source(config), open_set(config)
-    seams, least = config.protocol.seams, NEAREST_SEAMS / items.codec.fps
-    if seams and round(seams * items.codec.fps) < NEAREST_SEAMS:
-        raise InputError(
-            f"seams {seams:g} s apart are less than {least:g} s, and no motion would be away from one; give more"
-        )
     evaluator = Evaluator.open(config.evaluator, pick_device(config.device))
     if isinstance(generator, Given) and generator.items is not None:
         generator.items = _as_read(generator.items, evaluator.card.max_frames)

@@ -101,7 +101,7 @@ def open_generator(
     if isinstance(config, StreamConfig):
         return _stream(folder, network, sampler, foot_lock, batch, device)
     if others := [name for name in sampler.given() if name != "guidance"]:
-        raise InputError(f"--{others[0]} is a setting of streams, and {config.name!r} is none")
+        raise InputError(f"{others[0]} is a setting of streams, and {config.name!r} is none")
     if isinstance(config, ClipConfig):
         method = clip_method(config, network, sampler.steps, sampler.guidance)
         return ClipGenerator(folder, method, device=device, batch=batch, foot_lock=foot_lock)
@@ -121,7 +121,7 @@ def _stream(
     if shape != "parallelogram" and named(request.settings.network).role is not Role.DENOISER:
         raise InputError(
             f"network {request.settings.network!r} makes one segment after the other, so there is no {shape}; "
-            "leave --shape out or choose --network rdm"
+            "leave shape out or choose --network rdm"
         )
     extras = [f"{sampler.steps}-steps"] if sampler.steps and not is_student(request.settings.network) else []
     extras += [f"{k}{v:g}" if isinstance(v, int | float) else f"{k}{v}" for k, v in given.items()]

@@ -86,11 +86,11 @@ class EmbeddingCache:
             return cls.open(path)
 
     @classmethod
-    def open(cls, path: str | Path, *, encoder: str | None = None) -> "EmbeddingCache":
-        """Read a cache and verify it: structure, checksum and, if given, the encoder's name.
+    def open(cls, path: str | Path) -> "EmbeddingCache":
+        """Read a cache and verify it: structure and checksum.
 
         Raises:
-            InputError: the file is missing, or was made by another encoder.
+            InputError: the file is missing.
             FormatError: it is damaged or not a cache.
         """
         path = Path(path)
@@ -108,8 +108,6 @@ class EmbeddingCache:
             raise FormatError(f"{path} is not a text cache ({error}); delete it and build it again") from None
         if not sound:
             raise FormatError(f"the text cache {path} is damaged; delete it and build it again")
-        if encoder is not None and cache.encoder != encoder:
-            raise InputError(f"the text cache {path} was made by {cache.encoder!r}, not {encoder!r}; build it again")
         return cache
 
     def __contains__(self, sentence: str) -> bool:

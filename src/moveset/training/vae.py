@@ -198,7 +198,8 @@ def reconstruction_report(
         columns = {"mpjpe_mm": aligned, "mpjpe_unaligned_mm": unaligned}
         for name, features in (("", made), ("real_", real)):
             joints = codec.joints(store.normalizer.denormalize(features))
-            columns[f"{name}jerk"] = jerk(joints, codec.fps, lengths)
-            columns[f"{name}skating"] = skating(joints, codec.fps, lengths)
+            clips = [x[:frames] for x, frames in zip(joints, lengths.tolist(), strict=True)]
+            columns[f"{name}jerk"] = torch.stack([jerk(clip, codec.fps) for clip in clips])
+            columns[f"{name}skating"] = torch.stack([skating(clip, codec.fps) for clip in clips])
         rows.append(columns)
     return {name: float(torch.cat([row[name] for row in rows]).mean()) for name in rows[0]}
