@@ -10,12 +10,12 @@ from moveset.data.dataset import open_for_training
 from moveset.data.feature_store import FeatureStore
 from moveset.data.synthetic import synthetic_corpus
 from moveset.errors import InputError
+from moveset.io.quantization import restored
 from moveset.models.dip_decoder import DipDecoderConfig
 from moveset.models.flow import FlowConfig
 from moveset.models.segment_transformer import SegmentTransformerConfig
 from moveset.pipelines.model_config import IDLE, BaselineConfig, StreamConfig
 from moveset.pipelines.model_folder import ModelFolder
-from moveset.pipelines.quantization import restored
 from moveset.rdm.grid import GridConfig
 from moveset.text.vocabulary import words_of
 from moveset.training import checkpoint

@@ -20,10 +20,10 @@ from torch import Tensor
 
 from moveset.errors import FormatError, InputError
 from moveset.io.manifest import VerifiedFolder, json_bytes, json_object, write_whole
+from moveset.io.quantization import halved
 from moveset.models.evaluator import FRAMES_PER_TOKEN, MatchingEvaluator
 from moveset.models.registry import build_model, describe
 from moveset.motion.features import get_codec
-from moveset.pipelines.quantization import halved
 from moveset.text.encoder import get_text_encoder
 from moveset.text.glove import GloveWords
 from moveset.text.words import TokenWords, Words

@@ -24,6 +24,7 @@ from torch import Tensor, nn
 
 from moveset.errors import FormatError, InputError
 from moveset.io.manifest import VerifiedFolder, json_bytes, json_object, write_whole
+from moveset.io.quantization import halved, restored, subtracted
 from moveset.models.packed import PACKABLE, can_pack, pack
 from moveset.models.symmetric import Symmetric
 from moveset.motion.native import NativeCodec
@@ -36,7 +37,6 @@ from moveset.pipelines.model_config import (
     FolderConfig,
     ModelSpec,
 )
-from moveset.pipelines.quantization import halved, restored, subtracted
 from moveset.text.familiarity import KnownPrompts
 
 _COMMANDS = {TEXT_TO_MOTION: "moveset generate", STREAM: "moveset stream", BASELINE: "moveset evaluate"}

@@ -1,11 +1,14 @@
-"""How weights are stored: in half precision, or as 8-bit differences from those of a network that is stored whole.
+"""How weights are stored: in half precision, rounded to 8 bits, or as 8-bit differences from a network stored whole.
 
 A student starts as its teacher and stays near it: rows of the difference, divided by their largest entry, need no more
 than 8 bits for the network to compute the same to three decimals, and half the room. The difference is taken from the
 base *as stored*, so that the base's own rounding does not add to the error.
 
+A matrix without a base has 8 bits, too, with a unit of its own for every few columns of a row, as Q8_0 of GGML has.
+
 Stored names: ``KEY`` float16, whole; or ``KEY:difference`` int8 (rows, …) and ``KEY:scale`` float32 (rows,), which
-mean base + difference · scale.
+mean base + difference · scale; or ``KEY:rounded`` int8 (rows, columns) and ``KEY:scale`` float16 (rows, blocks), which
+mean rounded · scale.
 """
 
 from collections.abc import Mapping
@@ -13,7 +16,7 @@ from collections.abc import Mapping
 import torch
 from torch import Tensor
 
-DIFFERENCE, SCALE = ":difference", ":scale"
+DIFFERENCE, ROUNDED, SCALE = ":difference", ":rounded", ":scale"
 LEVELS = 127
 # A tensor whose difference is too large for 8 bits (relative error of the tensor) is stored whole.
 MAX_ERROR = 4e-3
@@ -53,15 +56,27 @@ def subtracted(
     return stored
 
 
+def rounded(name: str, matrix: Tensor, block: int) -> dict[str, Tensor]:
+    """A matrix (rows, columns) in 8 bits, as it is stored; ``block`` columns, a divisor of all, share a unit."""
+    integers, scale = _quantised(matrix.detach().cpu().float().reshape(-1, block), torch.float16)
+    return {name + ROUNDED: integers.view(matrix.shape), name + SCALE: scale.view(len(matrix), -1)}
+
+
+def unrounded(integers: Tensor, scale: Tensor) -> Tensor:
+    """Rows of a rounded matrix (…, columns) and their units (…, blocks) in single precision."""
+    return integers.float().unflatten(-1, (scale.shape[-1], -1)).mul_(scale.float()[..., None]).flatten(-2)
+
+
 def restored(stored: Mapping[str, Tensor], base: Mapping[str, Tensor] | None = None) -> dict[str, Tensor]:
     """The weights in single precision.
 
     Args:
-        stored: by ``halved``, or by ``subtracted`` from ``base``.
+        stored: by ``halved`` and ``rounded``, or by ``subtracted`` from ``base``.
         base: as stored by ``halved``.
 
     Raises:
-        ValueError: differences from tensors that the base does not have, or not of this shape.
+        ValueError: differences from tensors that the base does not have, or not of this shape; rounded matrices
+            whose units do not fit.
     """
     state: dict[str, Tensor] = {}
     for name, value in stored.items():
@@ -73,6 +88,13 @@ def restored(stored: Mapping[str, Tensor], base: Mapping[str, Tensor] | None = N
             if value.dtype != torch.int8 or value.shape != base[key].shape or scale.shape != value.shape[:1]:
                 raise ValueError(f"{key!r} is no difference from a tensor of shape {tuple(base[key].shape)}")
             state[key] = _sum(base[key], value, scale)
+        elif name.endswith(ROUNDED):
+            key = name.removesuffix(ROUNDED)
+            scale = stored.get(key + SCALE)
+            fits = scale is not None and scale.shape[:-1] == value.shape[:-1] and value.shape[-1] % scale.shape[-1] == 0
+            if scale is None or value.dtype != torch.int8 or not fits:
+                raise ValueError(f"{key!r} has no units for its rows of integers")
+            state[key] = unrounded(value, scale)
         elif not name.endswith(SCALE):
             state[name] = value.float() if value.is_floating_point() else value
     return state
@@ -83,10 +105,10 @@ def _worthwhile(value: Tensor) -> bool:
     return value.is_floating_point() and value.ndim >= 2 and value[0].numel() > 4
 
 
-def _quantised(difference: Tensor) -> tuple[Tensor, Tensor]:
+def _quantised(difference: Tensor, precision: torch.dtype = torch.float32) -> tuple[Tensor, Tensor]:
     """Integers in ±127 and the size of their unit, one a row."""
-    scale = difference.flatten(1).abs().amax(dim=1) / LEVELS
-    unit = _column(torch.where(scale > 0, scale, 1.0), difference)
+    scale = (difference.flatten(1).abs().amax(dim=1) / LEVELS).to(precision)
+    unit = _column(torch.where(scale > 0, scale, 1.0).float(), difference)
     return (difference / unit).round().clamp(-LEVELS, LEVELS).to(torch.int8).contiguous(), scale
 
 

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from moveset.pipelines.quantization import halved, restored, subtracted
+from moveset.io.quantization import halved, restored, rounded, subtracted
 
 
 @pytest.fixture
@@ -96,3 +96,21 @@ def test_differences_need_their_base(state, base):
     ):
         with pytest.raises(ValueError, match=message):
             restored(difference, from_base)
+
+
+def test_rounded_blocks_are_off_by_half_a_step_of_their_own(base):
+    base["matrix"] *= torch.logspace(-3, 0, 64)  # columns of a row that one unit would not serve
+    stored = rounded("matrix", base["matrix"], 8)
+    again = restored(stored)["matrix"].view(40, 8, 8)
+    blocks = base["matrix"].view(40, 8, 8)
+    step = blocks.abs().amax(-1, keepdim=True) / 127
+    # The step is the one of half precision, and so a little larger where it is tiny.
+    assert ((again - blocks).abs() <= 0.51 * step).all()
+    assert ((again - blocks).abs() > 0.4 * step).any()
+
+
+def test_rounded_integers_need_their_units(base):
+    stored = rounded("matrix", base["matrix"], 8)
+    for other in ({}, {"matrix:scale": torch.ones(39, 8)}, {"matrix:scale": torch.ones(40, 7)}):
+        with pytest.raises(ValueError, match="'matrix' has no units for its rows of integers"):
+            restored({"matrix:rounded": stored["matrix:rounded"]} | other)
