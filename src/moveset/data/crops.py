@@ -36,10 +36,20 @@ class CropSampler:
     ) -> None:
         self.store, self.clips, self.weights, self.batch = store, list(clips), weights, batch
         self.seed, self.whole, self.shortest = seed, whole, shortest
+        self._pool: tuple[int, list[Crop], list[int]] = (-1, [], [])
 
     def crops(self, step: int) -> list[Crop]:
         """The batch of a step."""
-        generator = torch.Generator().manual_seed(self.seed * 1_000_003 + step // self.pool)
+        number = step // self.pool
+        if self._pool[0] != number:
+            self._pool = (number, *self._drawn(number))
+        _, crops, order = self._pool
+        start = order[step % self.pool] * self.batch
+        return crops[start : start + self.batch]
+
+    def _drawn(self, number: int) -> tuple[list[Crop], list[int]]:
+        """The crops of a pool by length, and the order of its batches."""
+        generator = torch.Generator().manual_seed(self.seed * 1_000_003 + number)
         count = self.pool * self.batch
         drawn = torch.multinomial(self.weights, count, replacement=True, generator=generator)
         share, keep, place = torch.rand(3, count, generator=generator)
@@ -53,5 +63,4 @@ class CropSampler:
             frames = min(frames, total, MAX_FRAMES)
             crops.append(Crop(clip, int(at * (total - frames + 1)), frames))
         crops.sort(key=lambda crop: crop.frames)
-        start = int(order[step % self.pool]) * self.batch
-        return crops[start : start + self.batch]
+        return crops, order.tolist()

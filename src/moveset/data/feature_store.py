@@ -19,6 +19,7 @@ from tqdm import tqdm
 
 from moveset.data.augment import MAX_FRAMES
 from moveset.data.dataset import Dataset
+from moveset.data.loader import in_order
 from moveset.errors import FormatError, InputError, MovesetError
 from moveset.io.process import LOCKS, locked
 from moveset.motion.features import FeatureCodec, Normalizer, get_codec
@@ -56,10 +57,13 @@ class FeatureStore:
         self.features = np.load(folder / "features.npy", mmap_mode="r")
         mean, std = (torch.tensor(index[name]) for name in ("mean", "std"))
         self.normalizer = Normalizer(mean, std)
+        self._resident: Tensor | None = None
 
     @classmethod
-    def of(cls, dataset: Dataset, codec: FeatureCodec, folder: Path, progress: bool = False) -> "FeatureStore":
-        """Open the store in ``folder``, making it first where it is missing.
+    def of(
+        cls, dataset: Dataset, codec: FeatureCodec, folder: Path, progress: bool = False, workers: int = 0
+    ) -> "FeatureStore":
+        """Open the store in ``folder``, making it first where it is missing, with so many processes.
 
         Raises:
             InputError: the store there holds another dataset's clips, or the dataset cannot be read.
@@ -69,7 +73,7 @@ class FeatureStore:
             # Trainings that are started side by side share them: the second waits, and finds everything there.
             with locked(folder.parent):
                 if not (folder / "index.json").is_file():
-                    _make(dataset, codec, folder, progress)
+                    _make(dataset, codec, folder, progress, workers)
         store = cls(folder)
         if store.source != dataset.fingerprint:
             raise InputError(
@@ -79,9 +83,17 @@ class FeatureStore:
         return store
 
     @classmethod
-    def cached(cls, dataset: Dataset, codec: str, cache: Path, progress: bool = False) -> "FeatureStore":
+    def cached(
+        cls, dataset: Dataset, codec: str, cache: Path, progress: bool = False, workers: int = 0
+    ) -> "FeatureStore":
         """The store of a codec in a folder of caches, as ``of``."""
-        return cls.of(dataset, get_codec(codec), cache / f"features-{codec}", progress)
+        return cls.of(dataset, get_codec(codec), cache / f"features-{codec}", progress, workers)
+
+    def to(self, device: torch.device) -> "FeatureStore":
+        """Gives batches on a device from now on, which holds all features where it is a GPU; returns itself."""
+        if device.type != "cpu":
+            self._resident = torch.from_numpy(np.array(self.features)).to(device)
+        return self
 
     def whole(self, clip: int) -> Crop:
         """All of a clip, or its first 196 frames."""
@@ -96,6 +108,12 @@ class FeatureStore:
     def batch(self, crops: Sequence[Crop]) -> tuple[Tensor, Tensor]:
         """Features (B, F, D), zero beyond each clip's end, and lengths (B,)."""
         lengths = torch.tensor([crop.frames for crop in crops])
+        if self._resident is not None:
+            start = torch.tensor([self.clips[crop.clip].start + crop.offset for crop in crops])
+            place = torch.arange(int(lengths.max()))
+            valid, where = place < lengths[:, None], start[:, None] + place.minimum(lengths[:, None] - 1)
+            device = self._resident.device
+            return self._resident[where.to(device)] * valid[..., None].to(device), lengths.to(device)
         out = torch.zeros(len(crops), int(lengths.max()), self.features.shape[1])
         for row, crop in zip(out, crops, strict=True):
             shown = self.of_clip(crop.clip)[crop.offset : crop.offset + crop.frames]
@@ -103,7 +121,7 @@ class FeatureStore:
         return out, lengths
 
 
-def _make(dataset: Dataset, codec: FeatureCodec, folder: Path, progress: bool) -> None:
+def _make(dataset: Dataset, codec: FeatureCodec, folder: Path, progress: bool, workers: int) -> None:
     """Writes a store, which appears whole or not at all; whoever calls holds the lock, where there are any."""
     building = folder.with_name(f".{folder.name}.{os.getpid()}")
     # What a kill left takes room, and in a container the next training has the same number.
@@ -114,8 +132,9 @@ def _make(dataset: Dataset, codec: FeatureCodec, folder: Path, progress: bool) -
         # By way of the disk: the features of a large data set may not fit in memory.
         frames = []
         with open(building / "raw", "wb") as file:
-            for clip in tqdm(range(len(dataset)), desc="features", disable=None if progress else True):
-                encoded = dataset.clip(clip).features(codec).float().numpy()
+            found = in_order(lambda clip: dataset.clip(clip).features(codec).float(), range(len(dataset)), workers)
+            for features in tqdm(found, desc="features", total=len(dataset), disable=None if progress else True):
+                encoded = features.numpy()
                 file.write(encoded.tobytes())
                 frames.append(len(encoded))
         ends = np.cumsum([0, *frames])

@@ -1,26 +1,46 @@
 """Batches of consecutive steps, made ahead in other processes so that a fast device need not wait for them."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
 import torch
 from torch.utils.data import DataLoader, Dataset
 
 
-class _Steps(Dataset[Any]):
+class _Made(Dataset[Any]):
     def __init__(self, make: Callable[[int], Any]) -> None:
         self.make = make
 
-    def __getitem__(self, step: int) -> Any:
-        return self.make(step)
+    def __getitem__(self, number: int) -> Any:
+        return self.make(number)
+
+
+def in_order(make: Callable[[int], Any], numbers: Iterable[int], workers: int) -> Iterator[Any]:
+    """``make(number)`` of each number, made ahead by ``workers`` processes; with 0 it is made when it is asked for.
+
+    They are forked, so that what is read exists once; where there is no fork, it has to be small.
+    """
+    if not workers:
+        return map(make, numbers)
+    context = "fork" if "fork" in torch.multiprocessing.get_all_start_methods() else None
+    return iter(
+        DataLoader(
+            _Made(make),
+            batch_size=None,
+            sampler=numbers,
+            num_workers=workers,
+            multiprocessing_context=context,
+            # Otherwise the loader would draw from torch's own generator, and dropout would be another.
+            generator=torch.Generator().manual_seed(0),
+        )
+    )
 
 
 class Ahead:
-    """Pure functions of the step, evaluated ahead of time.
+    """Pure functions of the step, evaluated ahead of time (see ``in_order``).
 
     Args:
-        workers: processes; with 0 a batch is made when it is asked for. They are forked, so that what batches are made
-            of exists once; where there is no fork, it has to be small.
+        workers: processes.
         last: the last step.
     """
 
@@ -34,16 +54,6 @@ class Ahead:
         if not self.workers:
             return make(step)
         if step != self._next:
-            context = "fork" if "fork" in torch.multiprocessing.get_all_start_methods() else None
-            loader: DataLoader[Any] = DataLoader(
-                _Steps(make),
-                batch_size=None,
-                sampler=range(step, max(step, self.last) + 1),
-                num_workers=self.workers,
-                multiprocessing_context=context,
-                # Otherwise the loader would draw from torch's own generator, and dropout would be another.
-                generator=torch.Generator().manual_seed(0),
-            )
-            self._batches = iter(loader)
+            self._batches = in_order(make, range(step, max(step, self.last) + 1), self.workers)
         self._next = step + 1
         return next(self._batches)

@@ -24,13 +24,12 @@ from moveset.errors import InputError
 from moveset.models.evaluator import EvaluatorConfig, MatchingEvaluator, MovementConfig
 from moveset.models.registry import describe
 from moveset.motion.features import Normalizer, get_codec
-from moveset.text.cache import EmbeddingCache, cache_file
-from moveset.text.encoder import get_text_encoder
 from moveset.text.glove import GloveWords
 from moveset.text.words import as_words
 from moveset.training.ema import Ema, ema_warmup
 from moveset.training.engine import Loop, Task
 from moveset.training.optim import cosine_lr
+from moveset.training.reading import embedded
 from moveset.training.tasks import Sources
 from moveset.training.trained import load_trained
 
@@ -263,8 +262,7 @@ def reader(config: EvaluatorTrainingConfig, dataset: Dataset, clips: Sequence[in
         return read_words
 
     said = sorted({text for clip in clips for text in dataset.clip(clip).captions})
-    file = cache / f"evaluator-{cache_file(cache, config.words).name}"
-    text = EmbeddingCache.build(get_text_encoder(config.words), said, file)
+    text = embedded(cache, config.words, said)
 
     def read_tokens(clips: Sequence[int], pick: Sequence[float]) -> tuple[Tensor, Tensor | None, Tensor]:
         captions = [_picked(dataset.clip(clip).captions, share) for clip, share in zip(clips, pick, strict=True)]
@@ -307,7 +305,8 @@ def contrast(
 def _features(dataset: Dataset, codec: str, cache: Path, loop: Loop) -> FeatureStore:
     # Whoever comes first makes the cache; the other processes open it.
     with loop.fabric.rank_zero_first():
-        return FeatureStore.cached(dataset, codec, cache, progress=loop.rank == 0)
+        found = FeatureStore.cached(dataset, codec, cache, loop.rank == 0, loop.config.workers)
+    return found.to(loop.device)
 
 
 def _emphasis(normalizer: Normalizer, codec: str, feat_bias: float) -> Tensor:

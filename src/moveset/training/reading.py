@@ -12,18 +12,20 @@ from moveset.text.encoder import TextEmbedding, get_text_encoder
 MAX_TOKENS = 32
 
 
-def embedded(folder: Path, encoder: str, captions: Sequence[str]) -> EmbeddingCache:
+def embedded(folder: Path, encoder: str, captions: Sequence[str], device: torch.device | str = "cpu") -> EmbeddingCache:
     """Embeddings of captions, from a training's text cache, to which those it lacks are added.
 
     Args:
         folder: where the cache is kept.
         encoder: its name, as for ``get_text_encoder``.
         captions: in any order and number.
+        device: where they are encoded, and looked up.
 
     Raises:
         InputError: an encoder that is not here.
     """
-    return EmbeddingCache.build(get_text_encoder(encoder), sorted({*captions}), cache_file(folder, encoder))
+    encode = get_text_encoder(encoder, device=device)
+    return EmbeddingCache.build(encode, sorted({*captions}), cache_file(folder, encoder)).to(device)
 
 
 def read_captions(

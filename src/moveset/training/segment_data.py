@@ -39,17 +39,17 @@ class SegmentData:
         self.device = loop.device
         self._ahead = Ahead(loop.config.workers, loop.config.steps)
         with loop.fabric.rank_zero_first():
-            self.text = self._open(sources, config, loop.rank == 0)
+            self.text = self._open(sources, config, loop)
 
-    def _open(self, sources: Sources, config: Any, progress: bool) -> EmbeddingCache:
+    def _open(self, sources: Sources, config: Any, loop: Loop) -> EmbeddingCache:
         dataset = open_for_training(sources.corpus)
         codec = choose_codec(dataset, config.codec)
-        store = FeatureStore.cached(dataset, codec.name, sources.cache, progress)
+        store = FeatureStore.cached(dataset, codec.name, sources.cache, loop.rank == 0, loop.config.workers)
         self.codec, self.normalizer = codec, store.normalizer
         self.train = self.cut(config, dataset, "train", store)
         self.val = self.cut(config, dataset, "val", store)
         captions = [*self.train.all_captions(), *self.val.all_captions()]
-        return embedded(sources.cache, config.text_encoder, captions).to(self.device)
+        return embedded(sources.cache, config.text_encoder, captions, self.device)
 
     def cut(self, config: Any, dataset: Dataset, split: Split, store: FeatureStore) -> Any:
         """Segments of a split."""

@@ -50,19 +50,20 @@ class LatentData:
     def __init__(self, sources: Sources, text_encoder: str, augmentation: TextAugmentation, loop: Loop) -> None:
         self.augmentation = augmentation
         self.seed, self.device = loop.config.seed * 64 + loop.rank, loop.device
-        self.vae = load_trained(sources.vae, "vae_ema")
+        self.vae = load_trained(sources.vae, "vae_ema", loop.device)
         # Whoever comes first makes the caches; the other processes open them.
         with loop.fabric.rank_zero_first():
-            self._open(sources, text_encoder, loop.rank == 0)
+            self._open(sources, text_encoder, loop)
 
-    def _open(self, sources: Sources, text_encoder: str, progress: bool) -> None:
-        dataset, vae = open_for_training(sources.corpus), self.vae
-        store = FeatureStore.cached(dataset, vae.task["codec"], sources.cache, progress)
-        latents = sources.cache / f"latents-{vae.digest[:12]}"
-        self.train = LatentSet.of(dataset, "train", store, vae.module, Path(f"{latents}-train.safetensors"))
-        self.val = LatentSet.of(dataset, "val", store, vae.module, Path(f"{latents}-val.safetensors"), windows=0)
+    def _open(self, sources: Sources, text_encoder: str, loop: Loop) -> None:
+        dataset, vae, there = open_for_training(sources.corpus), self.vae, loop.device
+        store = FeatureStore.cached(dataset, vae.task["codec"], sources.cache, loop.rank == 0, loop.config.workers)
+        latents = f"{sources.cache}/latents-{vae.digest[:12]}-{{}}.safetensors"
+        self.train = LatentSet.of(dataset, "train", store, vae.module, Path(latents.format("train")), device=there)
+        path = Path(latents.format("val"))
+        self.val = LatentSet.of(dataset, "val", store, vae.module, path, windows=0, device=there)
         captions = [*self.train.all_captions(), *self.val.all_captions()]
-        self.text = embedded(sources.cache, text_encoder, captions).to(self.device)
+        self.text = embedded(sources.cache, text_encoder, captions, self.device)
 
     def batch(self, size: int, step: int) -> LatentBatch:
         """Training latents of a step, on the device."""

@@ -92,7 +92,9 @@ class VAETask(Task):
         self.config, self.steps = config, loop.config.steps
         # Whoever comes first makes the cache; the other processes open it.
         with loop.fabric.rank_zero_first():
-            self.store = FeatureStore.cached(dataset, config.codec, sources.cache, progress=loop.rank == 0)
+            workers = loop.config.workers
+            self.store = FeatureStore.cached(dataset, config.codec, sources.cache, loop.rank == 0, workers)
+        self.store.to(loop.device)
         self.vae = config.model.build().to(loop.device)
         self.ema = Ema(self.vae, config.ema)
         self.noise = loop.generator("noise", device=loop.device)
