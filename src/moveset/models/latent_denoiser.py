@@ -147,8 +147,8 @@ class LatentDenoiser(Denoiser):
             return said if self.schedule is None else carry(said, z_BND.float(), t_B, self.schedule)
 
     def student(self) -> "LatentDenoiser":
-        """A copy with a guidance embedding that changes nothing yet: the start of distillation."""
-        out = replace(self.config, guided=True).build().to(self.position)
+        """A copy with a guidance embedding that changes nothing yet, and without dropout: the start of distillation."""
+        out = replace(self.config, guided=True, dropout=0.0).build().to(self.position)
         out.load_state_dict({**out.state_dict(), **self.state_dict()})
         return out.train(self.training)
 
