@@ -80,8 +80,8 @@ def read_take(ref: TakeRef) -> ImportedTake:
 def without_calibration(joints: Tensor, fps: float) -> tuple[int, int]:
     """First and one-past-last frame of a take (F, J, 3) on ``hml22`` without a T- or A-pose at either end.
 
-    Such a pose holds both straight arms out symmetrically, and is still; the way out of it, up to half a second, goes
-    with it.
+    Such a pose holds both straight arms out symmetrically and still, or far out to the sides; the way out of it, up to
+    half a second, goes with it.
     """
     side = {}
     for name in ("left", "right"):
@@ -99,6 +99,11 @@ def without_calibration(joints: Tensor, fps: float) -> tuple[int, int]:
     held &= ((out_left - out_right).abs() < 0.15) & (down > -0.2)
     speed = joints.diff(dim=0).norm(dim=-1).amax(dim=1) * fps
     held &= torch.cat((speed, speed[-1:])) < 0.6
+    # Arms far out to both sides are one even where somebody still sways, or a recording breaks off on the way there;
+    # but not of who balances, or flies.
+    wide = (out_left > 0.75) & (out_right > 0.75) & (down > -0.5)
+    if wide.float().mean() < 0.5:
+        held |= wide
     found = spans(held)
     start, stop, out = 0, len(joints), round(0.5 * fps)
     if found and found[0][0] <= out // 4:
