@@ -69,6 +69,7 @@ QUALITY = (
     Column("mm_dist", "MM-Dist", "down"),
     Column("diversity", "Diversity", "real"),
     Column("multimodality", "MModality", "up"),
+    Column("sides", "Sides", "up"),
 )
 PHYSICAL = (
     Column("skating", "Skating", "real", 3, "share of frames"),

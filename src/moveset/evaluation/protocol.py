@@ -23,6 +23,7 @@ from moveset.evaluation import metrics
 from moveset.evaluation.evaluator import EvaluatorCard
 from moveset.evaluation.generators import Given, Reconstruction, Source, Wanted, check_made
 from moveset.evaluation.samples import Sample, TestSet
+from moveset.evaluation.sides import named_side, on_named_side
 from moveset.motion.hml import HmlCodec
 from moveset.motion.measures import boundary_jerk, measure
 
@@ -171,6 +172,8 @@ def run_repeat(session: Session, number: int, progress: Progress = lambda stage,
     if protocol.multimodality:
         found["multimodality"], texts["texts"] = _multimodality(session, asked, number, progress)
     found |= physical(made, session.items.codec, generator.segment or protocol.seams)
+    if session.judged is session.items and not isinstance(generator, Given):
+        found |= _sides(asked, made, session.items.codec)
     if isinstance(generator, Reconstruction):
         found |= _errors(asked, made)
     return {
@@ -262,6 +265,17 @@ def _multimodality(session: Session, asked: Sequence[Sample], number: int, progr
 def _shorter(made: Sequence[Tensor], asked: Sequence[Sample]) -> int:
     """How many motions are shorter than asked for, because the model has a limit."""
     return sum(len(joints) < draw.frames for joints, draw in zip(made, asked, strict=True))
+
+
+def _sides(asked: Sequence[Sample], made: Sequence[Tensor], codec: HmlCodec) -> dict[str, float]:
+    """Share of motions that do what is said of left or right, where an item's own motion does; nothing if none does."""
+    named = [(named_side(draw.prompt), draw, joints) for draw, joints in zip(asked, made, strict=True)]
+    judged = [
+        on_named_side(side, joints, codec.skeleton)
+        for side, draw, joints in named
+        if side is not None and on_named_side(side, draw.joints(), codec.skeleton)
+    ]
+    return {"sides": sum(judged) / len(judged)} if judged else {}
 
 
 def _errors(asked: Sequence[Sample], made: Sequence[Tensor]) -> dict[str, float]:

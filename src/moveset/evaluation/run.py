@@ -12,10 +12,12 @@ from typing import TYPE_CHECKING, Any, cast
 
 import torch
 
+from moveset.data.dataset import open_dataset
 from moveset.data.splits import Split
 from moveset.errors import InputError, MovesetError
 from moveset.evaluation.evaluator import DEFAULT_EVALUATOR, Evaluator
 from moveset.evaluation.generators import Generated, Given, Reconstruction, Source
+from moveset.evaluation.nearest import NearestClip
 from moveset.evaluation.protocol import Protocol, Session, run_repeat
 from moveset.evaluation.results import Results
 from moveset.evaluation.rollout import run_rollout
@@ -32,6 +34,7 @@ if TYPE_CHECKING:
 #: Short names of what ships: model and network.
 SHORT = {
     "real": ("real", None),
+    "nearest": ("nearest", None),
     "vae": (DEFAULT_MODEL, "vae"),
     "teacher": (DEFAULT_MODEL, "teacher"),
     "lcm": (DEFAULT_MODEL, "lcm"),
@@ -40,7 +43,7 @@ SHORT = {
     "md": (DEFAULT_STREAM, "md"),
     "rdm-pcm": (DEFAULT_STREAM, None),
 }
-REAL = "real"
+REAL, NEAREST = "real", "nearest"
 MAX_PROCESSES, MAX_CORES = 8, 256
 
 Progress = Callable[[int, int, str], None]
@@ -51,7 +54,7 @@ class EvaluationConfig:
     """One model under one protocol.
 
     Args:
-        model: a short name, a shipped model, a model folder, or "real".
+        model: a short name, a shipped model, a model folder, "real", or "nearest" (``evaluation.nearest``).
         network: of the folder; "pcm" and "lcm" mean the student of ``steps``.
         steps: of the sampler; None for the network's own.
         settings: guidance, and start, lag, past_lag, eta, shape and stages of a stream, where they are not the
@@ -167,6 +170,8 @@ def open_source(config: EvaluationConfig) -> Source:
     network = config.network or network
     if model == REAL:
         return Given(REAL)
+    if model == NEAREST:
+        return NearestClip(open_dataset(config.data))
     if network == "vae":
         return Reconstruction(ModelFolder.open(model, ClipConfig), device=config.device, batch=config.batch)
     sampler = Sampler(steps=config.steps, **dict(config.settings))  # type: ignore[arg-type]

@@ -1,0 +1,54 @@
+"""The row that a model has to beat: for each prompt the training clip whose sentence is most like it.
+
+Shapes: K sentences, C width of a sentence's embedding, F frames, J joints.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from moveset.data.dataset import Dataset
+from moveset.evaluation.generators import Tick, Wanted, resampled
+from moveset.text.encoder import get_text_encoder
+
+_AT_ONCE = 256  # sentences
+
+
+class NearestClip:
+    """Motions of the training split, found by their sentences; a clip that is shorter than wanted stays so.
+
+    Args:
+        dataset: of the training; mirror images and compositions take part.
+        encoder: whose pooled sentences are compared, by their cosine.
+    """
+
+    slug = model = "nearest"
+    network, steps, random, segment = None, None, False, 0.0
+
+    def __init__(self, dataset: Dataset, encoder: str = "minilm") -> None:
+        self._dataset, self._encoder = dataset, get_text_encoder(encoder)
+        told = {caption: clip for clip in dataset.split("train") for caption in dataset.clip(clip).captions}
+        self._clips = list(told.values())
+        self._known_KC = self._pooled(list(told))
+
+    def describe(self) -> dict[str, Any]:
+        return {"sentences": len(self._clips), "encoder": self._encoder.name}
+
+    def weights(self) -> dict[str, str]:
+        return {}
+
+    def generate(self, wanted: Sequence[Wanted], fps: float, tick: Tick = lambda count: None) -> list[Tensor]:
+        prompts = [one.parts[0][0] for one in wanted]
+        found = (self._pooled(prompts) @ self._known_KC.T).argmax(dim=1).tolist()
+        made = []
+        for one, place in zip(wanted, found, strict=True):
+            clip = self._dataset.clip(self._clips[place])
+            made.append(resampled(clip.joints(), clip.fps, fps)[: one.frames].clone())
+            tick(1)
+        return made
+
+    def _pooled(self, sentences: list[str]) -> Tensor:
+        parts = [sentences[k : k + _AT_ONCE] for k in range(0, len(sentences), _AT_ONCE)]
+        return torch.cat([self._encoder.encode(part).pooled for part in parts])
