@@ -2,6 +2,7 @@
 
 import importlib.util
 import json
+import re
 import shutil
 
 import numpy as np
@@ -45,7 +46,7 @@ def test_a_table_to_paste(evaluate, tmp_path):
     assert lines[0].startswith("| model | R@1 ↑ | R@2 ↑ | R@3 ↑ | FID ↓ |")
     assert [line.split(" | ")[0] for line in lines[2:4]] == ["| real", "| tiny pcm-1, 1 step"]
     assert "±" in lines[3]
-    assert "80 items of 45 kinds with" in out
+    assert re.search(r"80 items of \d\d kinds with \d+ distinct texts of corpus", out)
     assert "2 groups of 32; mean ± 95 % interval of 2 repeats; judged by judge" in out
     assert "Diversity over 80 pairs, for want of items." in out
     assert sorted(path.name for path in (tmp_path / "results").glob("*.json")) == [
@@ -222,22 +223,19 @@ def test_a_suite_writes_its_tables(evaluate, tmp_path, suite, seams):
     assert (result["protocol"]["seams"], "boundary_jerk" in result["metrics"]) == (seams, seams > 0)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["--seed", "1"], "such as Real, have seed 0 instead of 1"),
-        (["--items", "70"], "have items 80 instead of 70"),
-        (["--no-mirrored"], "instead of"),
-    ],
-)
-def test_a_row_that_no_table_could_hold_is_refused_before_it_is_made(evaluate, tmp_path, arguments, message):
+def test_a_row_that_no_table_could_hold_is_refused_before_it_is_made(evaluate, tmp_path):
     usual = ["--suite", "motionpcm", "--repeats", "1", "--multimodality", "0"]
     assert evaluate(*usual, "--row", "real")[0] == 0
     folder = tmp_path / "results/motionpcm"
     before = {path: path.read_bytes() for path in folder.rglob("*.*") if path.is_file()}
-    code, out, err = evaluate(*usual, "--row", "vae", *arguments)
-    assert (code, out, err.count("\n"), message in err) == (2, "", 1, True), err
-    assert {path: path.read_bytes() for path in folder.rglob("*.*") if path.is_file()} == before
+    for arguments, message in (
+        (["--seed", "1"], "such as Real, have seed 0 instead of 1"),
+        (["--items", "70"], "have items 80 instead of 70"),
+        (["--no-mirrored"], "instead of"),
+    ):
+        code, out, err = evaluate(*usual, "--row", "vae", *arguments)
+        assert (code, out, err.count("\n"), message in err) == (2, "", 1, True), err
+        assert {path: path.read_bytes() for path in folder.rglob("*.*") if path.is_file()} == before
 
 
 def test_a_suite_of_rows_without_weights(evaluate):

@@ -15,8 +15,13 @@ def make(config, sources, loop):
     return TinyTask(config, loop)
 
 
-if __name__ == "__main__":
+def run(arguments: list[str]) -> int:
+    """The exit code of the command line."""
     recipe = tasks.Recipe(task=TinyConfig(), engine=ENGINE)
     sys.modules["moveset.recipes.tiny"] = types.SimpleNamespace(TRAINING={"vae": lambda: recipe})
     tasks.TASKS["vae"] = tasks.Trainable("tests.crash.command:make")
-    sys.exit(main())
+    return main(arguments)
+
+
+if __name__ == "__main__":
+    sys.exit(run(sys.argv[1:]))

@@ -8,26 +8,21 @@ from pathlib import Path
 
 import pytest
 
-from moveset.training import checkpoint
+from moveset.training import checkpoint, tasks
 from moveset.training.engine import run
-from tests.crash.command import ENGINE
+from tests.crash import command
 from tests.crash.metrics import logged_step
 from tests.training.tiny_task import TinyConfig, TinyTask
 
 REPOSITORY = Path(__file__).resolve().parents[2]
+COMMAND = ("train", "vae", "--recipe", "tiny")
 pytestmark = [pytest.mark.skipif(os.name == "nt", reason="stops by POSIX signals"), pytest.mark.timeout(600)]
 
 
 def start(folder: Path, *arguments: str) -> subprocess.Popen:
     environment = {**os.environ, "PYTHONPATH": str(REPOSITORY), "OMP_NUM_THREADS": "1"}
-    command = [sys.executable, "-m", "tests.crash.command", "train", "vae", "--recipe", "tiny", "--folder", str(folder)]
-    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
-    return subprocess.Popen([*command, *arguments], cwd=REPOSITORY, env=environment, text=True, **pipes)
-
-
-def ended(process: subprocess.Popen) -> tuple[int, str, str]:
-    said, complained = process.communicate(timeout=240)
-    return process.returncode, said, complained
+    words = [sys.executable, "-m", "tests.crash.command", *COMMAND, "--folder", str(folder), *arguments]
+    return subprocess.Popen(words, cwd=REPOSITORY, env=environment, text=True, stderr=subprocess.PIPE)
 
 
 def stopped(folder: Path, number: int, *arguments: str) -> tuple[int, str]:
@@ -37,11 +32,12 @@ def stopped(folder: Path, number: int, *arguments: str) -> tuple[int, str]:
     while process.poll() is None and logged_step(folder) <= before and time.monotonic() < deadline:
         time.sleep(0.02)
     process.send_signal(number)
-    code, _, complained = ended(process)
-    return code, complained
+    _, complained = process.communicate(timeout=240)
+    assert "Traceback" not in complained
+    return process.returncode, complained
 
 
-def test_a_signal_saves_and_resuming_ends_as_if_there_had_been_none(tmp_path):
+def test_a_signal_saves_and_resuming_ends_as_if_there_had_been_none(tmp_path, monkeypatch, capsys):
     slow = ("--set", "seconds_per_step=0.01", "--steps", "200", "--log-every", "1")
     code, complained = stopped(tmp_path / "run", signal.SIGTERM, *slow)
     assert (code, "stopped by SIGTERM at step" in complained) == (0, True), complained
@@ -53,12 +49,15 @@ def test_a_signal_saves_and_resuming_ends_as_if_there_had_been_none(tmp_path):
     assert code == 130, complained
     assert checkpoint.steps(tmp_path / "run")[-1] > step
 
-    code, said, complained = ended(start(tmp_path / "run", *slow, "--resume"))
+    # In this process, whose recipes come back afterwards.
+    monkeypatch.setitem(sys.modules, "moveset.recipes.tiny", None)
+    monkeypatch.setitem(tasks.TASKS, "vae", tasks.TASKS["vae"])
+    code = command.run([*COMMAND, "--folder", str(tmp_path / "run"), *slow, "--resume"])
+    said, complained = capsys.readouterr()
     assert (code, said) == (0, ""), complained
     assert "done" in complained
-    assert "Traceback" not in complained
 
-    settings = dataclasses.replace(ENGINE, steps=200, log_every=1)
+    settings = dataclasses.replace(command.ENGINE, steps=200, log_every=1)
     config = TinyConfig(seconds_per_step=0.01)
     run(lambda loop: TinyTask(config, loop), settings, tmp_path / "straight")
     for file in (tmp_path / "straight" / "step_200").iterdir():

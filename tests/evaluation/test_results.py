@@ -39,14 +39,22 @@ def opened(items, oracle, out, protocol=PROTOCOL, generator=None):
     return session, Results(session, out)
 
 
+@pytest.fixture(scope="module")
+def repeats(items, oracle):
+    """Of what ``opened`` opens, made once for all tests that are of files."""
+    session = Session(PROTOCOL.fitted(items, True), items, Painter(), oracle)
+    return [run_repeat(session, number) for number in range(4)]
+
+
 def make(session, results, numbers):
     for number in numbers:
         results.add(run_repeat(session, number))
 
 
-def whole(items, oracle, out, order=range(4)):
-    session, results = opened(items, oracle, out)
-    make(session, results, order)
+def whole(items, oracle, out, repeats):
+    results = opened(items, oracle, out)[1]
+    for repeat in repeats:
+        results.add(repeat)
     return results.finish(), results
 
 
@@ -61,8 +69,8 @@ def timeless(path):
     return [line for line in text.splitlines() if "seconds" not in line]
 
 
-def test_a_result_says_what_it_is_of(items, oracle, tmp_path):
-    result, results = whole(items, oracle, tmp_path)
+def test_a_result_says_what_it_is_of(items, oracle, tmp_path, repeats):
+    result, results = whole(items, oracle, tmp_path, repeats)
     assert results.path == tmp_path / "painter-test.json"
     assert json.loads(results.path.read_text()) == result
     assert (result["model"], result["network"], result["steps"]) == ("painter", "paint", 1)
@@ -77,10 +85,11 @@ def test_a_result_says_what_it_is_of(items, oracle, tmp_path):
     assert result["seconds_per_item"] >= 0
 
 
-def test_the_same_seed_gives_the_same_bytes_but_for_the_time(items, oracle, tmp_path):
-    one, a = whole(items, oracle, tmp_path / "a")
-    other, b = whole(items, oracle, tmp_path / "b", order=(2, 0, 3, 1))
-    assert same(one, other)
+def test_the_same_seed_gives_the_same_bytes_but_for_the_time(items, oracle, tmp_path, repeats):
+    one, a = whole(items, oracle, tmp_path / "a", repeats)
+    session, b = opened(items, oracle, tmp_path / "b")
+    make(session, b, (2, 0, 3, 1))
+    assert same(one, b.finish())
     assert timeless(a.path) == timeless(b.path)
 
 
@@ -91,8 +100,8 @@ def test_the_time_of_an_item_is_that_of_the_quickest_repeat():
     assert (found["seconds_per_item"], found["seconds"]) == (0.5, 93.0)
 
 
-def test_an_interrupted_evaluation_goes_on(items, oracle, tmp_path):
-    straight, _ = whole(items, oracle, tmp_path / "straight")
+def test_an_interrupted_evaluation_goes_on(items, oracle, tmp_path, repeats):
+    straight, _ = whole(items, oracle, tmp_path / "straight", repeats)
     session, results = opened(items, oracle, tmp_path / "halves")
     make(session, results, results.missing()[:2])
     assert results.finish() is None
@@ -103,26 +112,29 @@ def test_an_interrupted_evaluation_goes_on(items, oracle, tmp_path):
     assert same(results.finish(), straight)
 
 
-def test_shares_make_the_same_table(items, oracle, tmp_path):
-    straight, _ = whole(items, oracle, tmp_path / "straight")
-    first, second = (opened(items, oracle, tmp_path / "shared") for _ in range(2))
-    assert (first[1].missing(0, 2), second[1].missing(1, 2)) == ([0, 2], [1, 3])
-    make(*second, second[1].missing(1, 2))
-    assert second[1].finish() is None
-    make(*first, first[1].missing(0, 2))
-    assert same(first[1].finish(), straight)
+def test_shares_make_the_same_table(items, oracle, tmp_path, repeats):
+    straight, _ = whole(items, oracle, tmp_path / "straight", repeats)
+    first, second = (opened(items, oracle, tmp_path / "shared")[1] for _ in range(2))
+    assert (first.missing(0, 2), second.missing(1, 2)) == ([0, 2], [1, 3])
+    for share in (second, first):
+        assert share.finish() is None
+        for number in share.missing(share is second, 2):
+            share.add(repeats[number])
+    assert same(first.finish(), straight)
 
 
-def test_more_repeats_keep_those_that_are_there(items, oracle, tmp_path):
-    whole(items, oracle, tmp_path)
+def test_more_repeats_keep_those_that_are_there(items, oracle, tmp_path, repeats):
+    whole(items, oracle, tmp_path, repeats)
     _, results = opened(items, oracle, tmp_path, replace(PROTOCOL, repeats=6))
     assert results.missing() == [4, 5]
     _, results = opened(items, oracle, tmp_path, replace(PROTOCOL, repeats=2))
     assert len(results.finish()["repeats"]) == 2
 
 
-def test_other_settings_weights_data_and_judges_are_other_evaluations(items, oracle, tmp_path, monkeypatch):
-    make(*opened(items, oracle, tmp_path), range(4))
+def test_other_settings_weights_data_and_judges_are_other_evaluations(items, oracle, tmp_path, repeats, monkeypatch):
+    results = opened(items, oracle, tmp_path)[1]
+    for repeat in repeats:
+        results.add(repeat)
     for change in ({"seed": 1}, {"multimodality": 3}, {"group": 9}):
         assert opened(items, oracle, tmp_path, replace(PROTOCOL, **change))[1].done == []
     for what in ("weights", "describe"):
@@ -167,8 +179,8 @@ def test_the_code_is_known_by_the_last_commit_and_by_what_is_not_committed(tmp_p
     now()
 
 
-def test_the_answer_to_another_question_stays(items, oracle, tmp_path, monkeypatch):
-    whole(items, oracle, tmp_path)
+def test_the_answer_to_another_question_stays(items, oracle, tmp_path, repeats, monkeypatch):
+    whole(items, oracle, tmp_path, repeats)
     kept = (tmp_path / "painter-test.json").read_bytes()
     with pytest.raises(InputError, match=r"painter-test\.json is .* \(items 24 instead of 16.*give another --out"):
         opened(items.limited(16), oracle, tmp_path)
@@ -188,26 +200,29 @@ def test_the_answer_to_another_question_stays(items, oracle, tmp_path, monkeypat
 
 
 @pytest.mark.parametrize("what", ["weights", "describe"])
-def test_a_newer_answer_to_the_same_question_takes_the_place_of_the_older(items, oracle, tmp_path, monkeypatch, what):
-    older, _ = whole(items, oracle, tmp_path)
+def test_a_newer_answer_to_the_same_question_takes_the_place_of_the_older(
+    items, oracle, tmp_path, repeats, monkeypatch, what
+):
+    older, _ = whole(items, oracle, tmp_path, repeats)
     other = Painter()
     monkeypatch.setattr(other, what, lambda: {"paint.safetensors": "2"})
-    session, results = opened(items, oracle, tmp_path, generator=other)
-    make(session, results, range(4))
+    results = opened(items, oracle, tmp_path, generator=other)[1]
+    for repeat in repeats:
+        results.add(repeat)
     newer = results.finish()
     assert newer != older
     assert json.loads(results.path.read_text()) == newer
 
 
-def test_making_everything_anew(items, oracle, tmp_path):
-    whole(items, oracle, tmp_path)
+def test_making_everything_anew(items, oracle, tmp_path, repeats):
+    whole(items, oracle, tmp_path, repeats)
     # Fewer than there are: none of the others may be taken for new when as many are asked for again.
     opened(items, oracle, tmp_path, replace(PROTOCOL, repeats=2))[1].forget()
     assert opened(items, oracle, tmp_path)[1].done == []
 
 
-def test_a_damaged_repeat_is_named(items, oracle, tmp_path):
-    _, results = whole(items, oracle, tmp_path)
+def test_a_damaged_repeat_is_named(items, oracle, tmp_path, repeats):
+    _, results = whole(items, oracle, tmp_path, repeats)
     path = next((tmp_path / "repeats").glob("*/002.json"))
     for text in (path.read_text()[:50], "[]", '{"repeat": 1, "metrics": {"fid": 1}}', '{"repeat": 2}'):
         path.write_text(text)
