@@ -25,11 +25,11 @@ from moveset.motion.features import FeatureCodec
 from moveset.rdm.losses import masked_mse
 from moveset.text.encoder import TextEmbedding
 from moveset.training.ema import Ema, ema_warmup
-from moveset.training.engine import Loop, Task
-from moveset.training.optim import cosine_lr
+from moveset.training.engine import Loop
 from moveset.training.rdm import feature_weights
 from moveset.training.reading import MAX_TOKENS
 from moveset.training.segment_data import SegmentData
+from moveset.training.single_network import SingleNetworkTask
 from moveset.training.tasks import Sources
 
 
@@ -151,10 +151,11 @@ def idle_pose(dataset: Dataset, store: FeatureStore, codec: FeatureCodec) -> Ten
     return store.normalizer.normalize(pose)
 
 
-class DiPTask(Task):
+class DiPTask(SingleNetworkTask):
     """One network, which says the clean frames."""
 
     name = "dip"
+    network = "denoiser"
 
     def __init__(self, config: DiPConfig, sources: Sources, loop: Loop) -> None:
         self.steps = loop.config.steps
@@ -168,18 +169,8 @@ class DiPTask(Task):
         self.scale = feature_weights(self.data.codec, config.root).sqrt().to(loop.device)
         self.optimizer = torch.optim.AdamW(self.denoiser.parameters(), config.lr, weight_decay=0.0)
 
-    def modules(self) -> dict[str, nn.Module]:
-        return {"denoiser": self.denoiser}
-
-    def averages(self) -> dict[str, nn.Module]:
-        return {"denoiser_ema": self.ema.module}
-
-    def optimizers(self) -> dict[str, torch.optim.Optimizer]:
-        return {"denoiser": self.optimizer}
-
     def learning_rates(self, step: int) -> dict[str, float]:
-        config = self.config
-        return {"denoiser": config.lr if config.constant_lr else cosine_lr(step, config.lr, config.warmup, self.steps)}
+        return {"denoiser": self.config.lr} if self.config.constant_lr else super().learning_rates(step)
 
     def training_step(self, step: int, loop: Loop) -> dict[str, Tensor]:
         config = self.config

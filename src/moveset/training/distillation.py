@@ -36,8 +36,9 @@ from moveset.pcm.sampler import lcm_timesteps, sample_ddim, sample_lcm, sample_p
 from moveset.text.encoder import TextEmbedding
 from moveset.training.adversarial import discriminator_step
 from moveset.training.ema import Ema
-from moveset.training.engine import Loop, Task
+from moveset.training.engine import Loop
 from moveset.training.optim import cosine_lr
+from moveset.training.single_network import SingleNetworkTask
 from moveset.training.tasks import Sources
 from moveset.training.teacher import LatentData
 from moveset.training.trained import load_trained
@@ -111,8 +112,10 @@ class DistillationConfig(StudentConfig):
     model: LatentDenoiserConfig | TokenDenoiserConfig | None = None
 
 
-class _DistillationTask(Task):
+class _DistillationTask(SingleNetworkTask):
     """What LCM and PCM share: frozen teacher, student with its averaged target, one update from their distance."""
+
+    network = "student"
 
     def __init__(self, config: DistillationConfig, sources: Sources, loop: Loop) -> None:
         # Not a check of the configuration: settings come one by one, in any order.
@@ -129,15 +132,6 @@ class _DistillationTask(Task):
         self.draws = loop.generator("draws")
         self.optimizer = torch.optim.AdamW(self.student.parameters(), config.lr, betas=(0.9, 0.999), weight_decay=0.0)
         self._reference: Tensor | None = None
-
-    def modules(self) -> dict[str, nn.Module]:
-        return {"student": self.student}
-
-    def averages(self) -> dict[str, nn.Module]:
-        return {"student_ema": self.ema.module}
-
-    def optimizers(self) -> dict[str, torch.optim.Optimizer]:
-        return {"student": self.optimizer}
 
     def learning_rates(self, step: int) -> dict[str, float]:
         return {"student": self.config.learning_rate(step, self.steps)}
@@ -250,10 +244,10 @@ class PCMTask(_DistillationTask):
         )
 
     def modules(self) -> dict[str, nn.Module]:
-        return {"student": self.student, "discriminator": self.judge.heads}
+        return super().modules() | {"discriminator": self.judge.heads}
 
     def optimizers(self) -> dict[str, torch.optim.Optimizer]:
-        return {"student": self.optimizer, "discriminator": self.judge_optimizer}
+        return super().optimizers() | {"discriminator": self.judge_optimizer}
 
     def training_step(self, step: int, loop: Loop) -> dict[str, Tensor]:
         config = self.config

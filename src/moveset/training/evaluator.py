@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Literal, TypeVar
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 from torch.nn import functional as fn
 
 from moveset.data.crops import CropSampler
@@ -27,9 +27,9 @@ from moveset.motion.features import Normalizer, get_codec
 from moveset.text.glove import GloveWords
 from moveset.text.words import as_words
 from moveset.training.ema import Ema, ema_warmup
-from moveset.training.engine import Loop, Task
-from moveset.training.optim import cosine_lr
+from moveset.training.engine import Loop
 from moveset.training.reading import embedded
+from moveset.training.single_network import SingleNetworkTask
 from moveset.training.tasks import Sources
 from moveset.training.trained import load_trained
 
@@ -93,10 +93,11 @@ class EvaluatorTrainingConfig:
         object.__setattr__(self, "kind", describe(self.model)[0])
 
 
-class MovementTask(Task):
+class MovementTask(SingleNetworkTask):
     """The movement autoencoder: L1 on windows, tokens kept small and smooth."""
 
     name = "movement"
+    network = "movement"
 
     def __init__(self, config: MovementTrainingConfig, sources: Sources, loop: Loop) -> None:
         dataset = open_for_training(sources.corpus)
@@ -105,23 +106,14 @@ class MovementTask(Task):
         self.config, self.steps = config, loop.config.steps
         self.store = _features(dataset, config.codec, sources.cache, loop)
         self.scale = _emphasis(self.store.normalizer, config.codec, config.feat_bias).to(loop.device)
-        self.autoencoder = config.model.build().to(loop.device)
+        self.movement = config.model.build().to(loop.device)
         # Betas are Adam's own; T2M gives none.
-        self.optimizer = torch.optim.Adam(self.autoencoder.parameters(), config.lr)
+        self.optimizer = torch.optim.Adam(self.movement.parameters(), config.lr)
         self.train_clips, self.val_clips = (
             [clip for clip in dataset.split(split) if self.store.clips[clip].frames >= config.window]
             for split in ("train", "val")
         )
         self.seed = loop.config.seed * 64 + loop.rank
-
-    def modules(self) -> dict[str, nn.Module]:
-        return {"movement": self.autoencoder}
-
-    def optimizers(self) -> dict[str, torch.optim.Optimizer]:
-        return {"movement": self.optimizer}
-
-    def learning_rates(self, step: int) -> dict[str, float]:
-        return {"movement": cosine_lr(step, self.config.lr, self.config.warmup, self.steps)}
 
     def training_step(self, step: int, loop: Loop) -> dict[str, Tensor]:
         loss, parts = self._loss(self._windows(self.train_clips, self.seed * 1_000_003 + step).to(loop.device))
@@ -143,7 +135,7 @@ class MovementTask(Task):
 
     def _loss(self, x_BFD: Tensor) -> tuple[Tensor, dict[str, Tensor]]:
         x_BFD = x_BFD * self.scale
-        made_BFD, tokens_BTC = (made.float() for made in self.autoencoder(x_BFD))
+        made_BFD, tokens_BTC = (made.float() for made in self.movement(x_BFD))
         parts = {
             "reconstruction": fn.l1_loss(made_BFD, x_BFD),
             "size": tokens_BTC.abs().mean(),
@@ -153,10 +145,11 @@ class MovementTask(Task):
         return loss, parts
 
 
-class EvaluatorTask(Task):
+class EvaluatorTask(SingleNetworkTask):
     """Sentences and motions to one space; the movement encoder is given (``Sources.teacher``) and frozen."""
 
     name = "evaluator"
+    network = "evaluator"
 
     def __init__(self, config: EvaluatorTrainingConfig, sources: Sources, loop: Loop) -> None:
         movement = load_trained(sources.teacher, "movement")
@@ -181,18 +174,6 @@ class EvaluatorTask(Task):
         self.sampler = CropSampler(self.store, train, weights, config.batch, self.seed, whole=0.5, shortest=(0.7, 24))
         with loop.fabric.rank_zero_first():
             self.read = reader(config, self.dataset, (*train, *self.val), sources.cache)
-
-    def modules(self) -> dict[str, nn.Module]:
-        return {"evaluator": self.evaluator}
-
-    def averages(self) -> dict[str, nn.Module]:
-        return {"evaluator_ema": self.ema.module}
-
-    def optimizers(self) -> dict[str, torch.optim.Optimizer]:
-        return {"evaluator": self.optimizer}
-
-    def learning_rates(self, step: int) -> dict[str, float]:
-        return {"evaluator": cosine_lr(step, self.config.lr, self.config.warmup, self.steps)}
 
     def training_step(self, step: int, loop: Loop) -> dict[str, Tensor]:
         # T2M keeps the movement encoder in evaluation mode: its dropout would blur what the others are to tell apart.

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field, replace
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 from torch.nn.functional import cross_entropy
 
 from moveset.data.dataset import Dataset, open_for_training
@@ -11,9 +11,9 @@ from moveset.data.splits import Split
 from moveset.errors import InputError
 from moveset.models.length import LengthPredictorConfig
 from moveset.models.registry import describe
-from moveset.training.engine import Loop, Task
-from moveset.training.optim import cosine_lr
+from moveset.training.engine import Loop
 from moveset.training.reading import embedded
+from moveset.training.single_network import SingleNetworkTask
 from moveset.training.tasks import Sources
 
 
@@ -37,7 +37,7 @@ class LengthConfig:
         object.__setattr__(self, "kind", describe(self.model)[0])
 
 
-class LengthTask(Task):
+class LengthTask(SingleNetworkTask):
     """A small classifier of pooled sentence embeddings.
 
     Raises:
@@ -45,6 +45,7 @@ class LengthTask(Task):
     """
 
     name = "length"
+    network = "length"
 
     def __init__(self, config: LengthConfig, sources: Sources, loop: Loop) -> None:
         self.steps, self.seed = loop.config.steps, loop.config.seed * 64 + loop.rank
@@ -56,15 +57,6 @@ class LengthTask(Task):
         self.config = config = replace(config, model=replace(config.model, text_dim=self.text.widths[1]))
         self.length = config.model.build().to(loop.device)
         self.optimizer = torch.optim.AdamW(self.length.parameters(), config.lr, weight_decay=0.01)
-
-    def modules(self) -> dict[str, nn.Module]:
-        return {"length": self.length}
-
-    def optimizers(self) -> dict[str, torch.optim.Optimizer]:
-        return {"length": self.optimizer}
-
-    def learning_rates(self, step: int) -> dict[str, float]:
-        return {"length": cosine_lr(step, self.config.lr, self.config.warmup, self.steps)}
 
     def training_step(self, step: int, loop: Loop) -> dict[str, Tensor]:
         generator = torch.Generator().manual_seed(self.seed * 1_000_003 + step)

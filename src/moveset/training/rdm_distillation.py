@@ -33,11 +33,12 @@ from moveset.training.bound_segments import BoundSegments
 from moveset.training.condition_dropout import drop_heading_change, drop_timing, perturb_heading, perturb_past
 from moveset.training.distillation import StudentConfig
 from moveset.training.ema import Ema
-from moveset.training.engine import Loop, Task
+from moveset.training.engine import Loop
 from moveset.training.rdm import SCHEDULE, RDMConfig, feature_weights
 from moveset.training.rollout import Rollout
 from moveset.training.segment_data import SegmentData
 from moveset.training.segment_losses import heading_error
+from moveset.training.single_network import SingleNetworkTask
 from moveset.training.tasks import Sources
 from moveset.training.trained import load_trained
 
@@ -90,10 +91,11 @@ class RDMStudentConfig(StudentConfig):
         require_range("rollout_share, the share of rows told what the student made,", self.rollout_share, 0.0, 1.0)
 
 
-class RDMStudentTask(Task):
+class RDMStudentTask(SingleNetworkTask):
     """Consistency inside each of M phases, a discriminator on the frozen teacher's features."""
 
     name = "rdm-student"
+    network = "student"
 
     def __init__(self, config: RDMStudentConfig, sources: Sources, loop: Loop) -> None:
         # Not a check of the configuration: settings come one by one, in any order.
@@ -140,14 +142,10 @@ class RDMStudentTask(Task):
         self._reference: Tensor | None = None
 
     def modules(self) -> dict[str, nn.Module]:
-        return {"student": self.student} | ({"discriminator": self.heads} if self.config.adversarial else {})
-
-    def averages(self) -> dict[str, nn.Module]:
-        return {"student_ema": self.ema.module}
+        return super().modules() | ({"discriminator": self.heads} if self.config.adversarial else {})
 
     def optimizers(self) -> dict[str, torch.optim.Optimizer]:
-        both: dict[str, torch.optim.Optimizer] = {"student": self.optimizer, "discriminator": self.heads_optimizer}
-        return both if self.config.adversarial else {"student": self.optimizer}
+        return super().optimizers() | ({"discriminator": self.heads_optimizer} if self.config.adversarial else {})
 
     def state(self) -> dict[str, Any]:
         return self.own.state()

@@ -18,9 +18,9 @@ from moveset.models.registry import describe
 from moveset.models.token_denoiser import TokenDenoiserConfig
 from moveset.text.encoder import TextEmbedding
 from moveset.training.ema import Ema, ema_warmup
-from moveset.training.engine import Loop, Task
-from moveset.training.optim import cosine_lr
+from moveset.training.engine import Loop
 from moveset.training.reading import embedded, read_captions
+from moveset.training.single_network import SingleNetworkTask
 from moveset.training.tasks import Sources
 from moveset.training.trained import load_trained
 
@@ -74,10 +74,11 @@ class LatentData:
         return read_captions(self.text, captions, self.augmentation, augmented_by)
 
 
-class TeacherTask(Task):
+class TeacherTask(SingleNetworkTask):
     """Epsilon prediction on 1000 scaled-linear steps (MotionPCM, Section 4.1; MLD)."""
 
     name = "teacher"
+    network = "teacher"
 
     def __init__(self, config: TeacherConfig, sources: Sources, loop: Loop) -> None:
         self.config, self.steps = config, loop.config.steps
@@ -89,18 +90,6 @@ class TeacherTask(Task):
         self.optimizer = torch.optim.AdamW(
             self.teacher.parameters(), config.lr, betas=(0.9, 0.99), weight_decay=config.weight_decay
         )
-
-    def modules(self) -> dict[str, nn.Module]:
-        return {"teacher": self.teacher}
-
-    def averages(self) -> dict[str, nn.Module]:
-        return {"teacher_ema": self.ema.module}
-
-    def optimizers(self) -> dict[str, torch.optim.Optimizer]:
-        return {"teacher": self.optimizer}
-
-    def learning_rates(self, step: int) -> dict[str, float]:
-        return {"teacher": cosine_lr(step, self.config.lr, self.config.warmup, self.steps)}
 
     def training_step(self, step: int, loop: Loop) -> dict[str, Tensor]:
         batch = self.data.batch(self.config.batch, step)

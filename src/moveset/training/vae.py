@@ -4,7 +4,7 @@ from dataclasses import dataclass, field, replace
 from typing import Literal, Protocol, cast
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from moveset.data.crops import CropSampler
 from moveset.data.dataset import choose_codec, open_for_training
@@ -17,8 +17,8 @@ from moveset.motion.features import FeatureCodec
 from moveset.motion.measures import jerk, skating
 from moveset.motion.native import NativeCodec
 from moveset.training.ema import Ema, ema_warmup
-from moveset.training.engine import Loop, Task
-from moveset.training.optim import cosine_lr
+from moveset.training.engine import Loop
+from moveset.training.single_network import SingleNetworkTask
 from moveset.training.tasks import Sources
 from moveset.training.trained import load_trained
 from moveset.training.vae_loss import (
@@ -71,7 +71,7 @@ class VAETrainingConfig:
         object.__setattr__(self, "kind", describe(self.model)[0])
 
 
-class VAETask(Task):
+class VAETask(SingleNetworkTask):
     """Trains on crops of 32 to 196 frames of all training clips, composed and mirrored ones included.
 
     Raises:
@@ -79,6 +79,7 @@ class VAETask(Task):
     """
 
     name = "vae"
+    network = "vae"
 
     def __init__(self, config: VAETrainingConfig, sources: Sources, loop: Loop) -> None:
         dataset = open_for_training(sources.corpus)
@@ -108,18 +109,6 @@ class VAETask(Task):
         val = dataset.split("val", composed=False, mirrored=False, untold=True)
         held_out = (self.store.whole(clip) for clip in val)
         self.held_out = sorted(held_out, key=lambda crop: crop.frames)
-
-    def modules(self) -> dict[str, nn.Module]:
-        return {"vae": self.vae}
-
-    def averages(self) -> dict[str, nn.Module]:
-        return {"vae_ema": self.ema.module}
-
-    def optimizers(self) -> dict[str, torch.optim.Optimizer]:
-        return {"vae": self.optimizer}
-
-    def learning_rates(self, step: int) -> dict[str, float]:
-        return {"vae": cosine_lr(step, self.config.lr, self.config.warmup, self.steps)}
 
     def training_step(self, step: int, loop: Loop) -> dict[str, Tensor]:
         real, lengths = (x.to(loop.device) for x in self.store.batch(self.sampler.crops(step)))
