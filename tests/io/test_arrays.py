@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from moveset.errors import FormatError, InputError
 from moveset.io.arrays import npz_metadata, read_npy, read_npz, write_amass, write_npy, write_npz
-from moveset.io.numpy_file import array_shape, read_array, read_arrays
+from moveset.io.numpy_file import array_shape, read_array
 from moveset.motion import rotations
 from moveset.motion.clip import Motion
 from moveset.motion.retarget import retarget
@@ -259,13 +259,9 @@ def test_objects_are_never_unpickled(tmp_path):
     np.save(tmp_path / "a.npy", np.array([{}], dtype=object), allow_pickle=True)
     with pytest.raises(FormatError, match="kind needed"):
         read_array(tmp_path / "a.npy")
-    np.savez(tmp_path / "a.npz", gender=np.array([object()]), trans=np.ones((2, 3)))
-    assert read_arrays(tmp_path / "a.npz", ["trans", "poses"]).keys() == {"trans"}
-    with pytest.raises(FormatError, match="kind needed"):
-        read_arrays(tmp_path / "a.npz", ["gender"])
 
 
 def test_missing_files(tmp_path):
-    for read in (read_array, array_shape, lambda p: read_arrays(p, ["poses"])):
+    for read in (read_array, array_shape):
         with pytest.raises(InputError, match=r"(?i)no( such)? file"):
             read(tmp_path / "nothing.npy")

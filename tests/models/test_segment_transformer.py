@@ -83,7 +83,6 @@ TURN = torch.tensor([0.0, 1.5, float("nan"), -1.5])
 def test_place_and_turn_are_read_where_they_are_known(model, inputs, reads, weight, given, told, untold, other):
     fresh = replace(CONFIG, **{reads: True}).build().eval()
     assert fresh.load_state_dict(model.state_dict(), strict=False).missing_keys == [f"{weight}.weight"]
-    assert fresh.learned_later[f"{weight}.weight"] == reads
     # Fresh, it changes nothing; nor does it ever where nothing is told, or to who does not read it.
     plain = call(model, **inputs)
     assert torch.equal(call(fresh, **inputs, **{given: told}), plain)

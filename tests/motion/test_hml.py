@@ -1,6 +1,7 @@
 """The HumanML3D / KIT-ML codec against a second implementation that follows the published procedure frame by frame."""
 
 import math
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -85,13 +86,31 @@ def test_recovery_equals_the_oracle():
     np.testing.assert_allclose(CODEC.joints(features).numpy(), recover(HUMANML3D, features.double().numpy()), atol=2e-6)
 
 
+def joints_from_rotations(codec, features):
+    """Joints (F, J, 3) in metres from the root and rotation columns, on the dataset's body.
+
+    The root's rotation is the heading's inverse turn, which is what the encoding divided by.
+    """
+    convention = codec.convention
+    heading, root = codec._root(features)
+    local = rotations.matrix_from_6d(features[..., codec.groups["rotations"]].unflatten(-1, (-1, 6)))
+    offsets = (convention.directions * convention.lengths[:, None] / convention.unit).to(features)
+    placed = {0: root}
+    for chain in convention.chains:
+        turned = rotations.to_matrix(heading)
+        for above, joint in pairwise(chain):
+            turned = turned @ local[..., joint - 1, :, :]
+            placed[joint] = placed[above] + turned @ offsets[joint]
+    return torch.stack([placed[j] for j in range(len(offsets))], dim=-2) * convention.unit
+
+
 @pytest.mark.parametrize("name", SYNTHETIC)
 def test_round_trip_below_a_hundredth_of_a_millimetre(name):
     joints = SYNTHETIC[name]().joints
     features = CODEC.encode_joints(joints)
     truth = described(CODEC, joints)
     assert (CODEC.joints(features) - truth).norm(dim=-1).max() < 1e-5
-    assert (CODEC.joints_from_rotations(features) - truth).norm(dim=-1).max() < 1e-5
+    assert (joints_from_rotations(CODEC, features) - truth).norm(dim=-1).max() < 1e-5
 
 
 def test_encoded_clips_have_the_datasets_body():
@@ -101,8 +120,6 @@ def test_encoded_clips_have_the_datasets_body():
     assert (lengths - HUMANML3D.lengths[1:]).abs().max() < 1e-5
     assert joints[..., 1].min().abs() < 1e-5
     assert joints[0, 0, [0, 2]].abs().max() == 0.0
-    taller = HmlCodec(lengths=1.2 * HUMANML3D.lengths)
-    assert taller.joints(taller.encode(wander(30, 7)))[0, 0, 1] == pytest.approx(1.2 * joints[0, 0, 1].item(), rel=1e-4)
 
 
 @pytest.mark.parametrize("degrees", [37.0, 90.0, -150.0])
@@ -216,7 +233,6 @@ def test_joints_take_batches_and_carry_gradient():
     joints = CODEC.joints(batch)
     assert joints.shape == (2, 1, 19, 22, 3)
     torch.testing.assert_close(joints[1, 0], CODEC.joints(features[1]))
-    torch.testing.assert_close(CODEC.joints_from_rotations(batch)[0, 0], CODEC.joints_from_rotations(features[0]))
     joints.square().sum().backward()
     used = columns(CODEC, "root_yaw", "root_velocity", "root_height", "positions")
     assert torch.isfinite(batch.grad).all()
@@ -273,7 +289,7 @@ def test_real_takes_equal_the_oracle_and_survive_the_round_trip(real_data):
         expected, described_ = extract(HUMANML3D, joints.numpy(), HUMANML3D.lengths.numpy())
         np.testing.assert_allclose(features.numpy(), expected, atol=2e-6)
         assert np.abs(CODEC.joints(features).numpy() - described_[:-1]).max() < 1e-5
-        assert np.abs(CODEC.joints_from_rotations(features).numpy() - described_[:-1]).max() < 1e-5
+        assert np.abs(joints_from_rotations(CODEC, features).numpy() - described_[:-1]).max() < 1e-5
 
 
 def test_clips_at_once_are_clips_alone():

@@ -121,11 +121,6 @@ class Corpus:
             motion = compose(record.kind, record.recipe, [self._part(p) for p in record.recipe.parts])
         return motion.mirrored() if mirrored else motion
 
-    def run_motion(self, run: int) -> Motion:
-        """All of a run, starting above the origin and facing +Z."""
-        fps = next(record.fps for record in self.records if record.run == run)
-        return self._frames(run, self.runs[run].first_frame, self.runs[run].frames, fps)
-
     def captions(self, i: int, mirrored: bool = False) -> tuple[str, ...]:
         """Sentences for clip ``i``."""
         sentences = tuple(self.strings[k] for k in self._record(i).captions)

@@ -3,7 +3,6 @@
 import math
 import zipfile
 import zlib
-from collections.abc import Iterable
 from io import BytesIO
 from pathlib import Path
 from typing import IO, NoReturn
@@ -34,16 +33,6 @@ def read_array(path: str | Path) -> Tensor:
     """
     data = read_limited(path, MAX_NPZ_BYTES)
     return _float32(parse_array(BytesIO(data), len(data), str(path), "fiu", finite=False))
-
-
-def read_arrays(path: str | Path, names: Iterable[str]) -> dict[str, Tensor]:
-    """The named arrays of an npz that exist in it, as ``read_array``; others (objects, strings) are never touched.
-
-    Raises:
-        InputError, FormatError: as ``read_array``, for the file or a named array.
-    """
-    with Npz(path) as npz:
-        return {name: _float32(npz.array(name, "fiu", None, finite=False)) for name in names if name in npz.names}
 
 
 def array_shape(path: str | Path) -> tuple[int, ...]:

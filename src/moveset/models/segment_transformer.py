@@ -16,7 +16,7 @@ Shapes: B rows, n frames, D features, L text tokens, C text width, W model width
 """
 
 from dataclasses import dataclass, replace
-from typing import ClassVar, cast
+from typing import cast
 
 import torch
 from torch import Tensor, nn
@@ -105,9 +105,6 @@ class SegmentTransformer(Denoiser):
     sentence that is longer than ``LONGEST``; only those with ``heading_change`` read the change of heading, and none of
     more than a turn. ``taps`` collect every block's output (B, n, W).
     """
-
-    learned_later: ClassVar = {"place.weight": "timing", "course.weight": "heading_change"}
-    """What a training may add to a network that was trained without it, and which setting says that it is there."""
 
     def __init__(self, config: SegmentTransformerConfig) -> None:
         super().__init__()

@@ -53,20 +53,19 @@ class HmlCodec:
 
     Args:
         kind: "humanml3d" or "kit".
-        lengths: (J,) bone lengths in metres of the body that clips are re-posed onto; the dataset's own if None.
 
     Raises:
         InputError: an unknown kind.
     """
 
-    def __init__(self, kind: str = "humanml3d", lengths: Tensor | None = None) -> None:
+    def __init__(self, kind: str = "humanml3d") -> None:
         if kind not in _CONVENTIONS:
             raise InputError(f"unknown feature kind {kind!r}; choose one of {', '.join(_CONVENTIONS)}")
         self.convention: HmlConvention = _CONVENTIONS[kind]
         self.name: str = self.convention.name
         self.skeleton: Skeleton = self.convention.skeleton
         self.fps: float = self.convention.fps
-        self.lengths = (self.convention.lengths if lengths is None else lengths).double()
+        self.lengths = self.convention.lengths.double()
         joints = len(self.skeleton)
         self.dim: int = 12 * joints - 1
         sizes = {
@@ -159,22 +158,6 @@ class HmlCodec:
         ground = root * root.new_tensor((1.0, 0.0, 1.0))
         placed = rotations.rotate(rotations.inv(heading)[..., None, :], around) + ground[..., None, :]
         return torch.cat((root[..., None, :], placed), dim=-2) * self.convention.unit
-
-    def joints_from_rotations(self, features: Tensor) -> Tensor:
-        """Joint positions (..., F, J, 3) in metres from the root and rotation columns, on the dataset's body.
-
-        The root's rotation is the heading's *inverse* turn, which is what the encoding divided by.
-        """
-        heading, root = self._root(features)
-        local = rotations.matrix_from_6d(_rows(features[..., self.groups["rotations"]], 6))
-        offsets = (self.convention.directions * self.lengths[:, None] / self.convention.unit).to(features)
-        placed: dict[int, Tensor] = {0: root}
-        for chain in self.convention.chains:
-            turned = rotations.to_matrix(heading)
-            for above, joint in pairwise(chain):
-                turned = turned @ local[..., joint - 1, :, :]
-                placed[joint] = placed[above] + turned @ offsets[joint]
-        return torch.stack([placed[j] for j in range(len(offsets))], dim=-2) * self.convention.unit
 
     def decode(self, features: Tensor) -> Motion:
         """The motion of features (F, D): joint positions fitted with rotations (see ``positions_to_motion``)."""

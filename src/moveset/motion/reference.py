@@ -84,23 +84,20 @@ def axis_vector(name: str) -> Tensor:
     return out
 
 
-def find_reference(motion: Motion, *, up: str | None = None, facing: str | None = None) -> Reference:
+def find_reference(motion: Motion) -> Reference:
     """The reference of the body of a motion.
 
     Args:
         motion: whose joints ``rigs.roles`` recognises.
-        up: axis of the motion's world that points up; None to find out.
-        facing: axis along which the rest pose looks; None to find out by its left and right hips. The result is turned
-            so that this becomes +Z.
 
     Raises:
-        InputError: legs cannot be recognised, or an unknown axis.
+        InputError: legs cannot be recognised.
     """
     skeleton = motion.skeleton
-    if up is None and facing is None and any(skeleton is rig for rig in RIGS.values()):
+    if any(skeleton is rig for rig in RIGS.values()):
         return _still(len(skeleton))
     found, few = roles(skeleton), _few(motion)
-    rest, upward = _world(few, up, facing)
+    rest, upward = _world(few, None, None)
     turned, placed = few.global_rotations.double(), few.joints.double()
     placed, turned = rotations.rotate(upward, placed), rotations.mul(upward, turned)
     if rest is not None:

@@ -11,7 +11,6 @@ from moveset.motion.body_axes import Roles, ankle_height, leg_length
 from moveset.motion.clip import Motion
 from moveset.motion.kinematics import global_to_local
 from moveset.motion.reference import (
-    Reference,
     as_before,
     find_reference,
     on_floor,
@@ -42,7 +41,7 @@ _SHORTEST_LEG = 1e-6  # metres
 _TRUNK = ("pelvis", "spine1", "spine2", "spine3", "neck", "head")
 
 
-def retarget(motion: Motion, target: str | Skeleton, *, reference: Reference | None = None) -> Motion:
+def retarget(motion: Motion, target: str | Skeleton) -> Motion:
     """The motion on another skeleton.
 
     Both bodies are compared in a pose in which they stand (``motion.reference``), so that neither the axes of joints
@@ -59,8 +58,6 @@ def retarget(motion: Motion, target: str | Skeleton, *, reference: Reference | N
         motion: on a skeleton whose joints ``rigs.roles`` recognises.
         target: "smpl", "mixamo", "vrm", "ue5", "hml22", "kit21", or any skeleton with recognisable joints; the result
             has its up axis.
-        reference: how the source stands, where another take of the same skeleton shows it better, or where many takes
-            are to be read alike; None to find out (``find_reference``).
 
     Warns:
         UserWarning: how the source's joints are turned had to be worked out.
@@ -77,9 +74,8 @@ def retarget(motion: Motion, target: str | Skeleton, *, reference: Reference | N
     for body in (source, skeleton):
         if leg_length(body, roles(body)) < _SHORTEST_LEG:
             raise InputError(f"skeleton {body.name!r} has legs of no length, which say no size; give its bones lengths")
-    theirs, ours = reference or find_reference(motion), reference_at_rest(skeleton)
-    if reference is None:
-        warn_of(source, theirs)
+    theirs, ours = find_reference(motion), reference_at_rest(skeleton)
+    warn_of(source, theirs)
     there = _retarget_standing(
         on_floor(standing(motion, theirs)), stood(skeleton, ours), roles(source), roles(skeleton)
     )

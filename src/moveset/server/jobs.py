@@ -60,7 +60,6 @@ class Job:
     id: str = field(default_factory=lambda: secrets.token_hex(8))
     state: State = "queued"
     progress: float = 0.0
-    created: float = field(default_factory=time.monotonic)
     finished: float | None = None
     made: list[Generation] = field(default_factory=list)
     answer: Answer | None = None

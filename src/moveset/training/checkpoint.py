@@ -9,7 +9,7 @@ import os
 import re
 import shutil
 import warnings
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -148,19 +148,16 @@ def read_document(path: Path, name: str) -> dict[str, Any]:
     return json_object(read_limited(file, MAX_JSON), file, _REMEDY)
 
 
-def load_module(module: nn.Module, path: Path, name: str, lacking: Collection[str] = ()) -> None:
+def load_module(module: nn.Module, path: Path, name: str) -> None:
     """Loads ``NAME.safetensors`` of a checkpoint into a module, strictly.
-
-    Args:
-        lacking: tensors that the file may be without; they stay as they are.
 
     Raises:
         InputError: the checkpoint has no such file, or was made for a module of other sizes.
         FormatError: the file is damaged.
     """
-    tensors, own = read_tensors(path, name), module.state_dict()
+    tensors = read_tensors(path, name)
     try:
-        module.load_state_dict({**{key: own[key] for key in lacking if key in own}, **tensors})
+        module.load_state_dict(tensors)
     except RuntimeError as error:
         reason = " ".join(str(error).split())[:300]
         raise InputError(

@@ -100,7 +100,6 @@ def begin(task: "Task", paths: Sequence[Path]) -> None:
     """Loads the weights of verified checkpoints into a freshly built task, and nothing else of them.
 
     A module is taken from the first that has it: a student of one training may meet the discriminator of another.
-    What a module has ``learned_later`` than others of its kind may be missing, and starts as it was built.
     Warns of modules that none has: they start as they were built.
 
     Raises:
@@ -113,7 +112,7 @@ def begin(task: "Task", paths: Sequence[Path]) -> None:
         if not (found := [name for name in missing if (path / f"{name}.safetensors").is_file()]):
             raise InputError(f"{path} has none of {', '.join(missing)}; give a checkpoint of {task.name!r} or the like")
         for name in found:
-            checkpoint.load_module(modules[name], path, name, getattr(modules[name], "learned_later", ()))
+            checkpoint.load_module(modules[name], path, name)
             missing.remove(name)
         if not missing and path is not paths[-1]:
             raise InputError(f"{path} has all that {task.name!r} needs; leave out what follows it")
