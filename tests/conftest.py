@@ -19,6 +19,8 @@ settings.load_profile("moveset")
 
 # Fixtures that cost many seconds or a browser: all tests that use one run in the same process, so that it is made once.
 COSTLY = ("tiny_run", "browser")
+# Files that take longest besides, so that no process is left alone with one of them in the end.
+LONG = ("test_researcher.py", "test_shipped.py", "test_kill.py", "test_command.py")
 REPOSITORY = Path(__file__).resolve().parents[1]
 # What the tests read from the archives; a folder given by MOVESET_RAW or data/raw may hold the whole sets.
 MEMBERS = {
@@ -51,7 +53,7 @@ MEMBERS = {
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """With ``--dist loadgroup``: a file's tests run in one process, which makes what they share once; longest first."""
     files = {item.path: _costly(item) for item in items if _costly(item)}
-    items.sort(key=lambda item: item.path not in files)
+    items.sort(key=lambda item: (item.path not in files, item.path.name not in LONG))
     for item in items:
         name = files.get(item.path) or item.path.relative_to(REPOSITORY)
         item.add_marker(pytest.mark.xdist_group(str(name)))
