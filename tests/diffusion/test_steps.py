@@ -106,6 +106,8 @@ def test_a_full_step_down_is_the_posterior_of_ddpm():
     still = denoise_step(schedule, z, z0, t, t - 1, 1.0, torch.zeros_like(z))
     torch.testing.assert_close(still, mean)
     torch.testing.assert_close(denoise_step(schedule, z, z0, t, t - 1, 1.0, torch.ones_like(z)), mean + deviation)
+    larger = denoise_step(schedule, z, z0, t, t - 1, 1.0, torch.ones_like(z), "beta")
+    torch.testing.assert_close(larger, mean + beta.sqrt()[:, None])
 
 
 @pytest.mark.parametrize("eta", [0.0, 0.5, 1.0])
@@ -129,12 +131,29 @@ def test_the_clean_end_is_the_prediction_itself():
     assert not torch.equal(out[1], z0[1])
 
 
+@pytest.mark.parametrize(("count", "t"), [(1000, 999), (1000, 36), (50, 980)])
+def test_the_larger_variance_is_that_of_diffusers(count, t, generator):
+    diffusers = pytest.importorskip("diffusers")
+    z, z0 = torch.randn(2, 3, 4, generator=generator)
+    oracle = diffusers.DDPMScheduler(1000, variance_type="fixed_large", prediction_type="sample", clip_sample=False)
+    oracle.set_timesteps(count)
+    theirs = oracle.step(z0, t, z, generator=torch.Generator().manual_seed(1)).prev_sample
+    noise, to = torch.randn(3, 4, generator=torch.Generator().manual_seed(1)), t + 1 - 1000 // count
+    ours = denoise_step(linear(), z, z0, torch.tensor(t + 1), torch.tensor(to), 1.0, noise, "beta")
+    torch.testing.assert_close(ours, theirs, atol=1e-4, rtol=1e-4)
+
+
 def test_deterministic_step_equals_the_one_by_noise():
     schedule = linear()
     z, z0 = torch.randn(2, 4, 6)
     t, s = torch.tensor([1000, 500, 40, 2]), torch.tensor([999, 100, 20, 1])
     by_noise = ddim_step(schedule, z, predict_eps(schedule, z, z0, t), t, s)
     torch.testing.assert_close(denoise_step(schedule, z, z0, t, s), by_noise, atol=2e-5, rtol=1e-4)
+
+
+def test_an_unknown_variance_is_refused():
+    with pytest.raises(InputError, match="variance 'learned' is not one of posterior, beta"):
+        denoise_step(linear(), torch.zeros(1), torch.zeros(1), torch.tensor(5), torch.tensor(4), variance="learned")
 
 
 @pytest.mark.parametrize(("eta", "noise"), [(0.3, None), (1.5, torch.zeros(1)), (-0.1, torch.zeros(1))])

@@ -92,6 +92,7 @@ def test_what_is_written_is_read(folder):
         ({"travelling": 1.1}, "travelling 1.1"),
         ({"travelling": float("nan")}, "travelling nan"),
         ({"eta": float("nan")}, "eta nan"),
+        ({"variance": "learned"}, "variance 'learned'"),
         ({"fps": 0.0}, "frame rate"),
         ({"symmetric": ("rdm",)}, "'rdm' is no guided network"),
         ({"symmetric": ("pcm-8",)}, "'pcm-8' is no guided network"),
@@ -109,6 +110,7 @@ def test_absurd_numbers_are_refused_before_anything_is_written(tmp_path, change,
 def test_a_folder_of_before_a_setting_came_has_its_default(folder):
     config = json.loads((folder / "config.json").read_text())
     assert config.pop("past_lag") is None
+    assert config.pop("variance") == "posterior"
     read = StreamConfig.parse(json.dumps(config).encode(), folder / "config.json")
     assert dataclasses.replace(read, models={}) == CONFIG
     del config["lag"]

@@ -39,6 +39,8 @@ ONE_BY_ONE = {"network": "rdm", "start": 6, "lag": 6}
         ({"network": "rdm", "start": 9}, "start 9"),
         ({"network": "rdm", "lag": 0}, "lag 0"),
         ({"network": "rdm", "eta": 1.5}, "eta 1.5"),
+        ({"network": "rdm", "eta": 1.0, "variance": "learned"}, "variance 'learned' is not one of posterior, beta"),
+        ({"network": "rdm", "eta": 0.0, "variance": "beta"}, "eta is 0; set eta=1"),
         ({"guidance": float("nan")}, "guidance nan"),
         ({"guidance": -1.0}, "guidance -1"),
         ({"buffer": -1}, "buffer of -1"),
@@ -52,6 +54,13 @@ ONE_BY_ONE = {"network": "rdm", "start": 6, "lag": 6}
 def test_what_cannot_be_asked_for(bundle, options, said):
     with pytest.raises(InputError, match=said):
         check_stream(bundle.config, **{"prompt": WALK, **options})
+
+
+def test_the_model_says_which_variance_its_noise_has_unless_asked(bundle):
+    config = dataclasses.replace(bundle.config, variance="beta")
+    for options, wanted in (({}, "beta"), ({"variance": "posterior"}, "posterior")):
+        settings = check_stream(config, WALK, network="rdm", eta=1.0, **options).settings
+        assert settings.variance == settings.solver(config, None).variance == wanted
 
 
 @pytest.mark.parametrize(

@@ -16,7 +16,10 @@ from moveset.rdm.state import StreamState
 from moveset.rdm.transport import Transport
 from tests.samplers import IDENTITY, SCHEDULE, SEEDS, SHAPE, Denoiser, Scaled, noise_of_items, run, settings, texts
 
-CLASSES = [{"eta": 0.0}, {"eta": 0.0, "init_noise": "shared"}, {"eta": 1.0, "entry": "refreshed"}, {"eta": 0.5}]
+CLASSES = [
+    {"eta": 0.0}, {"eta": 0.0, "init_noise": "shared"}, {"eta": 1.0, "entry": "refreshed"},
+    {"eta": 0.5, "variance": "beta"},
+]  # fmt: skip
 
 
 def plans(steps=6, segments=(4, 7, 14), lags=(1, 3, 6)):

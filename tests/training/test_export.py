@@ -81,7 +81,8 @@ def stream(dataset, runs, out, networks, **more):
 
 def test_a_stream_holds_averaged_networks_and_what_it_does_by_default(dataset, runs, tmp_path):
     networks = {"rdm": "rdm-7", "md": "md-7", "pcm-1": "rdm-pcm-1", "pcm-2": "rdm-pcm-2"}
-    sampling = {"network": "pcm-2", "sampler_steps": 12, "start": 5, "lag": 2, "past_lag": 1, "eta": 0.5}
+    sampling = {"network": "pcm-2", "sampler_steps": 12, "start": 5, "lag": 2, "past_lag": 1, "eta": 0.5,
+                "variance": "beta"}  # fmt: skip
     scales = {"rdm": 1.5, "md": 1.5, "pcm-1": 2.5, "pcm-2": 1.5}
     given = {**sampling, "idle": "stand", "travelling": 0.5, "guidance": scales, "smoothing": {"pcm-1": 0.6}}
     bundle = stream(dataset, runs, tmp_path / "made", networks, **given)
@@ -161,8 +162,9 @@ def test_baselines_are_of_whole_clips_or_of_chunks(dataset, runs, tmp_path):
         what = BaselineExport(name=run, runs={"denoiser": run}, **more)
         return ModelFolder(export(what, dataset, runs, runs / "cache", tmp_path / run), BaselineConfig)
 
-    whole, chunks = made("rdm-1", steps=7, guidance={"denoiser": 1.5}), made("dip")
+    whole, chunks = made("rdm-1", steps=7, guidance={"denoiser": 1.5}, variance="beta"), made("dip")
     assert (whole.config.frames, whole.config.prefix, whole.config.sampler_steps) == (FRAMES, 0, 7)
+    assert (whole.config.eta, whole.config.variance, chunks.config.variance) == (0.0, "beta", "posterior")
     assert (whole.config.predict, whole.config.schedule, whole.config.guidance) == ("x0", "linear", {"denoiser": 1.5})
     assert (chunks.config.frames, chunks.config.prefix, chunks.config.sampler_steps) == (8, 4, DIP.levels)
     assert (chunks.config.schedule, chunks.config.eta, chunks.config.timesteps) == ("cosine", 1.0, DIP.levels)

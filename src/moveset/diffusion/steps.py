@@ -5,11 +5,15 @@ item, (B, N) for one per segment, () for one level everywhere. Keep ``z`` in flo
 which is 0.068 at t = 999.
 """
 
+from typing import Literal, get_args
+
 import torch
 from torch import Tensor
 
 from moveset.diffusion.schedule import Schedule
 from moveset.errors import InputError
+
+Variance = Literal["posterior", "beta"]
 
 
 def over(value: Tensor, z: Tensor) -> Tensor:
@@ -55,8 +59,21 @@ def predict_eps(schedule: Schedule, z: Tensor, z0: Tensor, t: Tensor) -> Tensor:
     return (z - alpha * z0) / sigma
 
 
+def require_variance(variance: str) -> None:
+    """Raises InputError for a variance of fresh noise that there is not."""
+    if variance not in get_args(Variance):
+        raise InputError(f"variance {variance!r} is not one of {', '.join(get_args(Variance))}")
+
+
 def denoise_step(
-    schedule: Schedule, z: Tensor, z0: Tensor, t: Tensor, s: Tensor, eta: float = 0.0, noise: Tensor | None = None
+    schedule: Schedule,
+    z: Tensor,
+    z0: Tensor,
+    t: Tensor,
+    s: Tensor,
+    eta: float = 0.0,
+    noise: Tensor | None = None,
+    variance: Variance = "posterior",
 ) -> Tensor:
     """From time t down to time s, given a prediction of the clean z_0 (DDIM, arXiv 2010.02502, Eq. 12 and 16).
 
@@ -66,10 +83,13 @@ def denoise_step(
     Args:
         eta: share of the posterior's standard deviation in 0 … 1; 0 is deterministic.
         noise: standard normal, like z; needed unless ``eta`` is 0.
+        variance: of the noise where ``eta`` is 1: the "posterior"'s, or "beta", that of the step from s up to t, the
+            larger of DDPM's two (Ho et al. 2020, Section 3.2) and RDM's; the mean is the same.
 
     Raises:
-        InputError: ``eta`` out of range, or above 0 without noise.
+        InputError: ``eta`` out of range, or above 0 without noise; or an unknown variance.
     """
+    require_variance(variance)
     if not 0.0 <= eta <= 1.0 or (eta and noise is None):
         raise InputError(f"eta {eta} is not in 0 to 1, or there is no noise for it")
     alpha_t, sigma_t = _alpha_sigma(schedule, t, z)
@@ -79,8 +99,10 @@ def denoise_step(
         out = alpha_s * z0 + sigma_s * eps
     else:
         ratio = alpha_t / alpha_s
-        spread = eta * (sigma_s / sigma_t) * (1 - ratio * ratio).clamp_min(0.0).sqrt()
-        out = alpha_s * z0 + (sigma_s**2 - spread**2).clamp_min(0.0).sqrt() * eps + spread * noise
+        beta = (1 - ratio * ratio).clamp_min(0.0).sqrt()
+        spread = eta * (sigma_s / sigma_t) * beta
+        added = spread if variance == "posterior" else eta * beta
+        out = alpha_s * z0 + (sigma_s**2 - spread**2).clamp_min(0.0).sqrt() * eps + added * noise
     return torch.where(sigma_s == 0, z0, out)
 
 

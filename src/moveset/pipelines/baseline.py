@@ -75,10 +75,12 @@ class Baseline:
         self.slug = "-".join([self.model, *extras, *(() if foot_lock else ("raw",))])
 
     def describe(self) -> dict[str, Any]:
-        return {
-            "guidance": self._w, "eta": self._bundle.config.eta, "foot_lock": self._foot_lock, "batch": self._batch,
+        config = self._bundle.config
+        found = {
+            "guidance": self._w, "eta": config.eta, "foot_lock": self._foot_lock, "batch": self._batch,
             "device": self._device.type,
         }  # fmt: skip
+        return found if config.variance == "posterior" else {**found, "variance": config.variance}
 
     def weights(self) -> dict[str, str]:
         return self._bundle.sha256(DENOISER)
@@ -111,7 +113,8 @@ class Baseline:
         zero = torch.zeros(len(clips), dtype=torch.long, device=self._device)
         predict = self._guided(Condition(text, past=PastSegment(nothing, zero, zero), valid=valid_Bn))
         clean = clean_from_noise(self._schedule, predict) if config.predict == "eps" else predict
-        solver = Solver(schedule=self._schedule, levels=levels(self.steps, config.timesteps), eta=config.eta)
+        solver = Solver(schedule=self._schedule, levels=levels(self.steps, config.timesteps), eta=config.eta,
+                        variance=config.variance)  # fmt: skip
         return sample_segment(lambda x, t, *_: clean(x, t), solver, seeds, [0] * len(seeds), nothing)
 
     def _chunks(self, clips: Sequence[Request]) -> Tensor:

@@ -5,6 +5,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
+from moveset.diffusion.steps import Variance
 from moveset.errors import InputError
 from moveset.motion.clip import Motion
 from moveset.pipelines.baseline import Baseline
@@ -55,7 +56,7 @@ class Sampler:
     Args:
         steps: of the sampler.
         guidance: scale w.
-        start, lag, past_lag, eta, stages: of streams, as for ``stream_settings.check_stream``.
+        start, lag, past_lag, eta, variance, stages: of streams, as for ``stream_settings.check_stream``.
         shape: of a stream's staircase.
     """
 
@@ -65,6 +66,7 @@ class Sampler:
     lag: int | None = None
     past_lag: int | None = None
     eta: float | None = None
+    variance: Variance | None = None
     shape: Shape | None = None
     stages: bool | None = None
 

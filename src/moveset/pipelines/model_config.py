@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import Any, ClassVar, Self
 
 from moveset.diffusion.schedule import Schedule, cosine, linear
-from moveset.errors import FormatError
+from moveset.diffusion.steps import Variance, require_variance
+from moveset.errors import FormatError, InputError
 from moveset.io.manifest import json_object
 from moveset.motion.features import FeatureCodec, get_codec
 from moveset.pipelines.role import Role, named
@@ -95,14 +96,19 @@ class FolderConfig:
             if spec.base is not None and self.models[spec.base].base is not None:
                 raise ValueError(f"the base {spec.base!r} of {name!r} is itself stored as differences")
 
-    def check_sampling(self, eta: float, limits: Mapping[str, tuple[int, int]]) -> None:
-        """Raises ValueError for fields that are no whole number within limits, and for eta or guidance out of range."""
+    def check_sampling(self, eta: float, variance: str, limits: Mapping[str, tuple[int, int]]) -> None:
+        """Raises ValueError for fields that are no whole number within limits, and for eta, its variance or guidance
+        out of range."""
         for name, (low, high) in limits.items():
             value = getattr(self, name)
             if type(value) is not int or not low <= value <= high:
                 raise ValueError(f"{name} {value!r} is no whole number in {low} to {high}")
         if not 0 <= eta <= 1:
             raise ValueError(f"eta {eta} is not in 0 to 1")
+        try:
+            require_variance(variance)
+        except InputError as error:
+            raise ValueError(error) from error
         if not all(name in self.models and 0 <= w < math.inf for name, w in self.guidance.items()):
             raise ValueError("guidance of a network that is not there, or below 0")
 
@@ -198,6 +204,7 @@ class StreamConfig(FolderConfig):
         start: R, how many of these steps remain when the next segment enters the staircase.
         lag: by how many steps a segment stays behind the one before it.
         eta: noise that is put back at each step, 0 (none) to 1.
+        variance: of that noise, as in ``diffusion.steps.denoise_step``.
         past_lag: where segments of ``rdm`` are made one after the other, by how many steps the finished one before is
             told to be ahead: it is noised again to that level (``rdm.sampler``). None tells it clean.
         idle: the prompt of a stream before it is given one.
@@ -208,7 +215,7 @@ class StreamConfig(FolderConfig):
 
     task: ClassVar[str] = STREAM
     statistics: ClassVar[tuple[str, ...]] = ("feature_mean", "feature_std")
-    newer: ClassVar[frozenset[str]] = frozenset({"past_lag", "travelling"})
+    newer: ClassVar[frozenset[str]] = frozenset({"past_lag", "travelling", "variance"})
 
     network: str
     segment: int = 28
@@ -220,6 +227,7 @@ class StreamConfig(FolderConfig):
     start: int = 7
     lag: int = 1
     eta: float = 0.0
+    variance: Variance = "posterior"
     past_lag: int | None = None
     idle: str = "a person stands still"
     travelling: float = 1.0
@@ -258,7 +266,7 @@ class StreamConfig(FolderConfig):
         }
         if self.past_lag is not None:
             limits["past_lag"] = (1, self.sampler_steps)
-        self.check_sampling(self.eta, limits)
+        self.check_sampling(self.eta, self.variance, limits)
         if not 0 <= self.travelling <= 1:
             raise ValueError(f"travelling {self.travelling} is not in 0 to 1")
         for name in self.symmetric:
@@ -285,10 +293,12 @@ class BaselineConfig(FolderConfig):
         predict: "x0" or "eps".
         sampler_steps: K.
         eta: noise that is put back at each step, 0 (DDIM) to 1 (DDPM).
+        variance: of that noise, as in ``diffusion.steps.denoise_step``.
     """
 
     task: ClassVar[str] = BASELINE
     statistics: ClassVar[tuple[str, ...]] = ("feature_mean", "feature_std")
+    newer: ClassVar[frozenset[str]] = frozenset({"variance"})
 
     frames: int
     prefix: int = 0
@@ -297,6 +307,7 @@ class BaselineConfig(FolderConfig):
     predict: str = "x0"
     sampler_steps: int = 50
     eta: float = 0.0
+    variance: Variance = "posterior"
 
     @property
     def needed(self) -> tuple[str, ...]:
@@ -318,7 +329,7 @@ class BaselineConfig(FolderConfig):
             "timesteps": (1, 100_000),
             "sampler_steps": (1, self.timesteps),
         }
-        self.check_sampling(self.eta, limits)
+        self.check_sampling(self.eta, self.variance, limits)
 
     def noise_schedule(self) -> Schedule:
         """The schedule by its name and length."""

@@ -17,6 +17,7 @@ from typing import Any, Self
 
 import torch
 
+from moveset.diffusion.steps import Variance
 from moveset.errors import FormatError, InputError
 from moveset.motion.clip import Motion
 from moveset.pipelines.device import pick_device
@@ -98,6 +99,7 @@ class MotionStream(Iterator[Segment]):
         lag: int | None = None,
         past_lag: int | None = None,
         eta: float | None = None,
+        variance: Variance | None = None,
         guidance: float | None = None,
         buffer: int = 0,
         foot_lock: bool = True,
@@ -120,7 +122,7 @@ class MotionStream(Iterator[Segment]):
         bundle = ModelFolder.open(name_or_path, StreamConfig)
         request = check_stream(
             bundle.config, prompt, seconds, loop=loop, seed=seed, network=network, steps=steps, start=start, lag=lag,
-            past_lag=past_lag, eta=eta, guidance=guidance, buffer=buffer, foot_lock=foot_lock,
+            past_lag=past_lag, eta=eta, variance=variance, guidance=guidance, buffer=buffer, foot_lock=foot_lock,
             blend_seconds=blend_seconds, stages=stages,
         )  # fmt: skip
         return cls(bundle, request, seed_motion=seed_motion, device=device)

@@ -53,8 +53,9 @@ class StreamGenerator:
     def describe(self) -> dict[str, Any]:
         settings = {k: v for k, v in asdict(self._settings).items() if k not in ("network", "steps", "buffer")}
         # Said where there is something to say, so that results from before it could be chosen are of the same settings.
-        if settings["past_lag"] is None:
-            del settings["past_lag"]
+        for name, usual in (("past_lag", None), ("variance", "posterior")):
+            if settings[name] == usual:
+                del settings[name]
         if self._bundle.config.travelling != 1.0:
             settings["travelling"] = self._bundle.config.travelling
         settings["symmetric"] = self.network in self._bundle.config.symmetric

@@ -10,6 +10,7 @@ from torch import nn
 
 from moveset.diffusion.phases import PhaseGrid
 from moveset.diffusion.schedule import Schedule, cosine, linear
+from moveset.diffusion.steps import Variance, require_variance
 from moveset.errors import InputError
 from moveset.motion.features import FeatureCodec
 from moveset.motion.stream_decoder import StreamDecoder
@@ -44,6 +45,7 @@ class StreamSettings:
         stages: take a sentence that says what comes after what apart (``text.stages``).
         past_lag: steps that a finished segment is told to be ahead, at the level of which it is noised again; None
             tells it clean.
+        variance: of the fresh noise, as in ``diffusion.steps.denoise_step``.
     """
 
     network: str
@@ -57,6 +59,7 @@ class StreamSettings:
     blend_seconds: float = BLEND_SECONDS
     stages: bool = True
     past_lag: int | None = None
+    variance: Variance = "posterior"
 
     @property
     def one_by_one(self) -> bool:
@@ -91,8 +94,8 @@ class StreamSettings:
         """How this network samples; one that was trained on other than white noise says so itself."""
         colour = getattr(network, "colour", None)
         return Solver(
-            schedule=get_schedule(config), levels=self.levels(config), eta=self.eta, past_lag=self.past_lag,
-            colour=colour,
+            schedule=get_schedule(config), levels=self.levels(config), eta=self.eta, variance=self.variance,
+            past_lag=self.past_lag, colour=colour,
         )  # fmt: skip
 
 
@@ -128,6 +131,7 @@ def check_stream(
     lag: int | None = None,
     past_lag: int | None = None,
     eta: float | None = None,
+    variance: Variance | None = None,
     guidance: float | None = None,
     buffer: int = 0,
     foot_lock: bool = True,
@@ -151,6 +155,7 @@ def check_stream(
         past_lag: for the same where lag is all of the steps: how many steps the finished segment before is told to be
             ahead, noised again to that level; all of the steps tell it clean.
         eta: 0 to 1, for networks that are no students.
+        variance: of the noise that is put back, "posterior" or "beta" (the larger one), where ``eta`` is above 0.
         guidance: w; by default the model's choice for this network.
         buffer: segments made ahead of the reader, in a thread of their own; 0 makes them when they are asked for.
         foot_lock: hold planted feet in place.
@@ -179,11 +184,16 @@ def check_stream(
     network = _network(config, network, steps)
     plan = _plan(config, network, steps, start, lag, eta)
     told = _past_lag(config, network, plan, past_lag)
+    if variance is not None:
+        require_variance(variance)
+        if not plan[3]:
+            raise InputError(f"variance {variance!r} is of fresh noise, and eta is 0; set eta=1, or leave it out")
     w = config.guidance.get(network, 0.0) if guidance is None else guidance
     if not 0.0 <= w <= MAX_GUIDANCE:
         raise InputError(f"guidance {w:g} is not in 0 to {MAX_GUIDANCE:g}; this model's own choice is "
                          f"{config.guidance.get(network, 0.0):g}")  # fmt: skip
-    settings = StreamSettings(network, *plan, float(w), buffer, foot_lock, float(blend_seconds), stages, told)
+    settings = StreamSettings(network, *plan, float(w), buffer, foot_lock, float(blend_seconds), stages, told,
+                              config.variance if variance is None else variance)  # fmt: skip
     return StreamRequest(timeline, seed, settings, durations, counts)
 
 

@@ -16,7 +16,7 @@ from typing import Literal, get_args
 import torch
 from torch import Tensor
 
-from moveset.diffusion.steps import add_noise, denoise_step
+from moveset.diffusion.steps import add_noise
 from moveset.errors import InputError
 from moveset.rdm.noise import ENTRY, START
 from moveset.rdm.sequential import Past, Solver
@@ -149,7 +149,7 @@ class Stream(Iterator[Tensor]):
         y0_BnD = self._transport.pull(x0_BnD, index_B, pooled_BC)
         s_B = self._levels([k + 1 for k in steps])
         noise_BnD = self._noise(segments, steps)
-        stepped = denoise_step(self._solver.schedule, y_BnD, y0_BnD, t_B, s_B, self._solver.eta, noise_BnD)
+        stepped = self._solver.step(y_BnD, y0_BnD, t_B, s_B, noise_BnD)
         return self._advance(segments, *(self._by_segment(z) for z in (stepped, y0_BnD, x0_BnD)))
 
     def _past_step(self, segment: int, step: int) -> int:

@@ -19,7 +19,7 @@ import torch
 from torch import Tensor
 
 from moveset.diffusion.schedule import Schedule
-from moveset.diffusion.steps import add_noise, denoise_step
+from moveset.diffusion.steps import Variance, add_noise, denoise_step, require_variance
 from moveset.errors import InputError
 from moveset.rdm.noise import PAST, START, segment_noise
 from moveset.rdm.transport import Transport
@@ -40,6 +40,7 @@ class Solver:
         schedule: the noise schedule; its time 0 is clean.
         levels: K + 1 falling levels of it, the last 0: ``staircase.levels(K)``, or the phase edges of a student.
         eta: share of fresh noise in every step: 0 is DDIM, 1 is DDPM.
+        variance: of that noise, as in ``diffusion.steps.denoise_step``.
         past_lag: how many steps a segment is told the finished one before it to be ahead: to the level of that step it
             is noised again, in y-space. None tells it clean.
         colour: what turns standard normal noise (B, n, D) into the noise that the network was trained on, if anything.
@@ -51,6 +52,7 @@ class Solver:
     schedule: Schedule
     levels: tuple[int, ...]
     eta: float = 0.0
+    variance: Variance = "posterior"
     past_lag: int | None = None
     colour: Callable[[Tensor], Tensor] | None = None
 
@@ -60,6 +62,7 @@ class Solver:
             raise InputError(f"levels must fall from at most {len(self.schedule) - 1} to 0; got {self.levels}")
         if not 0.0 <= self.eta <= 1.0:
             raise InputError(f"eta {self.eta} is not in 0 (DDIM) to 1 (DDPM)")
+        require_variance(self.variance)
         if self.past_lag is not None and not 1 <= self.past_lag <= self.steps:
             raise InputError(
                 f"past_lag {self.past_lag} is not in 1 to {self.steps} steps; leave it out for a clean past"
@@ -69,6 +72,10 @@ class Solver:
     def steps(self) -> int:
         """K."""
         return len(self.levels) - 1
+
+    def step(self, z: Tensor, z0: Tensor, t_B: Tensor, s_B: Tensor, noise: Tensor | None) -> Tensor:
+        """From levels t down to s, given the clean z_0; noise as for ``denoise_step``."""
+        return denoise_step(self.schedule, z, z0, t_B, s_B, self.eta, noise, self.variance)
 
     def noise(self, seeds: Sequence[int], numbers: Sequence[int], step: int, shape: Sequence[int]) -> Tensor:
         """Noise (B, n, D), on the CPU, of segments with these seeds and numbers (``rdm.noise``)."""
@@ -145,7 +152,7 @@ def sample_segment(
         if s:  # a finished segment is wanted in x only
             y0_BnD = transport.pull(x0_BnD, index_B, pooled_BC)
             noise_BnD = solver.noise(seeds, numbers, k, shape).to(device) if solver.eta else None
-            y_BnD = denoise_step(solver.schedule, y_BnD, y0_BnD, t_B, s_B, solver.eta, noise_BnD)
+            y_BnD = solver.step(y_BnD, y0_BnD, t_B, s_B, noise_BnD)
     return x0_BnD
 
 

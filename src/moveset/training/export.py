@@ -16,6 +16,7 @@ from moveset.data.dataset import Dataset
 from moveset.data.feature_store import FeatureStore
 from moveset.data.glove_files import read_glove
 from moveset.data.latents import LatentSet
+from moveset.diffusion.steps import Variance
 from moveset.errors import InputError
 from moveset.evaluation.evaluator import Evaluator, EvaluatorCard
 from moveset.motion.features import get_codec
@@ -85,6 +86,7 @@ class StreamExport(Export):
     start: int = StreamConfig.start
     lag: int = StreamConfig.lag
     eta: float = StreamConfig.eta
+    variance: Variance = StreamConfig.variance
     past_lag: int | None = StreamConfig.past_lag
     idle: str = StreamConfig.idle
     travelling: float = StreamConfig.travelling
@@ -92,7 +94,10 @@ class StreamExport(Export):
 
     def sampling(self) -> dict[str, Any]:
         """The fields of ``StreamConfig`` among its own."""
-        names = ("network", "sampler_steps", "start", "lag", "eta", "past_lag", "idle", "travelling", "symmetric")
+        names = (
+            "network", "sampler_steps", "start", "lag", "eta", "variance", "past_lag", "idle", "travelling",
+            "symmetric",
+        )  # fmt: skip
         return {name: getattr(self, name) for name in names}
 
 
@@ -102,9 +107,12 @@ class BaselineExport(Export):
 
     Args:
         steps: K of whole clips; chunks take all of their schedule.
+        eta, variance: of whole clips, as in ``BaselineConfig``; chunks are sampled as DDPM does.
     """
 
     steps: int = 50
+    eta: float = BaselineConfig.eta
+    variance: Variance = BaselineConfig.variance
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -235,7 +243,7 @@ def _baseline(
         every = {"timesteps": task["levels"], "sampler_steps": task["levels"]}
         sampling |= {"prefix": task["model"]["prefix"], "schedule": "cosine", "eta": 1.0, **every}
     else:
-        sampling["predict"] = task["predict"]
+        sampling |= {"predict": task["predict"], "eta": what.eta, "variance": what.variance}
     return save_model(out, BaselineConfig(**fields, **sampling), {DENOISER: network.module}, statistics, known, pooled)
 
 
