@@ -54,6 +54,19 @@ _BACK = (
     "{s} {v} and turns around", "{s} {v} away, turns back and returns", "{s} {v}, makes a u-turn and {v} back",
 )  # fmt: skip
 _CURVE = ("{s} {v} in a curve to the {side}", "{s} {v} and veers {side}", "{s} {v} forward, bending to the {side}")
+# Of who does not just walk, the clip's own sentence says how.
+_HOW = {
+    _CIRCLE: (
+        "{a} in a circle to the {side}",
+        "{a}, {clock} in a circle",
+        "{a}, going around in a circle to the {side}",
+    ),
+    _CORNER: ("{a} and turns {side}", "{a}, then turns {side}", "{a}, around a corner to the {side}"),
+    _BACK: ("{a}, turns around and comes back", "{a} and turns around to the {side}", "{a}, then turns around"),
+    _CURVE: ("{a} in a curve to the {side}", "{a} and veers {side}", "{a}, bending to the {side}"),
+}
+_PLAIN = 7  # words of a sentence that says no more than that somebody walks, and where
+_WAY = re.compile(r"straight|line|circle|turn|left|right|back|diagonal|curve", re.IGNORECASE)
 _SUBJECTS = ("a person", "a person", "someone", "a man", "the person", "a woman")
 
 
@@ -270,10 +283,18 @@ def _bent(pool: _Pool, chance: random.Random) -> _Made | None:
     if way > 2 * math.pi * radius:
         choices += [(_CIRCLE, 2.0, False)] * 2
     wordings, half_turns, sharp = chance.choice(choices)
+    told = [sentence.rstrip(". ") for sentence in clip.short() if not _WAY.search(sentence)]
+    if any(len(sentence.split()) > _PLAIN for sentence in clip.sentences):
+        wordings = _HOW[wordings]
+        if not told:
+            return None
     left = chance.random() < 0.5
     side, clock = ("left", "counterclockwise") if left else ("right", "clockwise")
     verb = inflect(clip.record.contents[0], "present")
-    said = (w.format(s=chance.choice(_SUBJECTS), v=verb, side=side, clock=clock) for w in chance.sample(wordings, 3))
+    said = (
+        w.format(s=chance.choice(_SUBJECTS), v=verb, a=chance.choice(told or [""]), side=side, clock=clock)
+        for w in chance.sample(wordings, 3)
+    )
     turn = math.pi * half_turns * (1.0 if left else -1.0)
     recipe = Recipe((Part(clip.number, 0, frames, clip.mirrored),), turn=turn, sharp=sharp)
     contents = (clip.record.contents[0], "circle" if half_turns == 2.0 else "turn")
