@@ -37,7 +37,7 @@ def list_takes(root: Path) -> list[TakeRef]:
                 name=name,
                 source=source,
                 path=Path(root) / str(take["file"]),
-                subject=source,
+                subject=name,  # nobody says who else is the same performer, or on the same floor
                 group=name,
                 sentence=str(take["sentence"]),
                 unit=float(take["unit_m"]),

@@ -27,6 +27,7 @@ _LEANING = ("pelvis", "head", "ankle")
 _USUAL = {"pelvis": 0.0, "head": 6.0, "ankle": 0.0}
 _LEAST = 40  # frames of standing that say how a performer's markers sit
 _FLOOR_SPREAD = 0.06  # metres by which a take's floor may be above that of its performer's others
+_SELDOM = 0.1  # share of the frames
 _LOWER = 0.3  # share of a performer's takes that are on the floor at some time
 _SKIN = 0.04  # metres of the body under a joint that lies on the floor
 
@@ -92,11 +93,18 @@ def upright(local: Tensor, root: Tensor, degrees: dict[str, float]) -> tuple[Ten
 def floor_of(local: Tensor, root: Tensor) -> float:
     """Height of the floor that a take seems to have: the 1st percentile over time of the lowest of ankles and toes.
 
-    No other joint is under it: who lies with the feet up lies on the floor.
+    No other joint is under it: who lies with the feet up lies on the floor. Where feet hardly ever get as low, and
+    somebody stands above it, what lies below is no floor but an error of the capture (in flips, and falls).
     """
-    heights = fk(local, root, HML22)[1][..., 1]
+    turned, joints = fk(local, root, HML22)
+    heights = joints[..., 1]
     feet, body = heights[:, _FEET].amin(dim=1), heights[:, _OTHERS].amin(dim=1) - _SKIN
-    return min(float(torch.quantile(feet, 0.01)), float(torch.quantile(body, 0.01)))
+    floor = min(float(torch.quantile(feet, 0.01)), float(torch.quantile(body, 0.01)))
+    if float((feet < floor + _FLOOR_SPREAD).float().mean()) < _SELDOM:
+        stands = feet[standing(turned, joints)]
+        if len(stands) >= FPS / 2:
+            floor = max(floor, float(torch.quantile(stands, 0.1)))
+    return floor
 
 
 def on_floor(local: Tensor, root: Tensor, floor: float) -> Motion:
