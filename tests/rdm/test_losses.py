@@ -1,10 +1,13 @@
 """What the networks of RDM learn from, by closed forms."""
 
+import math
+
 import pytest
 import torch
 
 from moveset.models.flow import FlowConfig
-from moveset.rdm.losses import flow_loss, masked_mse, velocity_loss
+from moveset.rdm.losses import flow_loss, jacobian_weight, masked_mse, velocity_loss
+from moveset.rdm.transport import Transport
 
 
 def _rand(*shape, seed=0):
@@ -77,3 +80,17 @@ def test_scales_away_from_one_cost_what_isometry_says(flow):
     torch.testing.assert_close(loss, error + 7.0 * log_scales.square().mean())
     loss.backward()
     assert all(parameter.grad is not None and parameter.grad.any() for parameter in flow.blocks.parameters())
+
+
+def test_the_printed_weight_of_a_cell_is_one_over_the_scales_of_its_valid_frames(flow):
+    """A flow whose log-scales are all .05 moves ten features a frame in two applications of two blocks."""
+    index, pooled = torch.tensor([0, 1, 2]), _rand(3, 3)
+    transport = Transport(flow, depth_cap=2)
+    assert torch.equal(jacobian_weight(transport, REAL, VALID, index, pooled, 1.0), torch.ones(3))
+    with torch.no_grad():
+        for block in flow.blocks:
+            block.out.bias.chunk(2)[0].fill_(0.1 * math.atanh(0.5))
+    frames = VALID.sum(dim=1)
+    for power in (1.0, 1 / 20):
+        wanted = torch.exp(-power * 0.05 * 5 * frames * index)
+        torch.testing.assert_close(jacobian_weight(transport, REAL, VALID, index, pooled, power), wanted)

@@ -55,6 +55,25 @@ def test_push_is_the_power_of_each_row_under_its_own_context(flow, cap):
         assert (x[3] - Transport(flow, 1).push(y, NUMBERS, POOLED)[3]).abs().max() > 1e-2
 
 
+@pytest.mark.parametrize("cap", [1, 3])
+def test_log_det_is_that_of_the_whole_carrying_of_the_first_frames(cap):
+    flow = _moving(features=3, blocks=2, hidden=8, text_dim=6, text_context=4, index_context=3, max_index=4).double()
+    transport, y = Transport(flow, cap), SEGMENTS[..., :3].double()
+    found = transport.log_det(y, NUMBERS, POOLED)
+    assert found.shape == (5, 4)
+    assert not found[NUMBERS == 0].any()
+    assert not Transport(None).log_det(y, NUMBERS, POOLED).any()
+    for row, frames in ((0, 4), (2, 4), (3, 2)):
+        one = slice(row, row + 1)
+
+        def push(z, one=one):
+            return transport.push(z.view(1, -1, 3), NUMBERS[one], POOLED[one]).flatten()
+
+        _, expected = torch.linalg.slogdet(torch.autograd.functional.jacobian(push, y[row, :frames].flatten()))
+        assert abs(expected) > 1e-2
+        torch.testing.assert_close(found[row, :frames].sum(), expected)
+
+
 @pytest.mark.parametrize("cap", [1, 6])
 def test_first_segments_are_left_alone(flow, cap):
     transport = Transport(flow, cap)

@@ -8,6 +8,7 @@ import torch
 
 from moveset.data.dataset import open_for_training
 from moveset.errors import InputError
+from moveset.pipelines.model_folder import ModelFolder
 from moveset.pipelines.text_to_motion import TextToMotion
 from moveset.training import checkpoint
 from moveset.training.distillation import DistillationConfig
@@ -121,7 +122,10 @@ def test_a_latent_of_one_token_is_learned_exported_and_sampled(tiny_run, tmp_pat
     sizes = ("model.tokens=1", "model.token_dim=24")
     tiny_run.train("vae", tmp_path / "vae", *sizes, "model.slots=6", steps=1)
     sources = {"vae": tmp_path / "vae", "cache": tmp_path / "cache"}
-    tiny_run.train("teacher", tmp_path / "teacher", *sizes, steps=1, sources=sources)
+    tiny_run.train("teacher", tmp_path / "teacher", *sizes, "normalised_latents=false", steps=1, sources=sources)
     out = exported(open_for_training(tiny_run.corpus), tmp_path, tmp_path / "one")
     made = TextToMotion.from_pretrained(out, device="cpu")("a person walks", seconds=2.0, steps=3, solver="teacher")
     assert len(made.motion) == 40
+    statistics = ModelFolder.open(out).normalizer
+    assert not statistics["latent_mean"].any()
+    assert (statistics["latent_std"] == 1).all()

@@ -5,6 +5,7 @@ Shapes: M entries, N latent tokens, d latent width, B batch.
 """
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
@@ -33,7 +34,7 @@ class Encoder(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class LatentBatch:
-    """Normalised latents z_0 (B, N, d), clip lengths (B,) in frames, and a caption for each."""
+    """Latents z_0 (B, N, d), clip lengths (B,) in frames, and a caption for each."""
 
     z0: Tensor
     frames: Tensor
@@ -95,6 +96,12 @@ class LatentSet:
                 "anew, or train in another folder"
             )
         return cls(dataset, split, load_file(path))
+
+    def as_encoded(self) -> "LatentSet":
+        """The same latents, not normalised: as the encoder gives them."""
+        same = copy(self)
+        same.center, same.scale = torch.zeros_like(self.center), torch.ones_like(self.scale)
+        return same
 
     def __len__(self) -> int:
         return len(self.clip)

@@ -7,16 +7,30 @@ import torch
 from torch import Tensor
 
 from moveset.models.flow import CouplingFlow
+from moveset.rdm.transport import Transport
 
 
 def masked_mse(prediction_BnD: Tensor, target_BnD: Tensor, valid_Bn: Tensor) -> Tensor:
     """Squared error over valid frames, mean over features (RDM, Eq. 31 without its Jacobian weight).
 
     The published weight |det df/dx|^-1 is no part of the bound: a KL divergence does not change under a bijection that
-    both distributions share.
+    both distributions share. ``jacobian_weight`` is there to compare.
     """
     square_Bn = (prediction_BnD - target_BnD).square().mean(dim=-1)
     return (square_Bn * valid_Bn).sum() / valid_Bn.sum().clamp_min(1)
+
+
+@torch.no_grad()
+def jacobian_weight(
+    transport: Transport, clean_BnD: Tensor, valid_Bn: Tensor, index_B: Tensor, pooled_BC: Tensor, power: float
+) -> Tensor:
+    """|det df/dx_0|^-power (B,) of the valid frames of clean segments (RDM, Eq. 13 and 31, which print power 1).
+
+    Thousands of numbers are carried, so with log-scales of .1 the power 1 is beyond float32. One by their number is the
+    geometric mean.
+    """
+    y_BnD = transport.pull(clean_BnD, index_B, pooled_BC)
+    return torch.exp(-power * (transport.log_det(y_BnD, index_B, pooled_BC) * valid_Bn).sum(dim=1))
 
 
 def flow_loss(

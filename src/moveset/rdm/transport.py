@@ -50,6 +50,21 @@ class Transport:
         """y of x; arguments as for ``push``."""
         return self._carry(x_BnD, index_B, pooled_BC, inverse=True)
 
+    def log_det(self, y_BnD: Tensor, index_B: Tensor, pooled_BC: Tensor) -> Tensor:
+        """log |det dx/dy| of ``push`` at y by frame (B, n): no frame depends on later ones, so a segment's first frames
+        have the sum of theirs.
+
+        Arguments as for ``push``.
+        """
+        total_Bn = y_BnD.new_zeros(y_BnD.shape[:2])
+        if self.flow is None:
+            return total_Bn
+        depth_B, context_Bc = self.depth(index_B), self.flow.context(pooled_BC, index_B)
+        for applied in range(int(depth_B.max())):
+            y_BnD, log_scales_BnS = self.flow.log_scales(y_BnD, context_Bc)
+            total_Bn = total_Bn + log_scales_BnS.sum(dim=-1) * (depth_B > applied)[:, None]
+        return total_Bn
+
     def _carry(self, z_BnD: Tensor, index_B: Tensor, pooled_BC: Tensor, inverse: bool) -> Tensor:
         if self.flow is None:
             return z_BnD

@@ -40,7 +40,7 @@ from moveset.training.engine import Loop
 from moveset.training.optim import cosine_lr
 from moveset.training.single_network import SingleNetworkTask
 from moveset.training.tasks import Sources
-from moveset.training.teacher import LatentData
+from moveset.training.teacher import LatentData, normalised_latents
 from moveset.training.trained import load_trained
 
 
@@ -121,8 +121,8 @@ class _DistillationTask(SingleNetworkTask):
         # Not a check of the configuration: settings come one by one, in any order.
         require_range("rows that are trajectory_rows", config.trajectory_rows, 0, config.batch)
         self.steps = loop.config.steps
-        self.data = LatentData(sources, config.text_encoder, config.augmentation, loop)
         teacher = load_trained(sources.teacher, "teacher_ema", loop.device)
+        self.data = LatentData(sources, config.text_encoder, config.augmentation, loop, normalised_latents(teacher))
         self.teacher = teacher.module
         self.student = self.teacher.student().requires_grad_(True)
         self.config = _with_model(config, self.student)

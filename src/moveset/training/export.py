@@ -29,6 +29,7 @@ from moveset.text.vocabulary import words_of
 from moveset.text.words import TokenWords, Words
 from moveset.training.dip import idle_pose
 from moveset.training.reading import embedded
+from moveset.training.teacher import normalised_latents
 from moveset.training.trained import TrainedNetwork, average_weights, load_trained
 
 KNOWN_CAPTIONS = 2000
@@ -191,6 +192,8 @@ def _clips(
     fields, known, pooled, store = _common(what, dataset, task, found, cache)
     path = cache / f"latents-{vae.digest[:12]}-train.safetensors"
     latents = LatentSet.of(dataset, "train", store, vae.module, path)
+    if not normalised_latents(teacher):
+        latents = latents.as_encoded()
     modules = {name: network.module for name, network in found.items() if name != DECODER}
     modules["vae"] = found.get(DECODER, vae).module
     config = ClipConfig(**fields, latent=(vae.module.config.tokens, vae.module.config.token_dim), points=points)

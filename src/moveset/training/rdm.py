@@ -23,7 +23,7 @@ from moveset.models.segment_denoiser import SegmentDenoiserConfig
 from moveset.models.segment_transformer import SegmentTransformer, SegmentTransformerConfig
 from moveset.motion.features import FeatureCodec, Normalizer
 from moveset.rdm.grid import GridConfig, corrupt, draw
-from moveset.rdm.losses import flow_loss, masked_mse, velocity_loss
+from moveset.rdm.losses import flow_loss, jacobian_weight, masked_mse, velocity_loss
 from moveset.rdm.transport import Transport
 from moveset.text.encoder import TextEmbedding
 from moveset.training.condition_dropout import drop_heading_change, drop_timing, perturb_heading, perturb_past
@@ -57,10 +57,13 @@ class RDMConfig:
         codec: its features, a name for ``data.dataset.choose_codec``.
         cutting: which segments are shown.
         optimizer: "momo" (the paper) or "adamw".
+        beta2: of AdamW.
         constant_lr: no cosine decay.
         condition_dropout: share of captions replaced by "", for guidance.
         weight: of a cell's error: "x0" (1, the paper) or "v" (1/sigma², at most 5): more for low
             noise.
+        jacobian: power of the flow's |det df/dx|^-1 in a cell's weight: 0 as in RDM's Algorithm 2, 1 as in its Eq. 13
+            and 31 (``rdm.losses.jacobian_weight``).
         root: weight of the four root features, by which a character travels.
         noise: "white" (the paper), or "coloured" with the temporal spectrum of the training segments
             (``diffusion.coloured``).
@@ -102,10 +105,12 @@ class RDMConfig:
     lr: float = 7e-4
     flow_lr: float = 5e-4
     warmup: int = 200
+    beta2: float = 0.99
     constant_lr: bool = False
     condition_dropout: float = 0.1
     ema: float = 0.999
     weight: Weight = "v"
+    jacobian: float = 0.0
     root: float = 5.0
     noise: Noise = "white"
     forecast: bool = False
@@ -276,6 +281,8 @@ class RDMTask(Task):
         made = denoiser(cell.x_BnD, cell.t_B, Condition(text, past=past, valid=batch.valid)).float()
         scale = self.feature_weight.sqrt()
         weight_B = _level_weight(config.weight, cell.t_B)
+        if config.jacobian:
+            weight_B = weight_B * jacobian_weight(transport, clean, batch.valid, batch.index, said, config.jacobian)
         root_B = weight_B.sqrt()[:, None, None] * scale
         target = draws.noise_BnD if config.predict == "eps" else clean
         loss = masked_mse(made * root_B, target * root_B, batch.valid)
@@ -317,7 +324,7 @@ def _level_weight(kind: str, t_B: Tensor) -> Tensor:
 def _optimizer(config: RDMConfig, module: nn.Module, lr: float) -> torch.optim.Optimizer:
     if config.optimizer == "momo":
         return MomoAdam(module.parameters(), lr)
-    return torch.optim.AdamW(module.parameters(), lr, betas=(0.9, 0.99), weight_decay=0.0)
+    return torch.optim.AdamW(module.parameters(), lr, betas=(0.9, config.beta2), weight_decay=0.0)
 
 
 def _sized(config: RDMConfig, data: SegmentData) -> RDMConfig:
@@ -347,5 +354,7 @@ def _check(config: RDMConfig) -> None:
             'predict="eps" is for models without a flow, with velocity, feet and heading 0 and weight "x0"; '
             "change these"
         )
+    if config.jacobian and config.flow is None:
+        raise InputError(f"jacobian {config.jacobian:g} is of the flow, and there is none; leave it out")
     if config.md_condition == "none" and (config.flow is not None or config.grid.condition != "clean"):
         raise InputError('md_condition="none" is for models without a flow and with grid.condition="clean"')

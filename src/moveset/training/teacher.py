@@ -22,18 +22,25 @@ from moveset.training.engine import Loop
 from moveset.training.reading import embedded, read_captions
 from moveset.training.single_network import SingleNetworkTask
 from moveset.training.tasks import Sources
-from moveset.training.trained import load_trained
+from moveset.training.trained import TrainedNetwork, load_trained
 
 
 @dataclass(frozen=True, kw_only=True)
 class TeacherConfig:
-    """What ``TeacherTask`` trains and how; the learning rate is a cosine over the run."""
+    """What ``TeacherTask`` trains and how; the learning rate is a cosine over the run.
+
+    Args:
+        beta2: of AdamW.
+        normalised_latents: latents of mean 0 and deviation 1; False takes them as the encoder gives them, as published.
+    """
 
     model: LatentDenoiserConfig | TokenDenoiserConfig = field(default_factory=LatentDenoiserConfig)
     batch: int = 128
     lr: float = 8e-4
     warmup: int = 200
     weight_decay: float = 0.0
+    beta2: float = 0.99
+    normalised_latents: bool = True
     condition_dropout: float = 0.1
     ema: float = 0.999
     text_encoder: str = "minilm"
@@ -44,16 +51,25 @@ class TeacherConfig:
         object.__setattr__(self, "kind", describe(self.model)[0])
 
 
+def normalised_latents(teacher: TrainedNetwork) -> bool:
+    """Whether a teacher knows latents of mean 0 and deviation 1; one from before that was a choice does."""
+    return bool(teacher.task.get("normalised_latents", True))
+
+
 class LatentData:
     """Latents and embedded captions of both splits, each made once and kept in the cache folder."""
 
-    def __init__(self, sources: Sources, text_encoder: str, augmentation: TextAugmentation, loop: Loop) -> None:
+    def __init__(
+        self, sources: Sources, text_encoder: str, augmentation: TextAugmentation, loop: Loop, normalised: bool
+    ) -> None:
         self.augmentation = augmentation
         self.seed, self.device = loop.config.seed * 64 + loop.rank, loop.device
         self.vae = load_trained(sources.vae, "vae_ema", loop.device)
         # Whoever comes first makes the caches; the other processes open them.
         with loop.fabric.rank_zero_first():
             self._open(sources, text_encoder, loop)
+        if not normalised:
+            self.train, self.val = self.train.as_encoded(), self.val.as_encoded()
 
     def _open(self, sources: Sources, text_encoder: str, loop: Loop) -> None:
         dataset, vae, there = open_for_training(sources.corpus), self.vae, loop.device
@@ -82,13 +98,14 @@ class TeacherTask(SingleNetworkTask):
 
     def __init__(self, config: TeacherConfig, sources: Sources, loop: Loop) -> None:
         self.config, self.steps = config, loop.config.steps
-        self.data = LatentData(sources, config.text_encoder, config.augmentation, loop)
+        normalised = config.normalised_latents
+        self.data = LatentData(sources, config.text_encoder, config.augmentation, loop, normalised)
         self.schedule = scaled_linear()
         self.teacher = config.model.build().to(loop.device)
         self.ema = Ema(self.teacher, config.ema)
         self.noise = loop.generator("noise")
         self.optimizer = torch.optim.AdamW(
-            self.teacher.parameters(), config.lr, betas=(0.9, 0.99), weight_decay=config.weight_decay
+            self.teacher.parameters(), config.lr, betas=(0.9, config.beta2), weight_decay=config.weight_decay
         )
 
     def training_step(self, step: int, loop: Loop) -> dict[str, Tensor]:

@@ -48,6 +48,7 @@ class VAETrainingConfig:
         balance: contents are drawn by their count to the power of one minus this.
         loss: what a reconstruction is judged by: after forward kinematics ("kinematic", of native features only), or
             as published; "auto" is kinematic where it can be.
+        beta2: of AdamW.
         codec: its features, a name for ``data.dataset.choose_codec``; how many there are the model is told.
         latent_noise: ``DecoderTask`` only: the most noise added to a latent, in standard deviations of the latents.
     """
@@ -59,6 +60,7 @@ class VAETrainingConfig:
     lr: float = 1e-3
     warmup: int = 100
     weight_decay: float = 0.0
+    beta2: float = 0.99
     ema: float = 0.998
     composed_share: float = 0.3
     balance: float = 0.25
@@ -100,7 +102,7 @@ class VAETask(SingleNetworkTask):
         self.ema = Ema(self.vae, config.ema)
         self.noise = loop.generator("noise", device=loop.device)
         self.optimizer = torch.optim.AdamW(
-            self.vae.parameters(), config.lr, betas=(0.9, 0.99), weight_decay=config.weight_decay
+            self.vae.parameters(), config.lr, betas=(0.9, config.beta2), weight_decay=config.weight_decay
         )
         clips = dataset.split("train", untold=True)
         weights = dataset.weights(clips, power=config.balance, composed_share=config.composed_share)
@@ -164,7 +166,8 @@ class DecoderTask(VAETask):
         for part in (*parts, self.vae.norm_latent, self.vae.to_latent):
             part.requires_grad_(False)
         learning = [p for p in self.vae.parameters() if p.requires_grad]
-        self.optimizer = torch.optim.AdamW(learning, config.lr, betas=(0.9, 0.99), weight_decay=config.weight_decay)
+        betas = (0.9, config.beta2)
+        self.optimizer = torch.optim.AdamW(learning, config.lr, betas=betas, weight_decay=config.weight_decay)
         with torch.no_grad():
             crops = self.sampler.crops(0)
             mean, _ = self.vae.encode(*(x.to(loop.device) for x in self.store.batch(crops)))
