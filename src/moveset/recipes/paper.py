@@ -5,7 +5,7 @@ that holds up: every segment is noised around itself, one application of the flo
 first from later ones, and any level of the segment before. The printed Algorithm 2 of RDM-N is
 
     --set grid.anchor=first --set grid.share_noise=true --set grid.condition=previous
-    --set depth_cap=N-1 --set model.max_index=N-1 --set flow.max_index=N-1 --set flow.bound=hardtanh
+    --set depth_cap=N-1 --set model.max_index=N-1 --set flow.max_index=N-1
 
 with the number N - 1 written out; a text drop, for guidance, is ``--set condition_dropout=0.1``.
 
@@ -76,7 +76,15 @@ def train_vae() -> Recipe:
     """MotionLCM-V2's autoencoder: 6000 epochs of about 192 batches of 128."""
     return Recipe(
         task=VAETrainingConfig(
-            model=vae(), codec="published", loss="published", kl=1e-4, batch=128, lr=2e-4, warmup=1000, ema=0.999
+            model=vae(),
+            codec="published",
+            loss="published",
+            kl=1e-4,
+            batch=128,
+            lr=2e-4,
+            warmup=1000,
+            beta2=0.999,
+            ema=0.0,
         ),
         engine=_engine(1_150_000),
     )
@@ -86,8 +94,9 @@ def train_teacher() -> Recipe:
     """MotionLCM-V2's teacher: 3000 epochs, batch 64."""
     model = teacher(text_dim=768)
     task = TeacherConfig(
-        model=model, batch=64, lr=1e-4, warmup=1000, text_encoder="sentence-t5:sentence-transformers/sentence-t5-large"
-    )
+        model=model, batch=64, lr=1e-4, warmup=1000, beta2=0.999, ema=0.0, normalised_latents=False,
+        text_encoder="sentence-t5:sentence-transformers/sentence-t5-large",
+    )  # fmt: skip
     return Recipe(task=task, engine=_engine(1_150_000))
 
 
@@ -106,13 +115,16 @@ CLIP = "clip:openai/clip-vit-base-patch32"
 
 
 def train_rdm(segments: int = 7) -> Recipe:
-    """RDM-N: 50 epochs of HumanML3D's 24 thousand clips, each 50 times; RDM-1 has no flow and nothing before it."""
+    """RDM-N: 50 epochs of HumanML3D's 24 thousand clips, each 50 times; RDM-1 has no flow and nothing before it.
+
+    Gradients are not clipped: MoMo's model of the loss is made of them.
+    """
     frames = SEGMENT_FRAMES[segments]
     recurrent = segments > 1
     model = SegmentDenoiserConfig(frames=frames, prev="xattn" if recurrent else "none", max_index=1 if recurrent else 0)
     task = RDMConfig(
         model=model,
-        flow=FlowConfig(features=263, text_dim=512) if recurrent else None,
+        flow=FlowConfig(features=263, text_dim=512, bound="hardtanh") if recurrent else None,
         grid=GridConfig(frames=frames),
         depth_cap=1,
         codec="published",
@@ -132,7 +144,7 @@ def train_rdm(segments: int = 7) -> Recipe:
         text_encoder=CLIP,
         max_tokens=77,
     )
-    return Recipe(task=task, engine=replace(_engine(115_000), grad_clip=0.5))
+    return Recipe(task=task, engine=replace(_engine(115_000), grad_clip=0.0))
 
 
 def train_md(segments: int = 7) -> Recipe:
@@ -151,8 +163,8 @@ def train_light_rdm() -> Recipe:
 def train_motiondiffuse() -> Recipe:
     """MotionDiffuse: 87 M parameters, predicts the noise; 50 epochs, each clip 25 times, batch 128, no average."""
     chosen = train_rdm(1)
-    task = replace(chosen.task, predict="eps", optimizer="adamw", batch=128, ema=0.0)
-    return replace(chosen, task=task, engine=replace(chosen.engine, steps=230_000))
+    task = replace(chosen.task, predict="eps", optimizer="adamw", beta2=0.999, batch=128, ema=0.0)
+    return replace(chosen, task=task, engine=replace(chosen.engine, steps=230_000, grad_clip=0.5))
 
 
 def train_dip() -> Recipe:
@@ -194,18 +206,21 @@ EXPORTS: tuple[Export, ...] = (
         runs={
             **{name: name for name in ("vae", "teacher", "length", "lcm-1", "pcm-1", "pcm-2", "pcm-4")},
         },
-        guidance=dict.fromkeys(("teacher", "lcm-1", "pcm-1", "pcm-2", "pcm-4"), 7.5),
+        # w = s - 1 for the scales s that MotionLCM-V2 prints, for the same number of steps; MotionPCM prints none.
+        guidance={"teacher": 6.5, "lcm-1": 7.0, "pcm-1": 7.0, "pcm-2": 11.5, "pcm-4": 12.5},
+        last=True,
     ),
     *(
         StreamExport(
             name=f"rdm-{n}-paper", runs={"rdm": f"rdm-{n}"} | ({"md": f"md-{n}"} if n in (4, 7) else {}),
-            sampler_steps=1000, start=n,
+            sampler_steps=1000, start=n, eta=1.0, variance="beta",
         )
         for n in (4, 7, 14)
     ),
     *(
-        BaselineExport(name=f"{run}-paper", runs={"denoiser": run}, steps=1000)
-        for run in ("rdm-1", "light-rdm-1", "motiondiffuse", "dip")
+        BaselineExport(name=f"{run}-paper", runs={"denoiser": run}, steps=1000, eta=1.0, variance=variance)
+        for run, variance in
+        (("rdm-1", "beta"), ("light-rdm-1", "beta"), ("motiondiffuse", "posterior"), ("dip", "posterior"))
     ),
     EvaluatorExport(name="t2m-paper", runs={"evaluator": "evaluator"}),
 )  # fmt: skip
