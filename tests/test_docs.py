@@ -181,3 +181,15 @@ def test_sections_of_the_front_page_are_in_order():
     assert levels[0] == 1
     assert levels.count(1) == 1
     assert all(after <= before + 1 for before, after in pairwise(levels))
+
+
+def test_the_fidelity_tables_name_what_is_there_and_why_what_is_not():
+    lines = re.findall(r"^\| (?!\*\*)(.+) \|$", text(ROOT / "docs" / "fidelity.md"), re.MULTILINE)
+    rows = [re.split(r"(?<!\\) \| ", line) for line in lines]
+    assert len(rows) > 100
+    for what, where, state in (row for row in rows if row[-1] != "state"):
+        assert re.match(r"faithful(: .+)?$|(option|deviation|missing): .+", state), what
+        for path, names in re.findall(r"`([\w/]+\.py)`((?:,? `[A-Za-z_.]+`)*)", where):
+            place = next(base / path for base in (PACKAGE, ROOT) if (base / path).exists())
+            for name in re.findall(r"`([\w.]+)`", names):
+                assert name.endswith(".py") or re.search(rf"\b{name.split('.')[-1]}\b", text(place)), (what, name)
