@@ -5,6 +5,7 @@ import importlib
 import re
 import shlex
 import tomllib
+from dataclasses import fields, is_dataclass
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
@@ -13,6 +14,9 @@ import pytest
 
 from moveset.cli.__main__ import VERBS, _parse
 from moveset.errors import InputError
+from moveset.pipelines.generator import Sampler
+from moveset.training.engine import EngineConfig
+from moveset.training.tasks import load_exports, load_recipes
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCUMENTS = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), *(ROOT / "integrations").glob("*.md")])
@@ -193,3 +197,14 @@ def test_the_fidelity_tables_name_what_is_there_and_why_what_is_not():
             place = next(base / path for base in (PACKAGE, ROOT) if (base / path).exists())
             for name in re.findall(r"`([\w.]+)`", names):
                 assert name.endswith(".py") or re.search(rf"\b{name.split('.')[-1]}\b", text(place)), (what, name)
+
+
+def test_settings_in_the_fidelity_tables_exist():
+    recipes = load_recipes("paper")
+    known = {Sampler, EngineConfig, *map(type, load_exports("paper")), *(type(one.task) for one in recipes.values())}
+    nested = (value for one in recipes.values() for value in vars(one.task).values())
+    names = {f.name for kind in (*known, *map(type, nested)) if is_dataclass(kind) for f in fields(kind)}
+    quoted = " ".join(QUOTED.findall(text(ROOT / "docs" / "fidelity.md")))
+    said = set(re.findall(r"(?<![\w-])([a-z_.0-9]+)=", quoted))
+    assert len(said) > 20
+    assert {name for name in said if name.split(".")[-1] not in names} == set()
