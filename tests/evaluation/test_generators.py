@@ -196,6 +196,24 @@ def test_streams_of_guidance_and_shapes(streams):
     assert not torch.allclose(triangle[60:], parallelogram[60:], atol=1e-3)
 
 
+def test_segments_begin_with_the_first_ones_noise_if_asked(streams):
+    """Only where they enter at the first step and overlap: later ones always begin with a copy."""
+
+    def made(**how):
+        config = EvaluationConfig(model=str(streams.path), network="rdm", settings=tuple(how.items()), device="cpu")
+        source = open_source(config)
+        return source, source.generate([Wanted(((WALK, 84),), 1)], 20.0)[0]
+
+    (_, own), (source, shared) = made(start=6, lag=1), made(start=6, lag=1, init_noise="shared")
+    assert source.describe()["init_noise"] == "shared"
+    assert source.slug.endswith("init_noise-shared")
+    assert torch.allclose(own[:20], shared[:20], atol=1e-4)
+    assert not torch.allclose(own[30:], shared[30:], atol=1e-3)
+    for other in ({"start": 3}, {"start": 6, "lag": 6}):
+        with pytest.raises(InputError, match="init_noise 'shared' is for start 6"):
+            made(**other, init_noise="shared")
+
+
 def test_prompts_change_at_the_nearest_segment():
     said = timeline(Request((WALK, BOW, WALK), (40, 30, 60), 0), 28, 20.0)
     assert [said.at(k) for k in range(5)] == [WALK, BOW, WALK, WALK, WALK]  # 40 frames are 1.43, 70 are 2.5 segments

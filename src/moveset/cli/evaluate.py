@@ -55,7 +55,7 @@ def evaluate(
         steps: Sampling steps; by default the network's own.
         guidance: How strongly the text is followed (w); by default the model's own choice.
         set: Streams: a setting of how they are sampled, such as eta=1, start=7, lag=1, past_lag=1 or stages=false, as
-            for `moveset stream`, or shape=triangle or variance=beta; may be given several times.
+            for `moveset stream`, or shape=triangle, variance=beta or init_noise=shared; may be given several times.
         split: test, once, at the end; val for every choice; rollout: half a minute of changing prompts, in windows.
         repeats: How often captions, crops, noise and groups are drawn again; intervals are over these.
         seed: The same seed gives the same table.

@@ -57,8 +57,8 @@ class EvaluationConfig:
         model: a short name, a shipped model, a model folder, "real", or "nearest" (``evaluation.nearest``).
         network: of the folder; "pcm" and "lcm" mean the student of ``steps``.
         steps: of the sampler; None for the network's own.
-        settings: guidance, and start, lag, past_lag, eta, variance, shape and stages of a stream, where they are not
-            the folder's own.
+        settings: guidance, and start, lag, past_lag, eta, variance, init_noise, shape and stages of a stream, where
+            they are not the folder's own.
         motions: a folder of joints to judge instead of a model.
         prompts: its prompts, a JSONL file; None looks in the folder.
         motions_fps: frame rate of these.

@@ -16,6 +16,7 @@ from moveset.pipelines.request import Request
 from moveset.pipelines.role import Role, is_student, named
 from moveset.pipelines.stream_generator import StreamGenerator
 from moveset.pipelines.stream_settings import check_stream
+from moveset.rdm.sampler import InitNoise
 from moveset.rdm.staircase import Shape
 
 
@@ -58,6 +59,8 @@ class Sampler:
         guidance: scale w.
         start, lag, past_lag, eta, variance, stages: of streams, as for ``stream_settings.check_stream``.
         shape: of a stream's staircase.
+        init_noise: "shared" begins all segments of a stream with the first one's noise, carried by the flow, where they
+            enter at the first step and overlap (RDM, Algorithm 1, line 2).
     """
 
     steps: int | None = None
@@ -68,6 +71,7 @@ class Sampler:
     eta: float | None = None
     variance: Variance | None = None
     shape: Shape | None = None
+    init_noise: InitNoise | None = None
     stages: bool | None = None
 
     def given(self) -> dict[str, Any]:
@@ -118,15 +122,22 @@ def _stream(
     bundle: ModelFolder[StreamConfig], network: str | None, sampler: Sampler, foot_lock: bool, batch: int, device: str
 ) -> StreamGenerator:
     given = sampler.given()
-    shape = given.pop("shape", "parallelogram")
+    shape, init_noise = given.pop("shape", "parallelogram"), given.pop("init_noise", "independent")
     request = check_stream(bundle.config, network=network, steps=sampler.steps, foot_lock=foot_lock, **given)
     if shape != "parallelogram" and named(request.settings.network).role is not Role.DENOISER:
         raise InputError(
             f"network {request.settings.network!r} makes one segment after the other, so there is no {shape}; "
             "leave shape out or choose --network rdm"
         )
+    plan = request.settings
+    if init_noise != "independent" and not plan.lag < plan.start == plan.steps:
+        raise InputError(f"init_noise {init_noise!r} is for start {plan.steps}, all of the steps, and a smaller lag; "
+                         "leave it out")  # fmt: skip
     extras = [f"{sampler.steps}-steps"] if sampler.steps and not is_student(request.settings.network) else []
     extras += [f"{k}{v:g}" if isinstance(v, int | float) else f"{k}{v}" for k, v in given.items()]
     extras += [] if shape == "parallelogram" else [f"shape{shape}"]
+    extras += [] if init_noise == "independent" else [f"init_noise-{init_noise}"]
     extras += [] if foot_lock else ["raw"]
-    return StreamGenerator(bundle, request.settings, shape=shape, extras=extras, device=device, batch=batch)
+    return StreamGenerator(
+        bundle, request.settings, shape=shape, init_noise=init_noise, extras=extras, device=device, batch=batch
+    )

@@ -29,10 +29,17 @@ class Overlapping:
         model: what makes them.
         streams: B, all at the same segment.
         plan: the staircase; by default the settings' own, without end.
+        init_noise: as in ``rdm.sampler.Settings``; a given motion has none to share.
     """
 
-    def __init__(self, model: StreamModel, streams: Sequence[Stream], plan: Staircase | None = None) -> None:
-        self._model, self._streams = model, streams
+    def __init__(
+        self,
+        model: StreamModel,
+        streams: Sequence[Stream],
+        plan: Staircase | None = None,
+        init_noise: sampler.InitNoise = "independent",
+    ) -> None:
+        self._model, self._streams, self._init_noise = model, streams, init_noise
         self._plan = plan or model.settings.staircase()
         self._begin(None)
 
@@ -43,7 +50,8 @@ class Overlapping:
         self._bound: tuple[int, Denoise] | None = None
         self._calls = 0
         self._sampler = sampler.Stream(
-            self._denoise, model.transport, sampler.Settings(solver=model.solver, staircase=self._plan),
+            self._denoise, model.transport,
+            sampler.Settings(solver=model.solver, staircase=self._plan, init_noise=self._init_noise),
             [stream.seed for stream in self._streams], model.shape, self._enter, state, model.device,
         )  # fmt: skip
 

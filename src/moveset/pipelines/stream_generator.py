@@ -18,6 +18,7 @@ from moveset.pipelines.request import Request
 from moveset.pipelines.stream_batch import Segment, StreamBatch, StreamModel
 from moveset.pipelines.stream_settings import StreamSettings
 from moveset.pipelines.timeline import Timeline, share_evenly
+from moveset.rdm.sampler import InitNoise
 from moveset.rdm.staircase import Shape, Staircase
 from moveset.text.stages import split_stages
 
@@ -29,6 +30,7 @@ class StreamGenerator:
         bundle: the folder.
         settings: network, steps, staircase, guidance and finish, from ``pipelines.stream_settings.check_stream``.
         shape: of the staircase; streams of users have "parallelogram".
+        init_noise: as in ``rdm.sampler.Settings``; theirs is "independent".
         extras: what distinguishes these settings from the folder's own, for the name of files.
         device: where to compute.
         batch: rows evaluated at once, about.
@@ -40,11 +42,12 @@ class StreamGenerator:
         settings: StreamSettings,
         *,
         shape: Shape = "parallelogram",
+        init_noise: InitNoise = "independent",
         extras: Sequence[str] = (),
         device: str = "auto",
         batch: int = 96,
     ) -> None:
-        self._bundle, self._settings, self._shape = bundle, settings, shape
+        self._bundle, self._settings, self._shape, self._init_noise = bundle, settings, shape, init_noise
         self._device, self._batch = pick_device(device), batch
         self.model, self.network, self.steps = bundle.config.name, settings.network, settings.steps
         self.fps, self.segment = bundle.config.fps, bundle.config.segment
@@ -59,6 +62,8 @@ class StreamGenerator:
         if self._bundle.config.travelling != 1.0:
             settings["travelling"] = self._bundle.config.travelling
         settings["symmetric"] = self.network in self._bundle.config.symmetric
+        if self._init_noise != "independent":
+            settings["init_noise"] = self._init_noise
         return {**settings, "shape": self._shape, "batch": self._batch, "device": self._device.type}
 
     def weights(self) -> dict[str, str]:
@@ -99,7 +104,9 @@ class StreamGenerator:
         model, stages = self._model, self._settings.stages
         streams = [model.open(timeline(one, self.segment, self.fps, stages), one.seed) for one in requests]
         step: Callable[[], list[Segment]] = (
-            partial(model.step, streams) if isinstance(model, StreamBatch) else Overlapping(model, streams, plan).step
+            partial(model.step, streams)
+            if isinstance(model, StreamBatch)
+            else Overlapping(model, streams, plan, self._init_noise).step
         )
         pieces = zip(*[step() for _ in range(plan.segments)], strict=True)
         return [concatenate([segment.motion for segment in sequence]) for sequence in pieces]
