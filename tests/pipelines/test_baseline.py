@@ -142,7 +142,7 @@ def test_a_folder_is_opened_by_its_name(folders):
         ("light", {"sampler": Sampler(steps=0)}, "cannot take 0 steps"),
         ("chunks", {"sampler": Sampler(steps=3)}, "'chunks' cannot take 3 steps; its own choice is 4"),
         ("light", {"network": "pcm-1"}, "has no network 'pcm-1'"),
-        ("light", {"sampler": Sampler(start=3)}, "--start is a setting of streams"),
+        ("light", {"sampler": Sampler(start=3)}, "start is a setting of streams"),
         ("light", {"sampler": Sampler(guidance=-1.0)}, "guidance -1 is not in"),
     ],
 )
