@@ -22,6 +22,7 @@ from moveset.evaluation.protocol import Protocol, Session, run_repeat
 from moveset.evaluation.results import Results
 from moveset.evaluation.rollout import run_rollout
 from moveset.evaluation.samples import TestSet, open_test_set
+from moveset.evaluation.suites import NEAREST, REAL
 from moveset.io.process import end_with_parent
 from moveset.pipelines.device import pick_device
 from moveset.pipelines.generator import Sampler, open_generator
@@ -33,8 +34,8 @@ if TYPE_CHECKING:
 
 #: Short names of what ships: model and network.
 SHORT = {
-    "real": ("real", None),
-    "nearest": ("nearest", None),
+    REAL: (REAL, None),
+    NEAREST: (NEAREST, None),
     "vae": (DEFAULT_MODEL, "vae"),
     "teacher": (DEFAULT_MODEL, "teacher"),
     "lcm": (DEFAULT_MODEL, "lcm"),
@@ -43,7 +44,6 @@ SHORT = {
     "md": (DEFAULT_STREAM, "md"),
     "rdm-pcm": (DEFAULT_STREAM, None),
 }
-REAL, NEAREST = "real", "nearest"
 MAX_PROCESSES, MAX_CORES = 8, 256
 
 Progress = Callable[[int, int, str], None]

@@ -18,7 +18,7 @@ from moveset.pipelines.model_folder import shipped
 from moveset.pipelines.role import Role, is_student, named
 
 CLIPS, STREAMS = "motionpcm-small", "rdm-small"
-REAL, RECONSTRUCTION = "real", "vae"
+REAL, NEAREST, RECONSTRUCTION = "real", "nearest", "vae"
 DENOISERS = (Role.DENOISER, Role.AUTOREGRESSIVE, Role.STUDENT)
 # Repeats of rows that cost ten times as much as others: what others are compared with, the rest, and settings alone.
 MORE, FEW, FEWER = 10, 5, 3
@@ -34,8 +34,8 @@ class Row:
         key: its name in files.
         label: its name in the table.
         group: what it stands under.
-        model: name of a model folder, or REAL.
-        network: of that folder; RECONSTRUCTION is its autoencoder alone. None for REAL.
+        model: name of a model folder, or REAL, or NEAREST.
+        network: of that folder; RECONSTRUCTION is its autoencoder alone. None where there is no folder.
         steps: K; None where nothing is sampled.
         settings: of the sampler, where they are not the folder's: start, lag, past_lag, shape, guidance, eta,
             variance, stages.
@@ -111,6 +111,7 @@ def motionpcm() -> Suite:
     student = Row(key="", label="", group="", model=CLIPS, against=held)
     rows = [
         Row(key="real", label="Real", group="Reference", model=REAL),
+        Row(key="nearest", label="Nearest training clip", group="Reference", model=NEAREST),
         Row(key="vae", label="VAE, reconstruction", group="Reference", model=CLIPS, network=RECONSTRUCTION),
         full,
         replace(full, key="mld", label="MLD-style, one latent token, 50 guided steps", model="mld-small",
@@ -157,6 +158,7 @@ def rdm() -> Suite:
 
     rows = [
         Row(key="real", label="Real", group="Reference", model=REAL),
+        Row(key="nearest", label="Nearest training clip", group="Reference", model=NEAREST),
         replace(stream, key="md-7", label="MD-7", group="Autoregressive", network="md", repeats=MORE,
                 against=()),
         replace(stream, key="md-7-alone", label="MD-7, told nothing of the past", group="Autoregressive",
@@ -219,7 +221,7 @@ def find_weights(row: Row, folders: Mapping[str, Path]) -> tuple[Path | None, st
     Raises:
         FormatError: a damaged folder.
     """
-    if row.model == REAL:
+    if row.model in (REAL, NEAREST):
         return None, ""
     folder = folders.get(_stem(row.model)) or shipped().get(row.model)
     if folder is None:
