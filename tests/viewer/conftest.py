@@ -70,6 +70,7 @@ class Page:
         self.page = self.context.new_page()
         # Blurred glass over a moving picture costs a software renderer more than the picture.
         session = self.context.new_cdp_session(self.page)
+        self._state = lambda state: session.send("Page.setWebLifecycleState", {"state": state})
         self._media = lambda scheme: session.send(
             "Emulation.setEmulatedMedia",
             {
@@ -94,6 +95,14 @@ class Page:
     def prefer(self, scheme):
         """The system's colours: light or dark."""
         self._media(scheme)
+
+    def sleep(self):
+        """Draw nothing: in software a figure that stands still takes a whole core from the tests that follow."""
+        self._state("frozen")
+
+    def wake(self):
+        """Go on."""
+        self._state("active")
 
     def open(self):
         """Load the page and wait until its greeting stands on the stage."""
@@ -159,13 +168,17 @@ def opened(browser, server):
     """One page for all tests: in software, compiling the shaders of another one takes seconds."""
     page = Page(browser, server).open()
     page.check()
+    page.sleep()
     yield page
+    page.wake()
     page.context.close()
 
 
 @pytest.fixture
 def studio(opened):
     """The studio in clip mode, with nothing written, no panel open and its take standing still."""
+    opened.wake()
     opened.reset()
     yield opened
     opened.check()
+    opened.sleep()

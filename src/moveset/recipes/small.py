@@ -65,7 +65,7 @@ def rdm(segments: int = 7) -> Recipe:
         return _volume(RDMConfig(velocity=2.0, augmentation=AUGMENTATION))
     return Recipe(
         task=RDMConfig(
-            model=SegmentTransformerConfig(smoothing=0.3),
+            model=SegmentTransformerConfig(smoothing=0.3, timing=True, heading_change=True),
             grid=GridConfig(frames=SEGMENT_FRAMES[segments], clean_share=0.3),
             flow=FlowConfig(blocks=2, hidden=64, text_context=32, index_context=8),
             frozen_flow=0.4,
@@ -75,6 +75,7 @@ def rdm(segments: int = 7) -> Recipe:
             feet=3.0,
             heading=HEADING,
             past_perturbation=BENT,
+            **TOLD,
             cutting=STREAMED,
             augmentation=AUGMENTATION,
         ),
@@ -123,7 +124,11 @@ def rdm_student() -> Recipe:
         batch=64,
         tremor=1.0,
         trajectory_rows=8,
-        rollout_share=0.25,
+        # What keeps streams alive: most rows go on from what the student made, and a strong judge looks at them.
+        rollout_share=0.5,
+        adversarial=0.4,
+        context_noise_rollout=True,
+        **TOLD,
         heading=HEADING,
         past_perturbation=BENT,
         cutting=STREAMED,
@@ -176,6 +181,8 @@ AUGMENTATION = TextAugmentation(embedding_noise=0.05)
 _VAE = TimedVAEConfig(token_dim=64)
 # Streams walk straight and stand still (docs/streaming.md).
 HEADING, BENT = 5.0, 0.1
+# Half of the segments are told where in their sentence they are, and how far it has turned (docs/decisions/streams.md).
+TOLD = {"timing": 0.5, "heading_change": 0.5, "heading_noise": 0.45}
 STREAMED = CuttingConfig()
 
 
