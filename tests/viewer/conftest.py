@@ -70,7 +70,6 @@ class Page:
         self.page = self.context.new_page()
         # Blurred glass over a moving picture costs a software renderer more than the picture.
         session = self.context.new_cdp_session(self.page)
-        self._state = lambda state: session.send("Page.setWebLifecycleState", {"state": state})
         self._media = lambda scheme: session.send(
             "Emulation.setEmulatedMedia",
             {
@@ -97,12 +96,9 @@ class Page:
         self._media(scheme)
 
     def sleep(self):
-        """Draw nothing: in software a figure that stands still takes a whole core from the tests that follow."""
-        self._state("frozen")
-
-    def wake(self):
-        """Go on."""
-        self._state("active")
+        """End what is live and draw next to nothing: in software a figure takes a core from the tests that follow."""
+        self.run("__moveset.live.open && __moveset.live.stop()")
+        self.page.set_viewport_size({"width": 1, "height": 1})
 
     def open(self):
         """Load the page and wait until its greeting stands on the stage."""
@@ -170,14 +166,12 @@ def opened(browser, server):
     page.check()
     page.sleep()
     yield page
-    page.wake()
     page.context.close()
 
 
 @pytest.fixture
 def studio(opened):
     """The studio in clip mode, with nothing written, no panel open and its take standing still."""
-    opened.wake()
     opened.reset()
     yield opened
     opened.check()

@@ -78,6 +78,8 @@ class LatentData:
         self.train = LatentSet.of(dataset, "train", store, vae.module, Path(latents.format("train")), device=there)
         path = Path(latents.format("val"))
         self.val = LatentSet.of(dataset, "val", store, vae.module, path, windows=0, device=there)
+        # As the network meets them: latents are normalised by the statistics of training.
+        self.val.center, self.val.scale = self.train.center, self.train.scale
         captions = [*self.train.all_captions(), *self.val.all_captions()]
         self.text = embedded(sources.cache, text_encoder, captions, self.device)
 
