@@ -80,7 +80,7 @@ SIZES = {
     "small": Size(
         about="the networks of the small recipes at 269 features: segments by width 256 in 4 blocks with a flow of 2 "
         "couplings of 64, DiP at the same width and depth, MotionDiffuse at width 384; 16 text tokens of 384",
-        segment=lambda n: SegmentTransformerConfig(frames=n, smoothing=0.3),
+        segment=lambda n: SegmentTransformerConfig(frames=n, smoothing=0.3, timing=True, heading_change=True),
         volume=SegmentDenoiserConfig(
             features=269,
             text_dim=384,
@@ -104,7 +104,7 @@ SIZES = {
         segment=lambda n: SegmentDenoiserConfig(features=251, frames=n, prev="xattn", max_index=1, read_padding=True),
         volume=SegmentDenoiserConfig(features=251, read_padding=True),
         dip=DipDecoderConfig(features=251),
-        flow=FlowConfig(features=251, text_dim=512),
+        flow=FlowConfig(features=251, text_dim=512, bound="hardtanh"),
         text=(77, 512),
         dip_text=(20, 768),
     ),

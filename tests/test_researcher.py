@@ -28,20 +28,25 @@ def corpus(tmp_path_factory):
     return synthetic_corpus(tmp_path_factory.mktemp("corpus") / "corpus.safetensors", clips=62, held_out=38)
 
 
-@pytest.fixture(
-    scope="module", params=[(HUMANML3D, "humanml3d", ("motiondiffuse", "dip")), (KIT, "kit-ml", ())], ids=["hml", "kit"]
-)
-def trained(request, corpus, tmp_path_factory):
+@pytest.fixture(scope="module")
+def made():
+    """What ``trained`` has made, by layout: its parameters alternate from test to test."""
+    return {}
+
+
+@pytest.fixture(params=[(HUMANML3D, "humanml3d", ("motiondiffuse", "dip")), (KIT, "kit-ml", ())], ids=["hml", "kit"])
+def trained(request, corpus, made, tmp_path_factory):
     """A folder as published ones are, and the models of every stage trained on it."""
     layout, name, more = request.param
-    place = tmp_path_factory.mktemp(name)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.chdir(place)
-        assert main(["data", "export", str(corpus), "data", "--format", name]) == 0
-        stages = (*STAGES, *more, *(f"export {model}" for model in more))
-        given = ["--recipe", "tiny", "--corpus", "data", "--out", ".", "--device", "cpu"]
-        assert main(["train", "all", *given, *(word for stage in stages for word in ("--only", stage))]) == 0
-    return layout, place, [f"{model}-tiny" for model in more]
+    if name not in made:
+        made[name] = tmp_path_factory.mktemp(name)
+        with pytest.MonkeyPatch.context() as patch:
+            patch.chdir(made[name])
+            assert main(["data", "export", str(corpus), "data", "--format", name]) == 0
+            stages = (*STAGES, *more, *(f"export {model}" for model in more))
+            given = ["--recipe", "tiny", "--corpus", "data", "--out", ".", "--device", "cpu"]
+            assert main(["train", "all", *given, *(word for stage in stages for word in ("--only", stage))]) == 0
+    return layout, made[name], [f"{model}-tiny" for model in more]
 
 
 def test_both_papers_tables_come_of_a_folder(trained, monkeypatch, capsys):

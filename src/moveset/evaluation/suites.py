@@ -89,7 +89,7 @@ def get_suite(name: str) -> Suite:
         InputError: no such suite.
 
     >>> [row.label for row in get_suite("motionpcm").rows][:2]
-    ['Real', 'VAE, reconstruction']
+    ['Real', 'Nearest training clip']
     """
     if name not in _SUITES:
         raise InputError(f"{name!r} is no suite; there are {', '.join(_SUITES)}")

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, get_args
 
 from moveset.diffusion.steps import Variance
 from moveset.errors import InputError
@@ -123,6 +123,8 @@ def _stream(
 ) -> StreamGenerator:
     given = sampler.given()
     shape, init_noise = given.pop("shape", "parallelogram"), given.pop("init_noise", "independent")
+    if shape not in get_args(Shape):
+        raise InputError(f"shape {shape!r} is not one of {', '.join(get_args(Shape))}")
     request = check_stream(bundle.config, network=network, steps=sampler.steps, foot_lock=foot_lock, **given)
     if shape != "parallelogram" and named(request.settings.network).role is not Role.DENOISER:
         raise InputError(
