@@ -85,6 +85,7 @@ def test_a_sentence_moves_the_character_as_the_server_says(studio):
 def test_scrubbing_shows_the_moment(studio):
     studio.make("a person walks forward")
     slider = "document.querySelector('.mv-bar input[type=range]')"
+    studio.wait(f"{slider}.max > 1.5")  # the bar is as long as the take from the next picture on
     studio.run(f"(() => {{ {slider}.value = 1.5; {slider}.dispatchEvent(new Event('input')) }})()")
     assert studio.run("__moveset.player.frame") == pytest.approx(30, abs=0.1)
     # Keys work from the page as well, as long as nobody writes.
