@@ -133,8 +133,9 @@ def _stream(
         )
     plan = request.settings
     if init_noise != "independent" and not plan.lag < plan.start == plan.steps:
-        raise InputError(f"init_noise {init_noise!r} is for start {plan.steps}, all of the steps, and a smaller lag; "
-                         "leave it out")  # fmt: skip
+        raise InputError(
+            f"init_noise {init_noise!r} is for start {plan.steps}, all of the steps, and a smaller lag; leave it out"
+        )
     extras = [f"{sampler.steps}-steps"] if sampler.steps and not is_student(request.settings.network) else []
     extras += [f"{k}{v:g}" if isinstance(v, int | float) else f"{k}{v}" for k, v in given.items()]
     extras += [] if shape == "parallelogram" else [f"shape{shape}"]

@@ -124,7 +124,7 @@ def rdm_student() -> Recipe:
         batch=64,
         tremor=1.0,
         trajectory_rows=8,
-        # What keeps streams alive: most rows go on from what the student made, and a strong judge looks at them.
+        # What keeps streams alive: rows that go on from what the student made, and a strong judge that looks at them.
         rollout_share=0.5,
         adversarial=0.4,
         context_noise_rollout=True,
