@@ -242,3 +242,13 @@ def test_rows_that_no_table_could_hold_are_refused_before_they_are_made(table: T
     with pytest.raises(InputError, match="such as Real, have commit c0ffee instead of d0d0"):
         table.check_alike([rows["k20"]], other, True)
     table.check_alike([rows[key] for key in RESULTS], other, True)
+
+
+def test_training_motion_has_sentences_of_its_own_and_stands_beside_others_all_the_same(tmp_path: Path):
+    learned = result_json(REAL, model="training", weights_sha256=None, items=300, distinct_texts=280, labels=80)
+    table = load_table(suite_folder(tmp_path / "a", "motionpcm", {"training": learned, **RESULTS}))
+    assert table.state().items == 320
+    table.check_alike([table.rows[-1]], table.state(), True)
+    foreign = {**learned, "commit": "d0d0"}
+    with pytest.raises(InputError, match="Real, of the training: other commit than Real"):
+        load_table(suite_folder(tmp_path / "b", "motionpcm", {"training": foreign, **RESULTS})).state()

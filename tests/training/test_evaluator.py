@@ -85,6 +85,21 @@ def test_a_public_folder_and_words_of_a_table_are_read_and_exported(tiny_run, tm
         tiny_run.train("evaluator", tmp_path / "wrong", *given, steps=1)
 
 
+def test_what_hides_motion_from_the_judge_hides_it_in_training_only(tiny_run, tmp_path):
+    settings = ("blurred=true", "noise=0.2", "model.hidden_dropout=0.5")
+    tiny_run.train("evaluator", tmp_path / "run", *settings, steps=1)
+    judge = load_trained(tmp_path / "run", "evaluator_ema").module
+    x_BFD, lengths_B = torch.randn(2, 40, judge.config.features), torch.tensor([40, 33])
+
+    def spread() -> float:
+        one, other = (judge.embed_motion(x_BFD, lengths_B) for _ in range(2))
+        return float((one - other).abs().max())
+
+    assert spread() == 0.0
+    judge.train()
+    assert spread() > 0.0
+
+
 def test_contrast_by_hand():
     text, motion = torch.tensor([[0.0], [3.0], [7.0]]), torch.tensor([[1.0], [5.0], [7.0]])
     labels, pairs = ["a", "b", "a"], (1 + 4 + 0) / 3

@@ -71,7 +71,7 @@ def run_suite(
         # Real motion's jerk is measured as far apart as the seams of the suite's streams, to compare them with.
         seams = common.protocol.seams or (get_suite(name).seams if row.model == REAL else 0.0)
         config = replace(
-            common, model=REAL if folder is None else str(folder), network=row.network, steps=row.steps,
+            common, model=row.model if folder is None else str(folder), network=row.network, steps=row.steps,
             settings=tuple(row.settings.items()), protocol=replace(common.protocol, repeats=repeats, seams=seams),
             name=row.key,
         )  # fmt: skip

@@ -22,7 +22,7 @@ from moveset.evaluation.protocol import Protocol, Session, run_repeat
 from moveset.evaluation.results import Results
 from moveset.evaluation.rollout import run_rollout
 from moveset.evaluation.samples import TestSet, open_test_set
-from moveset.evaluation.suites import NEAREST, REAL
+from moveset.evaluation.suites import NEAREST, REAL, TRAINING
 from moveset.io.process import end_with_parent
 from moveset.pipelines.device import pick_device
 from moveset.pipelines.generator import Sampler, open_generator
@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 #: Short names of what ships: model and network.
 SHORT = {
     REAL: (REAL, None),
+    TRAINING: (TRAINING, None),
     NEAREST: (NEAREST, None),
     "vae": (DEFAULT_MODEL, "vae"),
     "teacher": (DEFAULT_MODEL, "teacher"),
@@ -54,7 +55,8 @@ class EvaluationConfig:
     """One model under one protocol.
 
     Args:
-        model: a short name, a shipped model, a model folder, "real", or "nearest" (``evaluation.nearest``).
+        model: a short name, a shipped model, a model folder, "real", "training" (as many items of that split, with
+            sentences of their own), or "nearest" (``evaluation.nearest``).
         network: of the folder; "pcm" and "lcm" mean the student of ``steps``.
         steps: of the sampler; None for the network's own.
         settings: guidance, and start, lag, past_lag, eta, variance, init_noise, shape and stages of a stream, where
@@ -104,7 +106,9 @@ def open_session(config: EvaluationConfig) -> Session:
     generator, items = open_source(config), open_set(config)
     evaluator = Evaluator.open(config.evaluator, pick_device(config.device))
     if isinstance(generator, Given) and generator.items is not None:
-        generator.items = _as_read(generator.items, evaluator.card.max_frames)
+        # FID depends on how many there are.
+        given = generator.items.limited(len(items)) if generator.slug == TRAINING else generator.items
+        generator.items = _as_read(given, evaluator.card.max_frames)
     judged: TestSet = (generator.items if isinstance(generator, Given) else None) or items
     _check_fit(config, generator, judged, items)
     return Session(config.protocol.fitted(judged, generator.random), items, generator, evaluator)
@@ -165,11 +169,14 @@ def open_source(config: EvaluationConfig) -> Source:
 
         given = folder_motions(config.motions, config.prompts, config.motions_fps)
         # A folder that happens to be called so must not be taken for the data's own motion.
-        return Given(f"{REAL}-motions" if given.name == REAL else given.name, given)
+        return Given(f"{given.name}-motions" if given.name in (REAL, TRAINING) else given.name, given)
     model, network = SHORT.get(config.model, (config.model, None))
     network = config.network or network
     if model == REAL:
         return Given(REAL)
+    if model == TRAINING:
+        learned = open_test_set(config.data, "train", composed=config.composed, mirrored=config.mirrored)
+        return Given(TRAINING, learned)
     if model == NEAREST:
         return NearestClip(open_dataset(config.data))
     if network == "vae":

@@ -18,7 +18,7 @@ from moveset.pipelines.model_folder import shipped
 from moveset.pipelines.role import Role, is_student, named
 
 CLIPS, STREAMS = "motionpcm-small", "rdm-small"
-REAL, NEAREST, RECONSTRUCTION = "real", "nearest", "vae"
+REAL, TRAINING, NEAREST, RECONSTRUCTION = "real", "training", "nearest", "vae"
 DENOISERS = (Role.DENOISER, Role.AUTOREGRESSIVE, Role.STUDENT)
 # Repeats of rows that cost ten times as much as others: what others are compared with, the rest, and settings alone.
 MORE, FEW, FEWER = 10, 5, 3
@@ -34,7 +34,7 @@ class Row:
         key: its name in files.
         label: its name in the table.
         group: what it stands under.
-        model: name of a model folder, or REAL, or NEAREST.
+        model: name of a model folder, or REAL, TRAINING or NEAREST.
         network: of that folder; RECONSTRUCTION is its autoencoder alone. None where there is no folder.
         steps: K; None where nothing is sampled.
         settings: of the sampler, where they are not the folder's: start, lag, past_lag, shape, guidance, eta,
@@ -89,11 +89,19 @@ def get_suite(name: str) -> Suite:
         InputError: no such suite.
 
     >>> [row.label for row in get_suite("motionpcm").rows][:2]
-    ['Real', 'Nearest training clip']
+    ['Real', 'Real, of the training']
     """
     if name not in _SUITES:
         raise InputError(f"{name!r} is no suite; there are {', '.join(_SUITES)}")
     return _SUITES[name]()
+
+
+# How well the judge knows by heart what it was trained on, and what copying would give: read other rows beside them.
+_REFERENCES = (
+    Row(key="real", label="Real", group="Reference", model=REAL),
+    Row(key="training", label="Real, of the training", group="Reference", model=TRAINING),
+    Row(key="nearest", label="Nearest training clip", group="Reference", model=NEAREST),
+)
 
 
 def motionpcm() -> Suite:
@@ -110,8 +118,7 @@ def motionpcm() -> Suite:
     )
     student = Row(key="", label="", group="", model=CLIPS, against=held)
     rows = [
-        Row(key="real", label="Real", group="Reference", model=REAL),
-        Row(key="nearest", label="Nearest training clip", group="Reference", model=NEAREST),
+        *_REFERENCES,
         Row(key="vae", label="VAE, reconstruction", group="Reference", model=CLIPS, network=RECONSTRUCTION),
         full,
         replace(full, key="mld", label="MLD-style, one latent token, 50 guided steps", model="mld-small",
@@ -157,8 +164,7 @@ def rdm() -> Suite:
         return replace(staircase, key=key, label=f"RDM-7, {what}", settings=settings)
 
     rows = [
-        Row(key="real", label="Real", group="Reference", model=REAL),
-        Row(key="nearest", label="Nearest training clip", group="Reference", model=NEAREST),
+        *_REFERENCES,
         replace(stream, key="md-7", label="MD-7", group="Autoregressive", network="md", repeats=MORE,
                 against=()),
         replace(stream, key="md-7-alone", label="MD-7, told nothing of the past", group="Autoregressive",
@@ -221,7 +227,7 @@ def find_weights(row: Row, folders: Mapping[str, Path]) -> tuple[Path | None, st
     Raises:
         FormatError: a damaged folder.
     """
-    if row.model in (REAL, NEAREST):
+    if row.model in (REAL, TRAINING, NEAREST):
         return None, ""
     folder = folders.get(_stem(row.model)) or shipped().get(row.model)
     if folder is None:

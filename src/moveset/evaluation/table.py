@@ -12,7 +12,7 @@ from moveset.errors import FormatError, InputError
 from moveset.evaluation.columns import Column, Place, places
 from moveset.evaluation.comparison import Comparison, Values, compare
 from moveset.evaluation.intervals import Interval
-from moveset.evaluation.suites import REAL, RECONSTRUCTION, Row, Suite, get_suite, given_row
+from moveset.evaluation.suites import REAL, RECONSTRUCTION, TRAINING, Row, Suite, get_suite, given_row
 from moveset.io.limits import read_limited
 from moveset.io.manifest import json_object
 
@@ -154,16 +154,23 @@ class Table:
             raise InputError(
                 f"no row of {self.suite.name!r} has been evaluated yet; run `moveset evaluate --suite …` first"
             )
-        first, *others = self.measured.items()
-        for key, row in others:
-            if name := first[1].state.unlike(row.state):
+        first, *_ = sorted(self.measured, key=lambda key: key == TRAINING)
+        state = self.measured[first].state
+        for key in self.measured:
+            if name := state.unlike(self._state_of(key, state)):
                 raise InputError(
-                    f"{self.labels[key]}: other {name} than {self.labels[first[0]]}; evaluate all rows in one way"
+                    f"{self.labels[key]}: other {name} than {self.labels[first]}; evaluate all rows in one way"
                 )
         if {row.feet for row in self.measured.values()} >= {True, False}:
             loose = "; ".join(self.labels[key] for key, row in self.measured.items() if row.feet is False)
             raise InputError(f"{loose}: feet are not held, and those of other rows are; evaluate all rows in one way")
-        return first[1].state
+        return state
+
+    def _state_of(self, key: str, beside: State) -> State:
+        """A row's, to be compared with another's: training motion has sentences of its own."""
+        found = self.measured[key].state
+        own = {"items": beside.items, "texts": beside.texts, "labels": beside.labels} if key == TRAINING else {}
+        return replace(found, **own)  # type: ignore[arg-type]
 
     def check_alike(self, rows: Sequence[Row], now: State, feet: bool) -> None:
         """Refuses rows that could not stand beside those that are there, before hours are spent on them.
@@ -179,7 +186,7 @@ class Table:
         anew = {row.key for row in rows}
         holds = any(row.network not in (None, RECONSTRUCTION) for row in rows)
         for key, there in self.measured.items():
-            other = there.state.unlike(now)
+            other = self._state_of(key, now).unlike(now)
             found = (
                 (other, getattr(there.state, other), getattr(now, other)) if other else ("feet held", there.feet, feet)
             )

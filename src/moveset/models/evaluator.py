@@ -56,6 +56,7 @@ class EvaluatorConfig:
         text_hidden: of each direction of the sentence's network.
         motion_hidden: of each direction of the motion's network.
         joint: width E of the common space.
+        hidden_dropout: of what the two recurrent networks read, and of what they found; 0 as published.
     """
 
     features: int = 263
@@ -67,9 +68,11 @@ class EvaluatorConfig:
     text_hidden: int = 512
     motion_hidden: int = 1024
     joint: int = 512
+    hidden_dropout: float = 0.0
 
     def __post_init__(self) -> None:
         _ = self.movement
+        require_range("hidden dropout", self.hidden_dropout, 0.0, 0.9)
         require_range("word width", self.word_width, 1, 8192)
         require_range("speech classes", self.speech_classes, 0, 1000)
         require_range("text hidden width", self.text_hidden, 1, 4096)
@@ -140,10 +143,12 @@ class SequenceEncoder(nn.Module):
         width: of the sequence's items.
         hidden: of each direction.
         joint: of the result.
+        dropout: of its input, and of the last states.
     """
 
-    def __init__(self, width: int, hidden: int, joint: int) -> None:
+    def __init__(self, width: int, hidden: int, joint: int, dropout: float) -> None:
         super().__init__()
+        self.dropout = dropout
         self.input = nn.Linear(width, hidden)
         self.gru = nn.GRU(hidden, hidden, batch_first=True, bidirectional=True)
         self.hidden = nn.Parameter(torch.randn(2, 1, hidden))
@@ -155,16 +160,20 @@ class SequenceEncoder(nn.Module):
 
     def forward(self, x_BTC: Tensor, lengths_B: Tensor) -> Tensor:
         """(B, E) of sequences (B, T, C) of which the first ``lengths_B`` items count, at least one each."""
-        packed = pack_padded_sequence(self.input(x_BTC), lengths_B.cpu(), batch_first=True, enforce_sorted=False)
+        read = self._dropped(self.input(x_BTC))
+        packed = pack_padded_sequence(read, lengths_B.cpu(), batch_first=True, enforce_sorted=False)
         _, last = self.gru(packed, self.hidden.expand(-1, len(x_BTC), -1).contiguous())
-        return self.output(last.transpose(0, 1).flatten(1))
+        return self.output(self._dropped(last.transpose(0, 1).flatten(1)))
+
+    def _dropped(self, x: Tensor) -> Tensor:
+        return F.dropout(x, self.dropout, self.training)
 
 
 class SentenceEncoder(SequenceEncoder):
     """Word vectors, with their classes of speech where the configuration has any."""
 
     def __init__(self, config: EvaluatorConfig) -> None:
-        super().__init__(config.word_width, config.text_hidden, config.joint)
+        super().__init__(config.word_width, config.text_hidden, config.joint, config.hidden_dropout)
         self.speech = nn.Linear(config.speech_classes, config.word_width) if config.speech_classes else None
 
     def read(self, words_BLW: Tensor, speech_BLP: Tensor | None, lengths_B: Tensor) -> Tensor:
@@ -195,7 +204,7 @@ class MatchingEvaluator(nn.Module):
         self.register_buffer("mean", torch.zeros(config.features))
         self.register_buffer("std", torch.ones(config.features))
         self.movement = MovementEncoder(config.movement)
-        self.motion = SequenceEncoder(config.movement.latent, config.motion_hidden, config.joint)
+        self.motion = SequenceEncoder(config.movement.latent, config.motion_hidden, config.joint, config.hidden_dropout)
         self.text = SentenceEncoder(config)
 
     def embed_motion(self, x_BFD: Tensor, lengths_B: Tensor) -> Tensor:

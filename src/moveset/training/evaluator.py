@@ -73,6 +73,9 @@ class EvaluatorTrainingConfig:
         words: whose token states are a sentence's words: a text encoder; or "glove:PATH", a table of word vectors
             (``data.glove_files``) for captions with parts of speech.
         max_words: of a text encoder's tokens, the first ones.
+        blurred: train behind the movement encoder's own dropout, as it was trained; T2M keeps it out, so that nothing
+            hides what is to be told apart, which of few clips is learned by heart.
+        noise: deviation of what is added to normalised features.
         feat_bias, codec: those of the movement encoder; filled in from it.
     """
 
@@ -85,6 +88,8 @@ class EvaluatorTrainingConfig:
     ema: float = 0.999
     words: str = "minilm"
     max_words: int = 32
+    blurred: bool = False
+    noise: float = 0.0
     feat_bias: float = 5.0
     codec: str = "hml"
     kind: str = field(init=False)
@@ -176,11 +181,10 @@ class EvaluatorTask(SingleNetworkTask):
             self.read = reader(config, self.dataset, (*train, *self.val), sources.cache)
 
     def training_step(self, step: int, loop: Loop) -> dict[str, Tensor]:
-        # T2M keeps the movement encoder in evaluation mode: its dropout would blur what the others are to tell apart.
-        self.evaluator.movement.eval()
+        self.evaluator.movement.train(self.config.blurred)
         generator = torch.Generator().manual_seed(self.seed * 1_000_003 + step)
         crops = [self._undivided(crop) for crop in self.sampler.crops(step)]
-        motion, text, labels = self._embed(self.evaluator, crops, generator, loop)
+        motion, text, labels = self._embed(self.evaluator, crops, generator, loop, self.config.noise)
         loss, right = contrast(text, motion, labels, self.config.margin, self._shift(len(crops), generator))
         norm = loop.minimise(loss, "evaluator")
         self.ema.update(self.evaluator, ema_warmup(step, self.config.ema))
@@ -202,9 +206,17 @@ class EvaluatorTask(SingleNetworkTask):
         return crop if self.dataset.clip(crop.clip).croppable else self.store.whole(crop.clip)
 
     def _embed(
-        self, network: MatchingEvaluator, crops: Sequence[Crop], generator: torch.Generator, loop: Loop
+        self,
+        network: MatchingEvaluator,
+        crops: Sequence[Crop],
+        generator: torch.Generator,
+        loop: Loop,
+        noise: float = 0.0,
     ) -> tuple[Tensor, Tensor, list[Hashable]]:
         features, lengths = (x.to(loop.device) for x in self.store.batch(crops))
+        if noise:
+            added = torch.randn(features.shape, generator=generator).to(loop.device) * noise
+            features = features + added * (features != 0).any(-1, keepdim=True)  # padding stays zero
         pick = torch.rand(len(crops), generator=generator).tolist()
         words, classes, counts = self.read([crop.clip for crop in crops], pick)
         words, classes = words.to(loop.device), None if classes is None else classes.to(loop.device)
