@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from moveset.io.quantization import halved, restored, rounded, subtracted
+from moveset.io.quantization import compacted, halved, restored, rounded, subtracted
 
 
 @pytest.fixture
@@ -36,6 +36,17 @@ def test_each_entry_is_off_by_half_a_step_at_most(state, base):
         assert ((again[key] - state[key]).abs() <= 0.501 * step).all()
         # The bound bites: some entries do lie half-way between two steps.
         assert ((again[key] - state[key]).abs() > 0.4 * step).any()
+
+
+def test_a_difference_from_a_compacted_base_takes_its_rounding_back(state, base):
+    stored = compacted(base)
+    assert stored["matrix:rounded"].dtype == torch.int8
+    assert torch.equal(stored["narrow"], base["narrow"].half())
+    rounding = (restored(stored)["matrix"] - base["matrix"]).abs()
+    assert 0 < float(rounding.max()) <= 0.51 * float(base["matrix"].abs().max()) / 127
+    again = restored(subtracted(state, stored), stored)
+    largest = (state["matrix"] - restored(stored)["matrix"]).abs().amax(1, keepdim=True)
+    assert ((again["matrix"] - state["matrix"]).abs() <= 0.501 * largest / 127).all()
 
 
 def test_what_is_small_or_new_is_whole(state, base):

@@ -18,6 +18,7 @@ from torch import Tensor
 
 DIFFERENCE, ROUNDED, SCALE = ":difference", ":rounded", ":scale"
 LEVELS = 127
+BLOCK = 32  # columns of a matrix without a base that share a unit
 # A tensor whose difference is too large for 8 bits (relative error of the tensor) is stored whole.
 MAX_ERROR = 4e-3
 
@@ -38,21 +39,35 @@ def subtracted(
 
     Args:
         state: a network's weights.
-        base: another network's, as stored by ``halved``.
+        base: another network's, as stored by ``halved`` or ``compacted``.
         max_error: a matrix that its difference would miss by more than this, relative to its norm, is stored whole.
+
+    Raises:
+        ValueError: values that half precision cannot hold.
+    """
+    stored, base = halved(state), restored(base)
+    for name, value in state.items():
+        if name in base and value.shape == base[name].shape and _worthwhile(value):
+            value = value.detach().cpu().float()
+            difference, scale = _quantised(value - base[name])
+            error = torch.linalg.vector_norm(_sum(base[name], difference, scale) - value)
+            if error <= max_error * torch.linalg.vector_norm(value):
+                del stored[name]
+                stored |= {name + DIFFERENCE: difference, name + SCALE: scale}
+    return stored
+
+
+def compacted(state: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    """Matrices in 8 bits, every 32 columns with a unit of their own; the rest as in ``halved``.
 
     Raises:
         ValueError: values that half precision cannot hold.
     """
     stored = halved(state)
     for name, value in state.items():
-        if name in base and value.shape == base[name].shape and _worthwhile(value):
-            value = value.detach().cpu().float()
-            difference, scale = _quantised(value - base[name].float())
-            error = torch.linalg.vector_norm(_sum(base[name], difference, scale) - value)
-            if error <= max_error * torch.linalg.vector_norm(value):
-                del stored[name]
-                stored |= {name + DIFFERENCE: difference, name + SCALE: scale}
+        if value.is_floating_point() and value.ndim == 2 and value.shape[1] % BLOCK == 0:
+            del stored[name]
+            stored |= rounded(name, value, BLOCK)
     return stored
 
 
@@ -71,14 +86,15 @@ def restored(stored: Mapping[str, Tensor], base: Mapping[str, Tensor] | None = N
     """The weights in single precision.
 
     Args:
-        stored: by ``halved`` and ``rounded``, or by ``subtracted`` from ``base``.
-        base: as stored by ``halved``.
+        stored: by ``halved``, ``compacted`` and ``rounded``, or by ``subtracted`` from ``base``.
+        base: as stored by ``halved`` or ``compacted``.
 
     Raises:
         ValueError: differences from tensors that the base does not have, or not of this shape; rounded matrices
             whose units do not fit.
     """
     state: dict[str, Tensor] = {}
+    base = None if base is None else restored(base)
     for name, value in stored.items():
         if name.endswith(DIFFERENCE):
             key = name.removesuffix(DIFFERENCE)
@@ -114,7 +130,7 @@ def _quantised(difference: Tensor, precision: torch.dtype = torch.float32) -> tu
 
 def _sum(base: Tensor, difference: Tensor, scale: Tensor) -> Tensor:
     # A product and a sum, each rounded once: the same bits wherever this is computed.
-    return base.float() + difference.float() * _column(scale, difference)
+    return base + difference.float() * _column(scale, difference)
 
 
 def _column(row_values: Tensor, like: Tensor) -> Tensor:

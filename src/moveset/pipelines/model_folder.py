@@ -1,7 +1,7 @@
 """A model folder: everything one generator needs, as safetensors and JSON, each file guarded by its sha256.
 
 ``config.json``             what the parts are; its ``task`` says what kind of folder it is
-``<network>.safetensors``   weights in half precision, or as differences from another network's (``quantization``)
+``<network>.safetensors``   weights in half precision, in 8 bits, or as differences from another network's
 ``normalizer.safetensors``  statistics of features (and latents)
 ``prompts.json``            captions of the training data, and the words of all its captions
 ``prompts.safetensors``     ``pooled`` (P, C), their pooled text embeddings
@@ -24,7 +24,7 @@ from torch import Tensor, nn
 
 from moveset.errors import FormatError, InputError
 from moveset.io.manifest import VerifiedFolder, json_bytes, json_object, write_whole
-from moveset.io.quantization import halved, restored, subtracted
+from moveset.io.quantization import compacted, halved, restored, subtracted
 from moveset.models.packed import PACKABLE, can_pack, pack
 from moveset.models.symmetric import Symmetric
 from moveset.motion.native import NativeCodec
@@ -209,6 +209,7 @@ def save_model(
     pooled: Tensor,
     bases: Mapping[str, str] | None = None,
     words: Collection[str] = (),
+    compact: Collection[str] = (),
 ) -> Path:
     """Write a model folder; it appears whole or not at all, and replaces an older one of that name.
 
@@ -222,6 +223,7 @@ def save_model(
         bases: by name of a network, the one whose weights it was started from: it is stored as differences from those,
             in half the room.
         words: of all captions of the training; a prompt with others gets a warning.
+        compact: networks whose matrices are stored in 8 bits, in half the room.
 
     Raises:
         ValueError: missing statistics, weights that half precision cannot hold, captions that do not fit their
@@ -237,7 +239,11 @@ def save_model(
     bases = bases or {}
     if wrong := [name for name, base in bases.items() if name not in modules or base not in modules or base in bases]:
         raise ValueError(f"{wrong[0]!r} cannot be stored as differences from {bases[wrong[0]]!r}: that is not whole")
-    whole = {name: halved(module.state_dict()) for name, module in modules.items() if name not in bases}
+    whole = {
+        name: (compacted if name in compact else halved)(module.state_dict())
+        for name, module in modules.items()
+        if name not in bases
+    }
     blobs = {f"{name}.safetensors": save_safetensors(tensors) for name, tensors in whole.items()}
     specs = {}
     for name, module in modules.items():

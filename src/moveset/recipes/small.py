@@ -218,6 +218,7 @@ EXPORTS: tuple[Export, ...] = (
             "pcm-1": "pcm-1", "pcm-2": "pcm-2", "pcm-4": "pcm-4",
         },
         guidance={"teacher": 2.0, "lcm-1": 1.0, "pcm-1": 1.5, "pcm-2": 1.5, "pcm-4": 2.0},
+        compact=("teacher",),
     ),
     StreamExport(
         name="rdm-small",
@@ -231,6 +232,7 @@ EXPORTS: tuple[Export, ...] = (
         past_lag=1,
         travelling=0.25,
         symmetric=("pcm-1",),
+        compact=("md",),
     ),
     *(
         StreamExport(

@@ -178,6 +178,7 @@ EXPORTS: tuple[Export, ...] = (
             "pcm-1": "pcm-1", "pcm-2": "pcm-2", "pcm-4": "pcm-4",
         },
         guidance=dict.fromkeys(("teacher", "lcm-1", "pcm-1", "pcm-2", "pcm-4"), 2.0),
+        compact=("teacher",),
     ),
     StreamExport(
         name="rdm-tiny",

@@ -48,6 +48,7 @@ class Export:
         guidance: default guidance scales by name of the network.
         last: take the students' last weights instead of the averaged ones.
         differences: store students as 8-bit differences from what they were started from.
+        compact: networks whose matrices are stored in 8 bits.
     """
 
     name: str
@@ -55,6 +56,7 @@ class Export:
     guidance: Mapping[str, float] = field(default_factory=dict)
     last: bool = False
     differences: bool = True
+    compact: tuple[str, ...] = ()
 
     @property
     def trainings(self) -> list[str]:
@@ -199,7 +201,7 @@ def _clips(
     config = ClipConfig(**fields, latent=(vae.module.config.tokens, vae.module.config.token_dim), points=points)
     statistics = {**_statistics(store), "latent_mean": latents.center, "latent_std": latents.scale}
     bases = dict.fromkeys(students, "teacher") if what.differences else None
-    return save_model(out, config, modules, statistics, known, pooled, bases, trained_words(dataset))
+    return save_model(out, config, modules, statistics, known, pooled, bases, trained_words(dataset), what.compact)
 
 
 def _stream(
@@ -227,7 +229,9 @@ def _stream(
         **fields, segment=rdm.task["grid"]["frames"], depth_cap=rdm.task["depth_cap"], points=points, **what.sampling()
     )
     bases = dict.fromkeys(students, RDM) if what.differences else None
-    return save_model(out, config, modules, _statistics(store), known, pooled, bases, trained_words(dataset))
+    return save_model(
+        out, config, modules, _statistics(store), known, pooled, bases, trained_words(dataset), what.compact
+    )
 
 
 def _baseline(
