@@ -7,11 +7,13 @@ import numpy as np
 import pytest
 import torch
 
+from moveset.data.corpus import CorpusWriter
 from moveset.data.dataset import CorpusDataset, open_for_training
 from moveset.data.feature_store import FeatureStore
 from moveset.data.humanml3d import KIT
+from moveset.data.records import ClipRecord
 from moveset.data.segments import SEGMENT_FRAMES, ClipSet, CuttingConfig, Row, SegmentSet
-from moveset.data.synthetic import synthetic_corpus
+from moveset.data.synthetic import synthetic_corpus, synthetic_motion
 from moveset.errors import InputError
 from moveset.models.dip_decoder import DipDecoderConfig
 from moveset.motion.features import get_codec
@@ -50,7 +52,7 @@ def kit(tmp_path_factory):
 def numbered(found, lengths):
     """The set with clips whose only feature is 1000 clip + frame instead."""
     found.rows = [
-        Row((1000 * k + np.arange(length, dtype=np.float32))[:, None], (length,), ((f"clip {k}",),), (f"all {k}",))
+        Row(((1000 * k + np.arange(length, dtype=np.float32))[:, None],), (length,), ((f"clip {k}",),), (f"all {k}",))
         for k, length in enumerate(lengths)
     ]
     found.weights = torch.ones(len(lengths), dtype=torch.float64)
@@ -114,7 +116,7 @@ def test_segments_are_those_of_the_store(corpus):
     rows = [row for row, _ in found.draw(16, seed=1, step=5)]
     for k, row in enumerate(rows):
         start = int(batch.index[k]) * N
-        want = torch.from_numpy(np.array(row.features[start : start + N]))
+        want = torch.from_numpy(row.cut(start, start + N))
         assert torch.equal(batch.clean[k, : len(want)], want)
         assert batch.captions[k] in {sentence for said in row.said for sentence in said}
 
@@ -134,7 +136,7 @@ def test_a_part_of_a_clip_is_told_by_its_own_sentence(corpus):
         assert row.said[1] == opened.captions(second.clip, second.mirrored != mirrored)
         seam, end = row.ends
         assert seam == first.stop - first.start - record.recipe.blend // 2
-        assert end == len(row.features)
+        assert end == len(row)
         chance = [0.9, 0.0]
         assert found.say(row, seam - N, N, chance) == row.said[0][0]
         # More of the segment belongs to the second part.
@@ -148,7 +150,7 @@ def test_a_segment_lies_in_the_time_of_its_sentence(corpus):
     found = corpus.cut(replace(PLAIN, whole_caption=0.5))
     frames = np.arange(100, dtype=np.float32)[:, None]
     found.rows = [
-        Row(frames, (50, 100), (("one",), ("two",)), ("both",)),
+        Row((frames,), (50, 100), (("one",), ("two",)), ("both",)),
     ]
     found.weights = torch.ones(1, dtype=torch.float64)
     batch, seen = found.batch(400, seed=0, step=0), set()
@@ -169,7 +171,7 @@ def test_a_segment_knows_how_far_its_way_has_turned_since_its_sentence_began(cor
     seen = 0
     where = defaultdict(list)  # the clips and frames that have these features
     for row in found.rows:
-        for k, frame in enumerate(np.asarray(row.features, np.float32)):
+        for k, frame in enumerate(row.cut(0, len(row))):
             where[frame.tobytes()].append((row, k))
     for clean, (behind, _), turned in zip(batch.clean, batch.place.tolist(), batch.turned.tolist(), strict=True):
         places = where[clean[0].numpy().tobytes()]
@@ -177,7 +179,7 @@ def test_a_segment_knows_how_far_its_way_has_turned_since_its_sentence_began(cor
             assert behind or turned == 0
             continue
         ((row, start),) = places
-        x = torch.from_numpy(np.array(row.features)) * normalizer.std + normalizer.mean
+        x = torch.from_numpy(row.cut(0, len(row))) * normalizer.std + normalizer.mean
         heading = codec.root_path(x)[0]
         assert turned == pytest.approx(float(heading[start] - heading[start - int(behind)]), abs=1e-4)
         seen += 1
@@ -186,7 +188,7 @@ def test_a_segment_knows_how_far_its_way_has_turned_since_its_sentence_began(cor
 
 def test_the_sentence_before_is_that_of_the_segment_before(corpus):
     found = corpus.cut(PLAIN)
-    found.rows = [Row(np.zeros((100, 1), np.float32), (50, 100), (("one",), ("two",)), ("both",))]
+    found.rows = [Row((np.zeros((100, 1), np.float32),), (50, 100), (("one",), ("two",)), ("both",))]
     found.weights = torch.ones(1, dtype=torch.float64)
     said = found.batch(400, seed=0, step=0)
     pairs = set(zip(said.previous_captions, said.captions, strict=True))
@@ -207,7 +209,7 @@ def test_rows_and_chances_are_those_of_the_clips(corpus):
     found = corpus.cut(replace(PLAIN, composed_share=0.3))
     assert isinstance(corpus.source, CorpusDataset)
     clips = corpus.source.split("train")
-    assert [len(row.features) for row in found.rows] == [corpus.store.clips[clip].frames for clip in clips]
+    assert [len(row) for row in found.rows] == [corpus.store.clips[clip].frames for clip in clips]
     composed = torch.tensor([corpus.source.corpus.records[clip // 2].kind != "take" for clip in clips])
     assert float(found.weights.sum()) == pytest.approx(1)
     assert float(found.weights[composed].sum()) == pytest.approx(0.3)
@@ -279,7 +281,7 @@ def test_people_stand_in_a_folder_of_features_too(kit):
 def test_short_clips_have_no_pieces(corpus):
     model = DipDecoderConfig(prefix=20, frames=60)
     found = PieceSet(corpus.source, "train", corpus.store, corpus.codec, PLAIN, model)
-    short = torch.tensor([len(row.features) < 80 for row in found.rows])
+    short = torch.tensor([len(row) < 80 for row in found.rows])
     assert short.any()
     assert not found.weights[short].any()
     assert (found.weights[~short] > 0).all()
@@ -288,3 +290,43 @@ def test_short_clips_have_no_pieces(corpus):
     with pytest.raises(InputError, match="has 1020 frames"):
         PieceSet(corpus.source, "train", corpus.store, corpus.codec, PLAIN, long)
     assert isinstance(found, ClipSet)
+
+
+def test_clips_that_go_on_from_each_other_are_one_take_again(tmp_path):
+    """Of one run four clips in a row are told, the third overlaps the second, another lies within it, and two are
+    apart: cut into segments it is what the whole run is, but for the step on which clips end that share no frame."""
+    writer = CorpusWriter()
+    motion = synthetic_motion("walk", 300, seed=1)
+    run = writer.add_run("take", motion, first_frame=10)
+    spans = {
+        "val": (0, 300),
+        "a": (0, 60),
+        "b": (60, 100),
+        "c": (90, 150),
+        "within": (100, 110),
+        "far": (200, 240),
+        "next": (240, 299),
+    }
+    for name, (start, stop) in spans.items():
+        record = ClipRecord(
+            name=name, take="take", source="synthetic", subject="s", group="take", kind="take", contents=("walk",),
+            style=None, split="val" if name == "val" else "train", fps=20.0, frames=stop - start, captions=(),
+            first_frame=10 + start, run=run,
+        )  # fmt: skip
+        writer.add_clip(record, (f"a person does {name}",))
+    opened = Opened(writer.write(tmp_path / "corpus.safetensors"), "native", tmp_path / "cache")
+    cut = opened.cut(replace(PLAIN, take_share=0.5))
+    plain, taken = cut.rows[:12], cut.rows[12:]
+    assert [row.ends for row in taken] == [(60, 95, 150)] * 2 + [(40, 99)] * 2
+    assert [said[0].split()[-1] for said in taken[0].said] == ["a", "b", "c"]
+    assert float(cut.weights[12:].sum()) == pytest.approx(0.5)
+    assert len(opened.cut(PLAIN).rows) == len(plain)
+    whole = opened.store.of_clip(0)
+    joined = taken[0].cut(0, 150)
+    alike = np.abs(joined - whole[:150]).max(axis=1) < 1e-3
+    assert set(np.flatnonzero(~alike)) <= {59, 149}
+    assert np.array_equal(taken[0].cut(50, 70), joined[50:70])
+    switched = cut.batch(400, 0, 0)
+    pairs = {(a.split()[-1], b.split()[-1]) for a, b in zip(switched.previous_captions, switched.captions, strict=True)}
+    assert {("a", "b"), ("b", "c"), ("far", "next")} <= pairs
+    assert ("c", "far") not in pairs

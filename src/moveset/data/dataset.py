@@ -17,6 +17,7 @@ from torch import Tensor
 
 from moveset.data.corpus import Corpus
 from moveset.data.humanml3d import Caption, HumanML3D, Item
+from moveset.data.records import in_a_row
 from moveset.data.splits import Split
 from moveset.errors import InputError
 from moveset.io.numpy_file import array_shape
@@ -99,6 +100,9 @@ class Dataset(Protocol):
 
     def clip(self, item: int) -> Clip:
         """What is known of a clip."""
+
+    def takes(self, name: Split) -> tuple[tuple[tuple[int, int], ...], ...]:
+        """Told clips of a split that go on from each other in a take: two or more, each with its first frame."""
 
     def weights(self, items: Sequence[int], power: float, composed_share: float) -> Tensor:
         """(len(items),) float64 chances to be drawn, up to a factor; see ``corpus_weights``."""
@@ -186,6 +190,11 @@ class CorpusDataset:
         records = self.corpus.indices(name, None if composed else False, None if untold else True)
         return tuple(2 * record + flip for record in records for flip in range(1 + mirrored))
 
+    def takes(self, name: Split) -> tuple[tuple[tuple[int, int], ...], ...]:
+        rows = in_a_row(self.corpus.records, self.corpus.indices(name, False, True))
+        begins = [record.first_frame for record in self.corpus.records]
+        return tuple(tuple((2 * k + flip, begins[k]) for k in row) for row in rows for flip in range(2))
+
     def clip(self, item: int) -> Clip:
         # Kept, because mirroring sentences takes long.
         if item not in self._clips:
@@ -226,9 +235,8 @@ class CorpusDataset:
 
     def normalizer(self, codec: FeatureCodec, features: Callable[[int], Tensor]) -> Normalizer:
         """From the takes of the training split and their mirror images."""
-        return Normalizer.fit(
-            (features(clip) for clip in self.split("train", composed=False, untold=True)), codec.groups
-        )
+        clips = self.split("train", composed=False, untold=True)
+        return Normalizer.fit((features(clip) for clip in clips), codec.groups)
 
     @property
     def fingerprint(self) -> str:
@@ -280,6 +288,9 @@ class FolderDataset:
     def clip(self, item: int) -> Clip:
         first = max(clips[0] for clips in self._splits.values() if clips and clips[0] <= item)
         return _folder_clip(self.data, self.items[item], item - first)
+
+    def takes(self, name: Split) -> tuple[tuple[tuple[int, int], ...], ...]:
+        return ()  # nothing in a folder says what goes on from what
 
     def weights(self, items: Sequence[int], power: float, composed_share: float) -> Tensor:
         """All alike: nothing is known of their contents."""
@@ -376,13 +387,11 @@ def corpus_weights(corpus: Corpus, records: Sequence[int], power: float, compose
     chosen = [corpus.records[k] for k in records]
     counts = Counter(record.contents[:1] for record in chosen)
     sided = [corpus.captions(k) != corpus.captions(k, mirrored=True) for k in records]
-    weights = torch.tensor(
-        [
-            r.weight * counts[r.contents[:1]] ** -power * (_SIDED if named else 1.0)
-            for r, named in zip(chosen, sided, strict=True)
-        ],
-        dtype=torch.float64,
-    )
+    each = [
+        r.weight * counts[r.contents[:1]] ** -power * (_SIDED if named else 1.0)
+        for r, named in zip(chosen, sided, strict=True)
+    ]
+    weights = torch.tensor(each, dtype=torch.float64)
     composed = torch.tensor([record.kind in ("in_time", "body", "bent") for record in chosen])
     for part, share in ((composed, composed_share), (~composed, 1.0 - composed_share)):
         if part.any():

@@ -1,5 +1,6 @@
 """What a corpus says about each of its clips."""
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
@@ -7,6 +8,7 @@ from moveset.data.augment import MAX_FRAMES
 from moveset.data.splits import Split
 from moveset.errors import FormatError
 
+_LEAST_NEW = 20  # frames: what goes on has more to show than the end of what was shown
 Kind = Literal["take", "in_time", "body", "bent", "paced"]
 
 
@@ -103,6 +105,23 @@ class ClipRecord:
     recipe: Recipe | None = None
     run: int | None = None
     weight: float = 1.0
+
+
+def in_a_row(records: Sequence[ClipRecord], chosen: Iterable[int]) -> list[list[int]]:
+    """Numbers of those records that go on from each other in one run, two or more in a row, each with new frames."""
+    cut = [k for k in chosen if records[k].run is not None]
+    rows: list[list[int]] = []
+    end = 0
+    for k in sorted(cut, key=lambda k: (records[k].run, records[k].first_frame)):
+        begin, stop = records[k].first_frame, records[k].first_frame + records[k].frames
+        if rows and records[rows[-1][0]].run == records[k].run and begin <= end:
+            if stop < end + _LEAST_NEW:
+                continue
+            rows[-1].append(k)
+        else:
+            rows.append([k])
+        end = stop
+    return [row for row in rows if len(row) > 1]
 
 
 def record_to_json(record: ClipRecord, caption_set: int) -> dict[str, Any]:

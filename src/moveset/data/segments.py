@@ -35,6 +35,8 @@ class CuttingConfig:
         first_share: share of first segments, when not aligned; most of them start where their clip does.
         whole_caption: share of segments of clips in two parts that get the sentence for all of it.
         composed_share: share of segments from compositions.
+        take_share: share of segments from takes of which several clips in a row are told, so that one sentence follows
+            another as it did when people moved.
     """
 
     aligned: bool = False
@@ -42,6 +44,7 @@ class CuttingConfig:
     first_share: float = 0.2
     whole_caption: float = 0.2
     composed_share: float = 0.35
+    take_share: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,13 +92,30 @@ class SegmentBatch:
 
 @dataclass(frozen=True, eq=False)
 class Row:
-    """A clip: its normalised features (F, D), the sentences of each part, which ends at a frame, and those of all of
-    it, if any."""
+    """A clip, or several of one take in a row.
 
-    features: np.ndarray
+    Args:
+        pieces: normalised features (F, D), one after the other.
+        ends: the frames at which its parts end.
+        said: the sentences of each part.
+        whole: those of all of it, if any.
+    """
+
+    pieces: tuple[np.ndarray, ...]
     ends: tuple[int, ...]
     said: tuple[tuple[str, ...], ...]
     whole: tuple[str, ...]
+
+    def __len__(self) -> int:
+        return sum(map(len, self.pieces))
+
+    def cut(self, start: int, stop: int) -> np.ndarray:
+        """A copy of frames [start, stop), as far as there are any."""
+        found, at = [], 0
+        for piece in self.pieces:
+            found.append(piece[max(start - at, 0) : max(stop - at, 0)])
+            at += len(piece)
+        return np.concatenate(found)
 
 
 class ClipSet:
@@ -116,6 +136,12 @@ class ClipSet:
         weights = dataset.weights(clips, power=0.25, composed_share=cutting.composed_share)
         self.rows = [_row(dataset, clip, store) for clip in clips]
         self.weights = weights / weights.sum()
+        if cutting.take_share and (takes := dataset.takes(split)):
+            self.rows += [_take(dataset, take, store) for take in takes]
+            chance = dict(zip(clips, weights.tolist(), strict=True))
+            more = torch.tensor([sum(chance[clip] for clip, _ in take) for take in takes], dtype=torch.float64)
+            share = cutting.take_share
+            self.weights = torch.cat((self.weights * (1 - share), more / more.sum() * share))
 
     def all_captions(self) -> list[str]:
         """Every caption in use."""
@@ -143,7 +169,7 @@ class ClipSet:
     def turned(self, clip: Row, start: int, stop: int) -> float:
         """Radians by which the heading changes from one frame to a later one; 0 where that one is none."""
         column, mean, std = self._yaw
-        steps = clip.features[start:stop, column]
+        steps = clip.cut(start, stop)[:, column]
         return float(steps.sum(dtype=np.float64)) * std + len(steps) * mean
 
     def _of_all(self, clip: Row, chance: Sequence[float]) -> bool:
@@ -167,21 +193,21 @@ class SegmentSet(ClipSet):
 
     def batch(self, size: int, seed: int, step: int) -> SegmentBatch:
         """The batch of a step: a pure function of (seed, step)."""
-        n, width = self.frames, self.rows[0].features.shape[1]
+        n, width = self.frames, self.rows[0].pieces[0].shape[1]
         clean, previous, first = torch.zeros(3, size, n, width)
         valid, index = torch.zeros(size, n, dtype=torch.bool), torch.zeros(size, dtype=torch.long)
         place, turned = torch.zeros(size, 2), torch.zeros(size)
         captions, before = [], []
         for k, (clip, chance) in enumerate(self.draw(size, seed, step)):
-            begin, start, stop, number = self._place(len(clip.features), chance)
-            piece = clip.features[start:stop]
-            clean[k, : len(piece)] = torch.from_numpy(np.array(piece))
+            begin, start, stop, number = self._place(len(clip), chance)
+            piece = clip.cut(start, stop)
+            clean[k, : len(piece)] = torch.from_numpy(piece)
             valid[k, : len(piece)] = True
             index[k] = number
-            head = clip.features[begin : begin + n]
-            first[k, : len(head)] = torch.from_numpy(np.array(head))
+            head = clip.cut(begin, begin + n)
+            first[k, : len(head)] = torch.from_numpy(head)
             if number:
-                previous[k] = torch.from_numpy(np.array(clip.features[start - n : start]))
+                previous[k] = torch.from_numpy(clip.cut(start - n, start))
             told, untold = self.span(clip, start, len(piece), chance[3:])
             # A sentence may begin within its first segment.
             place[k] = torch.tensor([max(start - told, 0), untold - start])
@@ -220,6 +246,19 @@ def _part(clip: Row, start: int, frames: int) -> int:
 def _row(dataset: Dataset, item: int, store: FeatureStore) -> Row:
     clip, features = dataset.clip(item), store.of_clip(item)
     if not clip.parts:
-        return Row(features, (len(features),), (clip.captions,), clip.captions)
+        return Row((features,), (len(features),), (clip.captions,), clip.captions)
     stops = (*(part.stop for part in clip.parts[:-1]), len(features))
-    return Row(features, stops, tuple(part.captions for part in clip.parts), clip.captions)
+    return Row((features,), stops, tuple(part.captions for part in clip.parts), clip.captions)
+
+
+def _take(dataset: Dataset, take: Sequence[tuple[int, int]], store: FeatureStore) -> Row:
+    """Clips of one take in a row; of frames that two of them show, each has half."""
+    begins = [first for _, first in take]
+    ends = [first + len(store.of_clip(clip)) for clip, first in take]
+    seams = [begins[0], *((end + begin) // 2 for end, begin in zip(ends, begins[1:], strict=False)), ends[-1]]
+    pieces = tuple(
+        store.of_clip(clip)[seam - first : until - first]
+        for (clip, first), seam, until in zip(take, seams, seams[1:], strict=False)
+    )
+    said = tuple(dataset.clip(clip).captions for clip, _ in take)
+    return Row(pieces, tuple(seam - seams[0] for seam in seams[1:]), said, ())

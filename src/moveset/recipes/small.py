@@ -183,7 +183,7 @@ _VAE = TimedVAEConfig(token_dim=64)
 HEADING, BENT = 5.0, 0.1
 # Half of the segments are told where in their sentence they are, and how far it has turned (docs/decisions/streams.md).
 TOLD = {"timing": 0.5, "heading_change": 0.5, "heading_noise": 0.45}
-STREAMED = CuttingConfig()
+STREAMED = CuttingConfig(take_share=0.3)
 
 
 def _volume(task: RDMConfig) -> Recipe:

@@ -108,7 +108,7 @@ class PieceSet(ClipSet):
         if standing:
             self.idle = idle_pose(dataset, store, codec).expand(self.prefix, -1)
         needed = self.prefix + self.frames
-        self.weights = self.weights * torch.tensor([len(row.features) >= needed for row in self.rows])
+        self.weights = self.weights * torch.tensor([len(row) >= needed for row in self.rows])
         if not self.weights.any():
             raise InputError(f"no clip for {split!r} has {needed} frames; set model.prefix and model.frames to fewer")
 
@@ -117,11 +117,10 @@ class PieceSet(ClipSet):
         pieces, captions = [], []
         for clip, chance in self.draw(size, seed, step):
             stands = chance[1] < self.standing
-            room = len(clip.features) - self.prefix - self.frames
+            room = len(clip) - self.prefix - self.frames
             # First of the n frames.
             start = 0 if stands else self.prefix + int(chance[0] * (room + 1))
-            shown = clip.features[max(start - self.prefix, 0) : start + self.frames]
-            piece = torch.from_numpy(np.array(shown, np.float32))
+            piece = torch.from_numpy(clip.cut(max(start - self.prefix, 0), start + self.frames)).float()
             pieces.append(torch.cat((self.idle, piece)) if stands else piece)
             captions.append(self.say(clip, start, self.frames, chance[3:]))
         prefix, clean = torch.stack(pieces).split((self.prefix, self.frames), dim=1)
