@@ -38,6 +38,8 @@ def place(tmp_path_factory):
         ("physical_reference", ["--corpus", "nowhere"], "no corpus at nowhere"),
         ("physical_reference", ["--corpus", "corpus.safetensors", "--splits", "val"], "has no val takes"),
         ("reconstruction", ["--model", "nobody"], "nobody"),
+        ("familiarity", ["--model", "nobody", "--out", "made.json"], "nobody"),
+        ("copying", ["real", "--data", "corpus.safetensors", "--out", "made.json"], "has no train clips"),
         ("server", ["--streams", "0"], "--streams: 0 is less than 1"),
         ("viewer", ["--sizes", "wide"], "size 'wide' is not WIDTHxHEIGHT"),
         ("viewer", ["--page", "nowhere.html"], "no page nowhere.html"),
