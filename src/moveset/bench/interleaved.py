@@ -28,11 +28,7 @@ def interleave(
     """What every counted call of every case said, in order.
 
     Args:
-        cases: by name.
-        rounds: that count.
-        warmup: rounds before those.
         burst: calls of a case in a round; the first does not count unless it is the only one.
-        seed: of the order.
         tick: called after every case of every round.
     """
     found: dict[str, list[Mapping[str, float]]] = {name: [] for name in cases}
@@ -51,7 +47,6 @@ def summarise(runs: Runs, total: Sequence[str], parts: Sequence[str] = ()) -> di
     """Of every case: medians and minima of its parts and of their total, and the ratio to the first case.
 
     Args:
-        runs: of ``interleave``.
         total: parts that are added up.
         parts: all that are told; by default those of the total.
 

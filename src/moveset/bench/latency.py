@@ -56,10 +56,6 @@ def clip_case(t2m: TextToMotion, method: Method, frames: int, folder: Path, clip
     """One sentence a call, to a file in a folder.
 
     Args:
-        t2m: the model.
-        method: network and steps.
-        frames: of a clip.
-        folder: where the file goes.
         clips: that follow one another, each with a sentence of its own.
     """
 

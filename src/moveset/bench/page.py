@@ -42,10 +42,6 @@ def load_report(path: Path) -> dict[str, Any]:
 def write_page(report: Report, path: Path) -> list[Path]:
     """Writes PATH (JSON), and beside it the Markdown page and, where there is something to draw, the picture.
 
-    Args:
-        report: of ``bench``.
-        path: of the JSON.
-
     Raises:
         InputError: the folder cannot be written to.
     """
@@ -61,7 +57,6 @@ def write_page(report: Report, path: Path) -> list[Path]:
 
 
 def markdown(report: Report, name: str = "benchmarks", pictured: bool = False) -> str:
-    """The page."""
     parts = [INTRODUCTION.format(name=name), machine(report)]
     if pictured:
         parts.append(f"![AITS by part, time by length and by batch]({name}.png)")
@@ -90,7 +85,6 @@ def machine(report: Report) -> str:
 
 
 def clips(report: Report) -> str:
-    """AITS with its parts."""
     model, counts = report["models"]["clips"], report.get("operations", {}).get("clips", {})
     seconds = model["frames"] / model["fps"]
     body = []
@@ -132,7 +126,6 @@ work finished first. R: steps of a segment that follows another; calls are those
 
 
 def lengths(report: Report) -> str:
-    """Time by length."""
     body = [
         [
             label,
@@ -151,7 +144,6 @@ Text to rotations, without a file.
 
 
 def batches(report: Report) -> str:
-    """Time of a clip by batch."""
     sizes = list(next(iter(report["batches"].values())))
     body = [
         [name, *(f"{_ms(row[size], 'clip')}, {row[size]['ratio']:.2f} ×" for size in sizes)]

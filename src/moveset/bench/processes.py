@@ -57,8 +57,6 @@ def processes(
 
     Args:
         commands: arguments of the command line by name; ``OUT/`` at the beginning of one is a folder for files.
-        count: processes of each.
-        tick: called after every process.
     """
     found: dict[str, list[dict[str, float]]] = {name: [] for name in commands}
     with tempfile.TemporaryDirectory() as folder:

@@ -36,20 +36,14 @@ class Plan:
     """What is measured.
 
     Args:
-        clips: a text-to-motion model.
-        streams: a stream model.
-        parts: of ``PARTS``.
         rounds: that count, of clips and streams; lengths and batches, which are longer, have a third of them.
-        warmup: rounds before those.
         burst: calls of a case in a round; the first does not count.
-        teacher_steps: at which the teacher is measured.
         clip_seconds: lengths of single clips, where the model makes such.
         joined: clips of the greatest length that follow one another.
         segments: lengths of streams, in segments.
         batches: clips evaluated at once.
         count: processes of each command.
         endless: segments of the long stream.
-        device: where to compute.
     """
 
     clips: str = "motionpcm-small"
@@ -94,10 +88,6 @@ def shortest(plan: Plan) -> Plan:
 class Bench:
     """One run of a plan.
 
-    Args:
-        plan: what is measured.
-        progress: see ``Progress``.
-
     Raises:
         InputError: no such model, or no such device.
         FormatError: a damaged model folder.
@@ -116,7 +106,6 @@ class Bench:
         self._said = latency.sentences(1_000_000)
 
     def run(self) -> dict[str, Any]:
-        """The report."""
         start, before = time.perf_counter(), load()
         measured = {part: getattr(self, f"_{part}")() for part in PARTS if part in self.plan.parts}
         return {

@@ -152,7 +152,6 @@ def bent(motion: Motion, turn: float, sharp: bool) -> Motion:
     """The same steps on a way that turns by ``turn`` radians to the left in all, as far as feet can follow.
 
     Args:
-        motion: of somebody who goes somewhere.
         turn: radians.
         sharp: in the middle of the way, as around a corner; otherwise all along it.
     """

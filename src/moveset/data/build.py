@@ -49,10 +49,7 @@ class BuildReport:
     """What came of a build.
 
     Args:
-        corpus: path of the corpus.
-        takes: takes found.
         clips: clips stored (what is longer than 196 frames is cut).
-        compositions: composed clips added.
         seconds: duration of the runs, compositions not counted.
         rejected: take name -> why it is not in the corpus.
         trimmed: take name -> what of it was cut out.
@@ -220,7 +217,6 @@ def build_corpus(
     Args:
         raw: folder with the sources' folders, or with their archives.
         output: the corpus file; the report is written to ``<output>.report.json``.
-        workers: processes.
         sources: of ``raw.SOURCES``; those that ``raw`` does not hold are left out.
         compositions: composed training clips to add.
         keep_work: keep the imported takes for the next build.

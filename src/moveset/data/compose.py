@@ -86,8 +86,6 @@ class _Clip:
 
 @dataclass(frozen=True)
 class _Made:
-    """A planned composition."""
-
     kind: Kind
     recipe: Recipe
     frames: int
@@ -121,7 +119,6 @@ class _Pool:
         return None
 
     def motion(self, clip: _Clip) -> Motion:
-        """The motion of a clip."""
         key = (clip.number, clip.mirrored)
         if key not in self._motions:
             motion = self._writer.motion(clip.record)

@@ -173,7 +173,6 @@ class Corpus:
 
 
 def compose(kind: str, recipe: Recipe, parts: Sequence[Motion]) -> Motion:
-    """The composition of its parts that a recipe describes."""
     if kind == "in_time":
         return reduce(lambda first, second: compose_in_time(first, second, recipe.blend), parts)
     if kind == "bent":
@@ -340,7 +339,6 @@ class CorpusWriter:
 
     @property
     def frames(self) -> int:
-        """Frames of all runs."""
         return sum(run.frames for run in self._runs)
 
     def motion(self, record: ClipRecord) -> Motion:

@@ -16,8 +16,6 @@ class CropSampler:
     that a network would otherwise compute are padding.
 
     Args:
-        clips: indices of clips in the store.
-        weights: their sampling weights.
         whole: probability that a clip is taken whole instead of cropped to a random window.
         shortest: the least frames of a window, as a share of the clip and in frames.
     """

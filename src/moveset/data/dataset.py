@@ -43,8 +43,6 @@ class Clip:
     Args:
         name: unique in its dataset.
         frames: of its motion; some codecs make one row of features less. Of a folder, rows of features.
-        fps: frames per second.
-        skeleton: its name.
         captions: sentences for all of it.
         group: what it shows: clips of one group may answer each other's sentences.
         motion: itself; where a set holds features alone, what they decode to.

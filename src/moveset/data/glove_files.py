@@ -67,7 +67,6 @@ def read_glove_text(path: str | Path, keep: set[str] | None = None) -> tuple[tup
     """A GloVe text file: a word and its numbers a line.
 
     Args:
-        path: the file.
         keep: words to keep; None keeps all.
 
     Raises:

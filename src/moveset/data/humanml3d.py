@@ -27,9 +27,6 @@ class Layout:
     Args:
         name: "humanml3d" or "kit".
         codec: what ``motion.features.get_codec`` knows its features by.
-        joints: J.
-        features: D.
-        fps: frames per second.
         shortest: clips with fewer frames are left out.
     """
 
@@ -55,7 +52,6 @@ class Caption:
     """One line of a text file.
 
     Args:
-        text: the sentence.
         tokens: "lemma/PART_OF_SPEECH" tokens.
         start: seconds; start and end both 0 mean the whole clip.
         end: seconds.
@@ -110,7 +106,6 @@ class HumanML3D:
         """Find out what a folder holds.
 
         Args:
-            folder: the data set.
             layout: ``HUMANML3D`` or ``KIT``; None tells them apart by the number of features.
 
         Raises:

@@ -27,7 +27,6 @@ def _stamp(ref: TakeRef) -> str:
 
 
 def _import_to(ref: TakeRef, cache: Path) -> None:
-    """Import one take into its cache file."""
     from safetensors.torch import save
 
     reader = {"cmu": cmu, "bandai": bandai_namco}.get(re.split(r"[\d-]", ref.source)[0], more_mocap)
@@ -44,7 +43,6 @@ def _import_to(ref: TakeRef, cache: Path) -> None:
 
 
 def cache_of(ref: TakeRef, work: Path) -> Path:
-    """Where the imported take is kept."""
     return work / f"{ref.name.replace('/', '__')}.safetensors"
 
 
@@ -107,7 +105,6 @@ def import_all(refs: list[TakeRef], work: Path, workers: int) -> None:
 
 @contextmanager
 def _naming(ref: TakeRef) -> Iterator[None]:
-    """Say which take failed."""
     try:
         yield
     except MovesetError:

@@ -41,7 +41,6 @@ class LatentBatch:
     captions: list[str]
 
     def to(self, device: torch.device | str) -> "LatentBatch":
-        """The same on another device."""
         return LatentBatch(self.z0.to(device), self.frames.to(device), self.captions)
 
 
@@ -111,7 +110,6 @@ class LatentSet:
         return self._captions[int(self.clip[entry])]
 
     def all_captions(self) -> list[str]:
-        """Every caption in use, as written."""
         return sorted({caption for captions in self._captions.values() for caption in captions})
 
     def batch(self, size: int, seed: int, step: int) -> LatentBatch:

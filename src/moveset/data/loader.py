@@ -37,12 +37,7 @@ def in_order(make: Callable[[int], Any], numbers: Iterable[int], workers: int) -
 
 
 class Ahead:
-    """Pure functions of the step, evaluated ahead of time (see ``in_order``).
-
-    Args:
-        workers: processes.
-        last: the last step.
-    """
+    """Pure functions of the step, evaluated ahead of time (see ``in_order``)."""
 
     def __init__(self, workers: int, last: int) -> None:
         self.workers, self.last = workers, last

@@ -55,9 +55,7 @@ class Run:
     """Consecutive frames of a take that a corpus holds; clips are spans of runs, and may share frames.
 
     Args:
-        take: name of the take.
         first_frame: where the run starts in its take, in frames of the corpus.
-        frames: how many there are.
     """
 
     take: str
@@ -72,19 +70,14 @@ class ClipRecord:
     Args:
         name: unique name.
         take: name of the take it was cut from; of the first part's, for a composition.
-        source: the data set.
-        subject: who performed.
         group: takes of one group show the same seconds of one performance, such as the two partners of a dance.
         kind: "take" as captured; composed "in_time" or of two bodies ("body").
         contents: what is shown, one label for each thing that its sentences tell; none where nothing is told. Two for
             compositions (first, second; upper body, legs) that do not show the same thing over and over.
         style: how it is performed, one label; None where unknown or mixed.
         split: "train", "val" or "test".
-        fps: frames per second.
-        frames: length.
         captions: indices into the corpus's strings; none where nothing is told about the clip.
         first_frame: where the clip starts in its take.
-        recipe: for compositions.
         run: number of the run that holds its frames; None for compositions.
         weight: how often to draw it, against others of its contents: less for takes that are long and alike.
     """

@@ -72,11 +72,9 @@ class SegmentBatch:
     previous_captions: list[str]
 
     def rows(self, count: int) -> "SegmentBatch":
-        """The first so many."""
         return SegmentBatch(*(getattr(self, field.name)[:count] for field in fields(self)))
 
     def to(self, device: torch.device | str) -> "SegmentBatch":
-        """The same on another device."""
         return SegmentBatch(
             self.clean.to(device),
             self.valid.to(device),
@@ -144,7 +142,6 @@ class ClipSet:
             self.weights = torch.cat((self.weights * (1 - share), more / more.sum() * share))
 
     def all_captions(self) -> list[str]:
-        """Every caption in use."""
         return sorted({caption for row in self.rows for said in (row.whole, *row.said) for caption in said})
 
     def draw(self, size: int, seed: int, step: int) -> list[tuple[Row, list[float]]]:

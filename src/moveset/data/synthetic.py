@@ -45,7 +45,6 @@ def synthetic_motion(
         kind: one of ``KINDS``.
         frames: 1 or more.
         seed: varies tempo, amplitudes and posture a little; the same seed gives the same motion.
-        fps: frames per second.
         speed: metres per second for kinds that travel; None for a usual one.
 
     Raises:
@@ -105,9 +104,6 @@ def synthetic_corpus(path: str | Path, clips: int = 24, seed: int = 0, held_out:
     """A small corpus of synthetic takes in every split, and a few training compositions.
 
     Args:
-        path: of the file.
-        clips: how many takes.
-        seed: of their lengths and motions.
         held_out: of them for testing and validation, by turns; by default a fifth.
 
     Raises:

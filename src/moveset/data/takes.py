@@ -15,7 +15,6 @@ class TakeRef:
     Args:
         name: unique name of the take, such as "dataset-2_walk_active_001" or "07_03".
         source: "cmu-amc", "cmu-bvh", "cmu-more", "bandai1", "bandai2", or the name of a set of more-mocap.
-        path: the file with the motion.
         subject: who performed, and so who has the same markers, floor and posture.
         group: takes of one group show the same seconds of one performance.
         content: what is done, in the words of the data set; empty where ``sentence`` says it.

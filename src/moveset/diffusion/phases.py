@@ -85,7 +85,6 @@ class PhaseGrid:
         return self.highest_of(self.phase(i))
 
     def highest_of(self, m: Tensor) -> Tensor:
-        """Highest solver point of phase m."""
         return ((m + 1) * self.points).div(self.phases, rounding_mode="floor") - 1
 
     def lower(self, i: Tensor) -> Tensor:
@@ -106,9 +105,7 @@ def down_to_edge(grid: PhaseGrid, step: Callable[[Tensor, Tensor], Tensor], z: T
     """``z`` (B, …) after all solver steps from t_i to the lower edge of its phase.
 
     Args:
-        grid: the points and phases.
         step: from z_t (B, …) at points (B,) to z at the times before them; called for all rows until the last arrives.
-        z: where rows are.
         point_B: the points they are at.
     """
     t_B, edge_B = grid.time(point_B), grid.lower(point_B)

@@ -20,8 +20,6 @@ class Comparison:
     """A row against a reference row.
 
     Args:
-        row, reference: their keys.
-        repeats: how many both have.
         differences: row minus reference by metric, mean and 95 % interval over the repeats that both have.
     """
 

@@ -38,9 +38,7 @@ class EvaluatorCard:
     """What an evaluator's folder says of it.
 
     Args:
-        name: what it is called in tables.
         codec: of the features it judges, "hml" or "kit".
-        fps: frames per second of those.
         max_frames: longer clips are cut.
         words: "glove", for which the folder has a table, or the name of a text encoder.
         provenance: on what and how it was trained; for people.
@@ -58,9 +56,7 @@ class Evaluator:
     """Motions and captions to one space.
 
     Args:
-        card: what it is.
         module: the networks; ``mean`` and ``std`` are of the codec's features.
-        words: how captions are read.
         sha256: of its weights file, None if it was never saved.
 
     Raises:

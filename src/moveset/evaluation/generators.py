@@ -33,7 +33,6 @@ class Wanted:
 
     Args:
         parts: (prompt, frames at the evaluator's rate) in order of time; usually one.
-        seed: of its noise.
         draw: the item it is made for, if any.
     """
 
@@ -43,7 +42,6 @@ class Wanted:
 
     @property
     def frames(self) -> int:
-        """Frames in all."""
         return sum(frames for _, frames in self.parts)
 
     def request(self, fps: float, rate: float) -> Request:
@@ -78,7 +76,6 @@ class Source(Protocol):
         """Joints (F, J, 3) of each, as long as wanted, or shorter where the model has a limit.
 
         Args:
-            fps: frame rate of the joints.
             tick: told after some motions how many more there are.
         """
 
@@ -87,7 +84,6 @@ class Given:
     """Motion that is there already: the items' own ("real"), or a set of motions with prompts of their own.
 
     Args:
-        slug: its name in files and tables.
         items: the set, if it is not the one that others are judged on.
     """
 

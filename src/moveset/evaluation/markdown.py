@@ -20,9 +20,7 @@ def markdown(table: Table, pictures: Sequence[str] = (), level: int = 1) -> str:
     """The whole report of a suite.
 
     Args:
-        table: what there is.
         pictures: names of images, relative to where the text will be.
-        level: of its heading.
 
     Raises:
         InputError: rows that were measured in different ways.
@@ -62,7 +60,6 @@ def about(table: Table) -> str:
 
 
 def grid(table: Table) -> str:
-    """The table of quality."""
     columns = table.columns(QUALITY)
     ranks = {column.name: table.places(column) for column in columns}
     head = ["", "repeats", *(column.head for column in columns)]
@@ -140,7 +137,6 @@ def published(printed: PublishedTable, level: int) -> str:
 
 
 def lined(head: Sequence[str], body: Sequence[Sequence[str]]) -> str:
-    """A Markdown table."""
     rows = [head, ["---"] * len(head), *body]
     return "\n".join(f"| {' | '.join(row)} |" for row in rows)
 

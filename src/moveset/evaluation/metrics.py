@@ -27,7 +27,6 @@ def group(
 
     Args:
         labels: one for each item, e.g. what its motion shows; None where every pairing may be judged.
-        count: number of items M.
 
     Raises:
         InputError: not a single whole group can be made, or there are not ``count`` labels.

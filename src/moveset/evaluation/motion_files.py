@@ -38,7 +38,6 @@ def folder_motions(folder: Path, prompts: Path | None, fps: float) -> TestSet:
     Args:
         folder: of ``.npy`` files (F, J, 3).
         prompts: JSONL file; None for ``prompts.jsonl`` in the folder if it is there, else text files.
-        fps: frame rate of the files.
 
     Raises:
         InputError: no files, a file without a prompt, or joints of another shape.

@@ -55,7 +55,6 @@ class Official:
     """A published evaluator.
 
     Args:
-        layout: of the features that it judges.
         module: the three encoders, with the statistics they normalise features by; the bias is in them.
         sources: the files it was read from, by what they are.
     """
@@ -76,7 +75,6 @@ def import_official(
     """The authors' evaluator as one of ours, to be saved as a folder.
 
     Args:
-        folder: their ``checkpoints``.
         glove: the folder with their ``our_vab`` files, or a text file of GloVe (see ``data.glove_files``).
         dataset, statistics, bias: as for ``read_official``.
 

@@ -53,11 +53,9 @@ class Protocol:
     Args:
         split: "test", "val" or "rollout" (``evaluation.rollout``).
         repeats: how often everything random is drawn again.
-        seed: of all of it.
         multimodality: texts of which ``samples`` motions are made in each repeat; 0 leaves it out.
         samples: motions of each of them.
         pairs: of motions of a text.
-        diversity: pairs of motions for diversity.
         group: items of a group for R-precision.
         seams: seconds between the places where jerk is measured as at seams, for motion without segments; 0 for none.
     """
@@ -104,9 +102,6 @@ class Session:
 
     Args:
         protocol: already ``fitted``.
-        items: the real motion.
-        generator: what is judged.
-        evaluator: the judge.
     """
 
     protocol: Protocol
@@ -142,8 +137,6 @@ def run_repeat(session: Session, number: int, progress: Progress = lambda stage,
     """The measures of one repeat, as JSON has them.
 
     Args:
-        session: what is judged, on what, by whom.
-        number: of the repeat.
         progress: told of progress: a stage, how much of it is done, and how much there is.
 
     Raises:

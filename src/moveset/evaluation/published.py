@@ -62,13 +62,10 @@ class PublishedTable:
     Args:
         suite: the suite of ours that it belongs to.
         number: as the paper counts.
-        dataset: what it was measured on.
-        about: what it shows.
         source: paper, table and section.
         columns: names of the metrics, ours where we have them; ``time_K`` and ``flops_K`` are seconds and 1e12
             operations at K steps.
         spread: what follows the ±.
-        rows: in the paper's order.
         notes: what in it is known to be wrong or in another unit.
     """
 

@@ -34,8 +34,6 @@ class Results:
     """The files of one evaluation.
 
     Args:
-        session: what is judged, on what, by whom.
-        out: the folder.
         name: of the result; None for the generator's and the split.
 
     Raises:
@@ -67,7 +65,6 @@ class Results:
 
     @property
     def done(self) -> list[int]:
-        """Repeats that are there."""
         return [number for number in range(self.repeats) if self._file(number).is_file()]
 
     def missing(self, rank: int = 0, world: int = 1) -> list[int]:

@@ -63,15 +63,11 @@ class EvaluationConfig:
             they are not the folder's own.
         motions: a folder of joints to judge instead of a model.
         prompts: its prompts, a JSONL file; None looks in the folder.
-        motions_fps: frame rate of these.
         data: a corpus, or a HumanML3D or KIT-ML folder.
         evaluator: a shipped one, or a folder.
-        protocol: how.
         composed, mirrored: of a corpus, take compositions and mirror images too.
         items: at most so many items; None for all.
         foot_lock: judge motion with planted feet held, as users get it.
-        batch: what a network evaluates at once.
-        device: where to compute.
         name: of the result; None for that of model, network, settings and split.
     """
 
@@ -200,8 +196,6 @@ def evaluate(
     """Evaluate; the result (None if other processes of torchrun are still at work) and the path of its file.
 
     Args:
-        config: what.
-        out: the folder of results.
         share: rank and number of the processes of torchrun, each of which makes its share of the repeats.
         processes: that share the repeats on this machine otherwise; None for as many as there are cores.
         again: make every repeat anew, although it is there; not with other processes of torchrun.

@@ -36,7 +36,6 @@ class Item:
         rows: rows of features; one frame of joints more.
         captions: sentences that the evaluator reads, one drawn in each repeat.
         label: what is shown; None where unknown. Items of one label are never told apart.
-        codec: name of the features' codec.
         features: (rows, D) its features, not normalised.
         joints: (rows + 1, J, 3) its joints in metres (rows of them where only features are stored).
         motion: itself, if the set holds motions.
@@ -55,7 +54,6 @@ class Item:
 
     @classmethod
     def of(cls, clip: Clip, codec: HmlCodec, cropped: bool) -> "Item":
-        """A clip of a dataset, by features of a codec."""
         return cls(
             name=clip.name,
             rows=clip.frames - (clip.stored is None),
@@ -80,7 +78,6 @@ class Sample:
 
     @property
     def prompt(self) -> str:
-        """The sentence."""
         return text_of(self.caption)
 
     @property
@@ -102,7 +99,6 @@ class TestSet:
     """All items of a split.
 
     Args:
-        items: the items.
         name: of the data, without its place.
         sha256: of the data: the whole file of a corpus; of the split's names, captions and features of a folder.
         codec: of the features, which says skeleton and frame rate too.
@@ -144,7 +140,6 @@ class TestSet:
 
 
 def text_of(caption: Caption | str) -> str:
-    """The sentence."""
     return caption if isinstance(caption, str) else caption.text
 
 

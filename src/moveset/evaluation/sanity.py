@@ -62,7 +62,6 @@ class SanityReport:
     """All checks of one evaluator.
 
     Args:
-        evaluator: its name.
         items, texts, labels: how many items, distinct sentences drawn, and distinct labels (None: items have none).
         groups: whole groups of 32 that R-precision was measured in.
         checks: in the order of measuring.
@@ -77,7 +76,6 @@ class SanityReport:
 
     @property
     def passed(self) -> bool:
-        """Whether every check holds."""
         return all(check.passed for check in self.checks)
 
     def __getitem__(self, name: str) -> Check:

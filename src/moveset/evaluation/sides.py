@@ -30,8 +30,6 @@ _LEAST_TURN = 0.35  # radians that are a turn
 
 @dataclass(frozen=True)
 class Named:
-    """Which side of what a sentence names."""
-
     what: Literal["arm", "leg", "turn"]
     side: Side
 

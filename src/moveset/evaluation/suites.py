@@ -59,7 +59,6 @@ class Row:
         return self.steps is not None
 
     def times(self, asked: int) -> int:
-        """Repeats of this row when so many were asked for."""
         return min(asked, self.repeats or asked)
 
 
@@ -69,8 +68,6 @@ class Suite:
 
     Args:
         name: of the published tables too.
-        title: of the report.
-        rows: in order.
         references: keys of the rows that folders given besides are compared with.
         seams: seconds between the places where real motion's jerk is measured as at seams; 0 for none.
     """

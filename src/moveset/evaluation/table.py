@@ -24,10 +24,8 @@ class State:
     """How rows were measured: what all of a table have in common.
 
     Args:
-        commit: of the code.
         evaluator, data: name and sha256.
         items, texts, labels: how many test items, distinct texts and distinct label combinations; None if unlabelled.
-        split: of the data.
         group: items among which R-precision looks.
         seed: what all repeats were drawn from.
     """
@@ -52,9 +50,7 @@ class Measured:
     """What a report needs of a result.
 
     Args:
-        state: how it was measured.
         date: when, as YYYY-MM-DD.
-        metrics: by name.
         values: every repeat's value by metric.
         weights: sha256 of all files that take part, "" where there are none.
         feet: whether planted feet were held; None where nothing could be held.
@@ -69,7 +65,6 @@ class Measured:
 
     @property
     def repeats(self) -> int:
-        """How many repeats there were."""
         return len(next(iter(self.values.values())))
 
     @classmethod
@@ -112,7 +107,6 @@ class Table:
     """A suite with its numbers: what every form of the report is made from.
 
     Args:
-        suite: the suite.
         rows: its rows, and those of models besides, in order.
         measured: what was measured, by a row's key.
     """
@@ -123,7 +117,6 @@ class Table:
 
     @property
     def labels(self) -> dict[str, str]:
-        """Labels of all rows, by key."""
         return {row.key: row.label for row in self.rows}
 
     def value(self, key: str, metric: str) -> Interval | None:
@@ -177,7 +170,6 @@ class Table:
 
         Args:
             rows: that are to be evaluated; their older results go.
-            now: how.
             feet: whether planted feet will be held.
 
         Raises:

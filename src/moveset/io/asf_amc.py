@@ -63,7 +63,6 @@ class AmcTake:
     """Motion of an ASF skeleton.
 
     Args:
-        skeleton: the skeleton it belongs to.
         rotations: (F, J, 4) float64 xyzw, rotation of each bone in its parent, away from the zero pose.
         root: (F, 3) float64 position of the root, metres.
     """

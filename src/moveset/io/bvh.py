@@ -64,7 +64,6 @@ def local_frames(bvh: BvhFile, *, root: str | None = None) -> LocalFrames:
     others move both: such roots are composed into their child and dropped, which changes no joint below.
 
     Args:
-        bvh: the file.
         root: fold down to this joint; without it, as long as the root's only child moves within it.
 
     Raises:
@@ -121,7 +120,6 @@ def bvh_motion(bvh: BvhFile, *, scale: float = CENTIMETRES) -> Motion:
     """The motion of a BVH file on the file's own skeleton, or on ``HML22`` where that is what it is.
 
     Args:
-        bvh: the file.
         scale: metres per unit of the file: 0.01 for centimetres, which most files use and ``write_bvh`` writes; see
             ``likely_scale``.
 
@@ -163,8 +161,6 @@ def write_bvh(motion: Motion, path: str | Path, *, scale: float = 1.0 / CENTIMET
     can be interpolated and edited as curves.
 
     Args:
-        motion: what to write.
-        path: where to.
         scale: units of the file per metre: 100 for centimetres, which animation software expects.
         order: of the rotations, intrinsic; "ZXY" means R = Rz·Rx·Ry.
 
@@ -213,7 +209,6 @@ class BvhText:
         ).encode()
 
     def rows(self, motion: Motion) -> bytes:
-        """A line for each frame."""
         quats = rotations.normalize(motion.rotations[:, self._joints].double())
         angles = continuous_euler(rotations.to_matrix(quats).numpy(), self._order, self._before)
         self._before = angles[-1].copy()

@@ -154,7 +154,6 @@ def read_bvh(path: str | Path, *, fps: float | None = None) -> BvhFile:
     """Parse a BVH file.
 
     Args:
-        path: the file.
         fps: frames per second, whatever the file says.
 
     Raises:

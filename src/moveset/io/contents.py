@@ -18,12 +18,9 @@ class Contents:
     """A motion file as it is read.
 
     Args:
-        file: its path.
-        format: its extension.
         frames, fps, seconds: of the animation that is read.
         animations: names of all, where the format has several.
         skeleton: what it is called; joints are those that are kept.
-        joints: their names.
         family: whose names these are.
         roles: role -> name of the joint that plays it; empty where no legs are recognised.
         unit: metres per unit of length of the file.
@@ -64,7 +61,6 @@ def inspect(path: str | Path, *, source_fps: float | None = None, animation: str
     """Look into a motion file.
 
     Args:
-        path: the file.
         source_fps, animation: as for ``moveset.io.load``.
 
     Raises:

@@ -36,7 +36,6 @@ def read_glb(path: str | Path, *, fps: float | None = None, animation: str | Non
     the joints; in VRM animations those that are named as bones, by these names.
 
     Args:
-        path: the file.
         fps: frames per second at which curves are sampled.
         animation: its name, or number from 1; without it the first that moves.
 
@@ -218,7 +217,6 @@ def _way_to_pelvis(nodes: Nodes, whole: _Rig, parent: dict[int, int]) -> list[in
 
 
 def _tree(glb: Glb, nodes: Nodes, joints: list[int], parent: dict[int, int], root: int) -> _Rig:
-    """The joints below a root."""
     chosen = {root}
     for joint in sorted(joints, key=lambda j: nodes.depth[j]):
         if parent[joint] in chosen:

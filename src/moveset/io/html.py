@@ -38,7 +38,6 @@ class Shown:
     """A motion on a page.
 
     Args:
-        motion: what moves.
         title: what it is called where several are side by side.
         prompts: what was said, and the frame from which on.
     """
@@ -73,7 +72,6 @@ def write_html(
     """Write a page of motions, whole or not at all.
 
     Args:
-        path: where to.
         scenes: what can be chosen on it; for one there is no list.
         title: of the page; else that of the first scene.
         metadata: what to remember with it.

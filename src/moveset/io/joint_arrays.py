@@ -56,7 +56,6 @@ def read_npy(
     """Read joint positions or features, and find rotations for them (``motion.positions``).
 
     Args:
-        path: the file.
         fps: frames per second; without it what ``notes`` say, else the data set's own.
         sample: number of the motion in an array of several, from 1.
         notes: what is known of the array: ``fps``, and ``skeleton``, the name of a built-in one.

@@ -32,7 +32,6 @@ class VerifiedFolder:
     """Files beside a manifest.
 
     Args:
-        path: the folder.
         kind: what it is called where it is none.
         remedy: what to do where it is damaged, the end of a sentence.
 
@@ -51,7 +50,6 @@ class VerifiedFolder:
 
     @cached_property
     def document(self) -> dict[str, Any]:
-        """The manifest as it is stored."""
         where = self.path / MANIFEST
         return json_object(read_limited(where, MAX_JSON), where, self.remedy)
 

@@ -74,7 +74,6 @@ def three_quarter_view(
     inside the picture all the time.
 
     Args:
-        motion: what is looked at.
         width, height: pixels.
         frames: a view of these frames only, for stills: each with its body in the middle.
         below: rows of pixels kept free of the body at the bottom, for a caption.
@@ -115,9 +114,7 @@ class Painter:
     """Draws the frames of one motion as one view shows them.
 
     Args:
-        motion: what to draw.
         view: a camera for all its frames, or for the chosen ones.
-        frames: the chosen ones.
     """
 
     def __init__(self, motion: Motion, view: View, frames: Sequence[int] | None = None) -> None:

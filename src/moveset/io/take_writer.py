@@ -35,8 +35,6 @@ def open_take(
 
     Args:
         path: where to; .bvh, .glb, .npz or .html. A file of this name stays until the take ends and is then replaced.
-        skeleton: of every piece.
-        fps: of every piece.
         metadata: as in ``moveset.io.save``.
 
     Raises:
@@ -78,7 +76,6 @@ class Take:
 
     @property
     def frames(self) -> int:
-        """Frames that are in the file."""
         return self._store.frames
 
     @property

@@ -110,7 +110,6 @@ class Denoiser(nn.Module):
         """The prediction, of x's shape.
 
         Args:
-            x: noisy latents or frames.
             t_B: (B,) their noise levels.
             condition: a ``Condition``, or what ``prepare`` made of one.
             taps: a list that receives every block's output, for the discriminator.
@@ -129,7 +128,6 @@ def guided(
     once.
 
     Args:
-        network: any denoiser.
         condition: B rows.
         w: guidance scale, one or (B,); None leaves guidance out.
         empty: the encoded empty sentence, one row, for networks that do not take the scale.

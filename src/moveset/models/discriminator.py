@@ -31,7 +31,6 @@ class DiscriminatorConfig:
             raise InputError(f"discriminator width {self.width} is not a multiple of its {self.groups} groups")
 
     def build(self) -> "DiscriminatorHeads":
-        """Freshly initialised heads."""
         return DiscriminatorHeads(self)
 
 
@@ -79,7 +78,6 @@ class LatentDiscriminator(nn.Module):
     Args:
         backbone: a denoiser whose ``taps`` collect (B, N, C) feature maps. It is put into evaluation mode and its
             parameters are frozen, in place: hand over the teacher, or a copy of it.
-        heads: the trained part.
     """
 
     def __init__(self, backbone: Denoiser, heads: DiscriminatorHeads) -> None:

@@ -140,7 +140,6 @@ class SequenceEncoder(nn.Module):
     """A bidirectional GRU with learned initial states; its two last states become one vector.
 
     Args:
-        width: of the sequence's items.
         hidden: of each direction.
         joint: of the result.
         dropout: of its input, and of the last states.

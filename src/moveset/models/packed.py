@@ -69,7 +69,6 @@ class PackedLinear(nn.Module):
 
     @classmethod
     def of(cls, layer: nn.Linear, post: str = "") -> "PackedLinear":
-        """The same layer, packed."""
         return cls(layer.weight, layer.bias, post)
 
     def forward(self, x: Tensor) -> Tensor:

@@ -318,7 +318,6 @@ def softmax_attention(q_BnHd: Tensor, k_BMHd: Tensor, v_BMHd: Tensor, mask_BM: T
 
 
 def zeroed(layer: nn.Linear) -> nn.Linear:
-    """The layer with weights and bias of zero."""
     nn.init.zeros_(layer.weight)
     nn.init.zeros_(layer.bias)
     return layer

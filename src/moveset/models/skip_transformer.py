@@ -42,7 +42,6 @@ class SkipTransformer(nn.Module):
     """Blocks in which the output of the n-th first one rejoins before the n-th last one; a final LayerNorm.
 
     Args:
-        config: sizes.
         cross: whether every block also attends to a memory (the "decoder" stack).
     """
 

@@ -95,7 +95,6 @@ class TimedVAE(nn.Module):
         """Features (B, frames, D) of latents (B, N, d); rows beyond a clip's length are zero.
 
         Args:
-            z_BND: latents.
             lengths_B: frames of each clip, at most ``frames``.
             frames: rows of the output.
         """

@@ -41,7 +41,6 @@ class TokenDenoiserConfig:
         self.stack()
 
     def stack(self) -> SkipTransformerConfig:
-        """The transformer's part."""
         return SkipTransformerConfig(
             width=self.width,
             layers=self.layers,

@@ -39,7 +39,6 @@ class TokenVAEConfig:
         self.stack()
 
     def stack(self) -> SkipTransformerConfig:
-        """The transformers' part."""
         return SkipTransformerConfig(
             width=self.width,
             layers=self.layers,

@@ -44,8 +44,6 @@ def led(features_FD: Tensor, codec: FeatureCodec, heading: Callable[[Tensor], Te
     """Bent along a path, as far as feet can follow: (F, D).
 
     Args:
-        features_FD: the motion.
-        codec: what its features mean.
         heading: radians by which the path has turned after so many metres, (F + 1,) to (F + 1,).
     """
     gone = steps(features_FD, codec).cumsum(0)

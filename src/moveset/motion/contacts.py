@@ -25,7 +25,6 @@ def foot_contacts(joints: Tensor, fps: float, skeleton: Skeleton) -> Tensor:
 
     Args:
         joints: (F, J, 3) world positions in metres, F >= 2.
-        fps: frames per second.
     """
     feet = joints[:, list(skeleton.feet)]
     speed = (feet[1:] - feet[:-1]).norm(dim=-1) * fps

@@ -28,7 +28,6 @@ def derived_pose(skeleton: Skeleton, roles: Roles, turned: Tensor, placed: Tenso
         skeleton: its offsets are bones in their parents' axes.
         roles: which joint plays which part.
         turned, placed: (F, J, 4), (F, J, 3) world rotations and positions, Y up; F may be 0.
-        fps: frames per second.
     """
     return _Body(skeleton, roles, turned, placed, fps).pose()
 

@@ -50,7 +50,6 @@ class FootLock:
 
     Args:
         skeleton: with feet and known knees (hml22, kit21).
-        fps: frames per second.
     """
 
     def __init__(self, skeleton: Skeleton, fps: float) -> None:

@@ -257,7 +257,6 @@ def _starts(lengths: Sequence[int]) -> list[int]:
 
 
 def _each_frame(of_clips: Tensor, lengths: Sequence[int]) -> Tensor:
-    """A value of each clip, repeated for its frames."""
     return of_clips.repeat_interleave(torch.tensor(lengths), dim=0)
 
 

@@ -17,7 +17,6 @@ class HmlConvention:
     Args:
         name: the codec's name.
         skeleton: the skeleton of motions on the other side of the codec.
-        fps: frames per second of the dataset.
         chains: kinematic chains, each started with the root's rotation (even those that leave from the chest).
         directions: (J, 3) canonical unit direction of the bone that ends in each joint.
         lengths: (J,) bone lengths of the body that every clip is re-posed onto, metres.

@@ -37,7 +37,6 @@ class IncrementalDecoder:
     """Decodes segments one after the other; each goes on from where the one before it ended.
 
     Args:
-        codec: what the features mean.
         blend_seconds: 0 decodes the segments as they are. Above 0 a jump of pose or speed from one segment to the next
             becomes an offset that dies away within this time after the seam (``inertia.decay``), or within the segment
             if that is shorter; a segment that goes on smoothly stays as it is. The path that is carried is not touched.

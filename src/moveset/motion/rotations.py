@@ -23,7 +23,6 @@ def identity(*shape: int) -> Tensor:
 
 
 def normalize(q: Tensor) -> Tensor:
-    """Unit quaternions."""
     return q / q.norm(dim=-1, keepdim=True).clamp_min(1e-12)
 
 

@@ -13,7 +13,6 @@ def gaussian_smooth(x: Tensor, sigma: float, truncate: float = 4.0) -> Tensor:
     The same weights and borders as ``scipy.ndimage.gaussian_filter1d`` with mode "nearest".
 
     Args:
-        x: values, floating point.
         sigma: standard deviation in frames.
         truncate: reach of the filter in standard deviations.
     """

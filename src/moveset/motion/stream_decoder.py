@@ -21,7 +21,6 @@ class StreamDecoder:
     """Decodes segments one after the other; each goes on from where the one before it ended.
 
     Args:
-        codec: what the features mean.
         blend_seconds: within which a jump from one segment to the next dies away (``IncrementalDecoder``).
         foot_lock: hold planted feet in place, and the root over them.
         travelling: share by which the root of whoever goes is held (``hold_root``).
@@ -60,7 +59,6 @@ class StreamDecoder:
         self._feet(self._pieces(features), self.codec.planted(features))
 
     def copy(self) -> "StreamDecoder":
-        """An independent copy."""
         # The decoder of pieces replaces what it remembers; the foot lock writes into it.
         other = copy(self)
         other._pieces = copy(self._pieces)

@@ -23,10 +23,7 @@ def sample_ddim(model: Epsilon, schedule: Schedule, times: Sequence[int], noise_
     """Deterministic sampling of a diffusion model (DDIM, arXiv 2010.02502).
 
     Args:
-        model: see the module.
-        schedule: the noise schedule.
         times: falling evaluation times, usually ``ddim_timesteps(50)``.
-        noise_BND: standard normal noise.
     """
     z_BND = noise_BND
     for k, t in enumerate(times):
@@ -44,9 +41,7 @@ def sample_phased(model: Epsilon, schedule: Schedule, grid: PhaseGrid, noise_BND
 
     Args:
         model: a student of ``grid.phases`` phases.
-        schedule: the noise schedule.
         grid: the grid that the student was trained on.
-        noise_BND: standard normal noise.
     """
     z_BND = noise_BND
     for t, s in grid.jumps:
@@ -64,7 +59,6 @@ def sample_lcm(model: Epsilon, schedule: Schedule, times: Sequence[int], noise: 
 
     Args:
         model: a consistency student.
-        schedule: the noise schedule.
         times: falling evaluation times, usually ``lcm_timesteps(n)``.
         noise: for every time a (B, N, D) tensor: the start, then what is added before each further evaluation.
 

@@ -32,12 +32,9 @@ class Baseline:
     A clip of several parts is told all their prompts at once, a chunk that of the part that it begins in.
 
     Args:
-        bundle: the folder.
         steps: K; None for the folder's own. Chunks take every step of their schedule.
         guidance: w; None for the folder's own, 0 for none.
         foot_lock: judge motion with planted feet held, as streams and clips are.
-        device: where to compute.
-        batch: clips evaluated at once.
 
     Raises:
         InputError: steps or guidance out of range.

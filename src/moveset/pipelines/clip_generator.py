@@ -19,10 +19,6 @@ class ClipGenerator:
     """A text-to-motion model folder by one of its networks.
 
     Args:
-        bundle: the folder.
-        method: network, steps and guidance.
-        device: where to compute.
-        batch: clips evaluated at once.
         foot_lock: motion as users get it, with planted feet held; off: as the decoder gives it.
     """
 

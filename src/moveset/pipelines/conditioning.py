@@ -23,8 +23,6 @@ class SegmentCondition:
     """What is known of one segment before it is made.
 
     Args:
-        prompt: its sentence.
-        text: the same, encoded.
         mirrored: what it says of the mirror image, encoded, where the network is symmetric.
         timing: segments since the sentence began, and until it ends; negative where that is not known.
         behind: segments before it of the same sentence.
@@ -43,10 +41,7 @@ class Conditioning:
     """Binds conditions to one network.
 
     Args:
-        network: the denoiser.
-        texts: encodes prompts.
         frames: n.
-        device: where to compute.
     """
 
     def __init__(self, network: Denoiser, texts: CachedEncoder, *, frames: int, device: torch.device) -> None:
@@ -76,7 +71,6 @@ class Conditioning:
 
         Args:
             conditions: B rows.
-            index_B: numbers of the segments.
             turned_B: heading change, radians, float32, since their sentences began.
             same_past: every call has the same past, so that it and the text are read once.
         """

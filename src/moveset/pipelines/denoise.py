@@ -24,10 +24,7 @@ class Denoise:
     """Latents of prompts by one method; counts the network's evaluations.
 
     Args:
-        bundle: the model.
         encoder: its text encoder, for the empty prompt of guidance.
-        method: network, steps and guidance scale.
-        device: where to compute.
         between: called before every evaluation; what it raises ends the work.
     """
 
@@ -53,7 +50,6 @@ class Denoise:
         """Normalised latents (B, N, d) of standard normal noise, on the device.
 
         Args:
-            noise_BND: on any device.
             text: B prompts.
             frames: length of each clip.
             later: as much noise again for every step after the first; LCM alone needs it.

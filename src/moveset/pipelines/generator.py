@@ -55,8 +55,6 @@ class Sampler:
     """How to sample, where that is not the model's own choice (None).
 
     Args:
-        steps: of the sampler.
-        guidance: scale w.
         start, lag, past_lag, eta, variance, stages: of streams, as for ``stream_settings.check_stream``.
         shape: of a stream's staircase.
         init_noise: "shared" begins all segments of a stream with the first one's noise, carried by the flow, where they
@@ -96,7 +94,6 @@ def open_generator(
         sampler: what differs from the folder's own choice.
         foot_lock: motion as users get it, with planted feet held; off: as the decoder gives it.
         batch: what the network evaluates at once, about.
-        device: where to compute.
 
     Raises:
         InputError: no such model, network, steps or setting.

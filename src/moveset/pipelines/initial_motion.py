@@ -63,9 +63,6 @@ class InitialMotion:
 
         Args:
             left_1nD: the features, normalised, on the device.
-            solver: of the network.
-            plan: of the stream.
-            seed: of its noise.
         """
         waiting = None
         if at := plan.entry(1) if plan.has(1) else 0:

@@ -28,8 +28,6 @@ class ModelSpec:
     """One network: what ``models.registry.build_model`` takes, and what its file is to be read with.
 
     Args:
-        kind: name of the architecture.
-        config: its sizes.
         base: the network whose weights the file tells the differences from; None if it holds the weights themselves.
         base_sha256: of that network's file.
     """
@@ -45,9 +43,7 @@ class FolderConfig:
     """What every kind of model folder says of itself.
 
     Args:
-        name: what the model is called.
         codec: feature codec of its motions, a name for ``motion.features.get_codec``.
-        fps: frames per second of its motions.
         text_encoder: a name for ``text.encoder.get_text_encoder``.
         guidance: default guidance scale w by name of the network, for those that take one.
         far_prompt: a prompt whose best cosine to the training captions is lower gets a warning.
@@ -83,7 +79,6 @@ class FolderConfig:
         return self.statistics
 
     def feature_codec(self) -> FeatureCodec:
-        """The codec of its motions."""
         return get_codec(self.codec)
 
     def check(self) -> None:
@@ -149,8 +144,6 @@ class ClipConfig(FolderConfig):
     Networks: ``vae``, ``length``, ``teacher``, ``lcm-1``, ``pcm-1`` …
 
     Args:
-        min_frames: shortest clip.
-        max_frames: longest clip.
         latent: (N, d), tokens of the latent and numbers in each.
         points: solver points of the distillation grid (N in MotionPCM, section 3).
     """
@@ -332,7 +325,6 @@ class BaselineConfig(FolderConfig):
         self.check_sampling(self.eta, self.variance, limits)
 
     def noise_schedule(self) -> Schedule:
-        """The schedule by its name and length."""
         return SCHEDULES[self.schedule](self.timesteps)
 
 

@@ -49,7 +49,6 @@ class ModelFolder(VerifiedFolder, Generic[Config]):
     """An opened model folder; networks are read when they are first asked for.
 
     Args:
-        path: the folder.
         kind: what it has to be, by the type of its configuration; None for any.
 
     Raises:
@@ -214,7 +213,6 @@ def save_model(
     """Write a model folder; it appears whole or not at all, and replaces an older one of that name.
 
     Args:
-        path: the folder to make.
         config: all but ``models``, which are taken from the networks' own ``.config``.
         modules: networks by name; stored in half precision.
         normalizer: what ``config.needed`` names, means and standard deviations; stored in float32.

@@ -51,10 +51,8 @@ class MotionStream(Iterator[Segment]):
     28
 
     Args:
-        bundle: the model.
         request: what happens, from which seed, by which settings: ``check_stream``.
         seed_motion: a clip that the stream goes on from, of at least one segment; it is retargeted and resampled.
-        device: where to compute.
         encoder: the model's text encoder, if it is there already.
 
     Raises:
@@ -110,9 +108,7 @@ class MotionStream(Iterator[Segment]):
         """A stream of a shipped model by name, or of a model folder.
 
         Args:
-            name_or_path: the model.
             seed_motion: a clip that the stream goes on from.
-            device: where to compute.
             others: ``stream_settings.check_stream``.
 
         Raises:
@@ -281,7 +277,6 @@ class MotionStream(Iterator[Segment]):
         self._maker.go_on(numbers, state)
 
     def _make(self) -> Segment:
-        """The next segment."""
         with self._lock:
             [made] = self._maker.step()
             return made
@@ -303,5 +298,4 @@ def _reopened(
     encoder: TextEncoder,
     state: Snapshot,
 ) -> MotionStream:
-    """The stream of a pickle."""
     return MotionStream(bundle, request, device=device, encoder=encoder).restore(state)

@@ -26,7 +26,6 @@ class Overlapping:
     """Makes segments of streams by one sampler.
 
     Args:
-        model: what makes them.
         streams: B, all at the same segment.
         plan: the staircase; by default the settings' own, without end.
         init_noise: as in ``rdm.sampler.Settings``; a given motion has none to share.
@@ -84,7 +83,6 @@ class Overlapping:
 
     @one_thread()
     def step(self) -> list[Segment]:
-        """The next segment of every stream."""
         start = time.perf_counter()
         with torch.inference_mode():
             clean_BnD = next(self._sampler)

@@ -18,7 +18,6 @@ def assembled(clips: "Sequence[tuple[Motion, Tensor]]", foot_lock: bool) -> "tup
     Args:
         clips: with the feet (F, 4) that each has planted by the model's own account: a foot that slides is not found
             planted by its speed, which is what is to be mended.
-        foot_lock: whether they are held.
     """
     import torch
 

@@ -53,7 +53,6 @@ def check_request(
     """The requests of ``num`` variants; variant k has the seed ``seed + k``.
 
     Args:
-        config: the model's limits.
         prompt: a sentence, or several that follow one another.
         seconds: of each clip: one number for all, one number a prompt, or None for automatic lengths.
         seed: of the first variant.
@@ -92,7 +91,6 @@ def check_method(
     """Which network samples, in how many steps, at what guidance scale.
 
     Args:
-        config: what the model has.
         solver: "pcm" (MotionPCM students), "lcm" (the consistency baseline) or "teacher" (DDIM with guidance).
         steps: by default the fewest there is a student for, or 50 for the teacher.
         guidance: w in eps_c + w (eps_c - eps_0); by default the model's choice for this network.

@@ -42,7 +42,6 @@ class Segment:
         number: from 0.
         first_frame: number of its first frame in the stream.
         frames: n.
-        prompt: what it was told.
         motion: world rotations and path, going on from the segment before; float64, so that long walks stay smooth.
         planted: (n, 4) bool left ankle, left toe, right ankle, right toe: which feet stand by the model's own account.
         latency_ms: what making it took, its whole batch, with the encoding of new prompts since the segment before.
@@ -106,9 +105,7 @@ class StreamModel:
     """One network of a model, ready to make segments.
 
     Args:
-        bundle: the model.
         settings: how segments are made; ``guidance`` is the default of its streams.
-        device: where to compute.
         encoder: the model's text encoder, if it is there already.
         remembered: sentences that are kept encoded.
 
@@ -237,7 +234,6 @@ class StreamBatch(StreamModel):
 
     @one_thread()
     def step(self, streams: Sequence[Stream]) -> list[Segment]:
-        """The next segment of every stream."""
         for stream in streams:
             start = time.perf_counter()
             number = stream.number - stream.given
@@ -271,12 +267,7 @@ class StreamBatch(StreamModel):
 
 
 class OneByOne:
-    """A batch of one stream, and what it remembers.
-
-    Args:
-        batch: what makes it.
-        stream: at its beginning.
-    """
+    """A batch of one stream, and what it remembers."""
 
     def __init__(self, batch: StreamBatch, stream: Stream) -> None:
         self._batch, self._stream = batch, stream
@@ -287,7 +278,6 @@ class OneByOne:
         return self._stream.number
 
     def step(self) -> list[Segment]:
-        """The next segment."""
         return self._batch.step([self._stream])
 
     def state(self) -> tuple[dict[str, Any], StreamState]:

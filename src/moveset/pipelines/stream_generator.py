@@ -27,12 +27,10 @@ class StreamGenerator:
     """A stream's model folder by one of its networks, sampled in batches.
 
     Args:
-        bundle: the folder.
         settings: network, steps, staircase, guidance and finish, from ``pipelines.stream_settings.check_stream``.
         shape: of the staircase; streams of users have "parallelogram".
         init_noise: as in ``rdm.sampler.Settings``; theirs is "independent".
         extras: what distinguishes these settings from the folder's own, for the name of files.
-        device: where to compute.
         batch: rows evaluated at once, about.
     """
 

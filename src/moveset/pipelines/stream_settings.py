@@ -141,13 +141,11 @@ def check_stream(
     """A request of a stream.
 
     Args:
-        config: the model's limits and defaults.
         prompt: a sentence, or several that follow one another; None is the model's idle prompt.
         seconds: of each prompt: one number for all or one a prompt. Prompts change between two segments, so durations
             are rounded to whole segments, together rather than each, and every prompt gets at least one. The stages of
             a prompt share its segments evenly, and get at least one each.
         loop: begin again after the last prompt, which is held otherwise.
-        seed: the same seed gives the same motion.
         network: a denoiser of the folder; by default the model's choice.
         steps: K, for networks that are no students; without ``network`` it may also name a student by its steps.
         start: R, for networks that see a noisy predecessor.
@@ -158,7 +156,6 @@ def check_stream(
         variance: of the noise that is put back, "posterior" or "beta" (the larger one), where ``eta`` is above 0.
         guidance: w; by default the model's choice for this network.
         buffer: segments made ahead of the reader, in a thread of their own; 0 makes them when they are asked for.
-        foot_lock: hold planted feet in place.
         blend_seconds: seam smoothing.
         stages: "walks, then waves" is two things to do, one after the other; False says all of it to every segment.
 

@@ -24,7 +24,6 @@ class Snapshot:
 
     Args:
         numbers: everything but the tensors, for JSON, which keeps every bit of them.
-        tensors: by name.
     """
 
     numbers: dict[str, Any]

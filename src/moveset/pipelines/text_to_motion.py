@@ -38,10 +38,7 @@ class Generation:
         motions: one a variant.
         raw: the same before foot locking.
         prompts: in order of time.
-        model: name of the model.
         seed: of the first variant; variant k has ``seed + k``.
-        steps: sampling steps.
-        guidance: guidance scale w.
         seconds: duration of the first motion.
         network_evaluations: of the denoiser, for one variant; guidance by two evaluations counts both.
         timings_ms: "text", "sample", "decode" and "finish" (joining and foot locking), for all variants together.

@@ -17,7 +17,6 @@ def unfamiliar(bundle: ModelFolder[Any], prompts: tuple[str, ...], pooled: Tenso
     person is exercising" for riding a bicycle); then words that were in no caption tell.
 
     Args:
-        bundle: the model, with its captions.
         prompts: S sentences.
         pooled: (S, C) their pooled embeddings.
     """

@@ -170,7 +170,6 @@ def rollout_chunks(
     All steps of the schedule are taken as DDPM takes them; the last chunk is cut.
 
     Args:
-        denoiser: see the module.
         schedule: ``cosine(10)`` for DiP.
         prefix_BPD: normalised frames that come before: those of a motion, or ``idle_prefix``.
         frames: F.

@@ -32,7 +32,6 @@ class Catalog:
     Args:
         models: names of shipped models, or folders; by default everything that is shipped. A folder's model is known
             by its own name. The first one of a kind is its default, unless there is moveset's own.
-        device: where to compute.
 
     Raises:
         InputError: no such model or device, or two models of one name.
@@ -62,7 +61,6 @@ class Catalog:
         return {"clip": _first(self.clips, DEFAULT_MODEL), "stream": _first(self.streams, DEFAULT_STREAM)}
 
     def describe(self) -> list[dict[str, Any]]:
-        """What each model is and can."""
         return [*map(_clip_row, self.clips.values()), *map(_stream_row, self.streams.values())]
 
     def clip(self, name: str | None) -> TextToMotion:

@@ -21,11 +21,9 @@ class RequestError(Exception):
         self.message = sayable(message)
 
     def body(self) -> dict[str, Any]:
-        """The JSON answer."""
         return {"error": {"code": self.code, "message": self.message}}
 
     def headers(self) -> dict[str, str]:
-        """With the JSON answer."""
         return {} if self.retry_after is None else {"Retry-After": str(self.retry_after)}
 
 

@@ -37,7 +37,6 @@ _TYPES = {
 
 
 def formats() -> tuple[str, ...]:
-    """Formats of files that can be asked for."""
     return tuple(name for name in _TYPES if f".{name.rpartition('.')[2]}" in WRITABLE)
 
 

@@ -44,11 +44,8 @@ class Guard:
     - HEAD is GET without the body, everywhere.
 
     Args:
-        app: what is guarded.
-        limits: sizes.
         hosts: names without port; None allows any.
         origins: other sites that may.
-        metrics: what is counted.
     """
 
     def __init__(

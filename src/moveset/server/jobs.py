@@ -22,8 +22,6 @@ class Answer:
     """The bytes of an answer.
 
     Args:
-        content: bytes.
-        media_type: of them.
         filename: to save them as; None for JSON.
         headers: what a file has no place for.
     """
@@ -68,7 +66,6 @@ class Job:
     done: asyncio.Event = field(default_factory=asyncio.Event)
 
     def end(self, state: State, answer: Answer | None = None, error: RequestError | None = None) -> None:
-        """It is over."""
         self.state, self.answer, self.error, self.finished = state, answer, error, time.monotonic()
         self.made.clear()
         self.progress = 1.0 if state == "done" else self.progress
@@ -88,7 +85,6 @@ class JobBook:
         self._jobs: OrderedDict[str, Job] = OrderedDict()
 
     def add(self, job: Job) -> None:
-        """Remember a job."""
         self._jobs[job.id] = job
         self.forget()
 
@@ -106,11 +102,9 @@ class JobBook:
         return self._jobs[number]
 
     def unfinished(self) -> list[Job]:
-        """Those that are not over."""
         return [job for job in self._jobs.values() if job.finished is None]
 
     def describe(self, job: Job) -> dict[str, Any]:
-        """Where a job stands."""
         return {
             "id": job.id,
             "state": job.state,

@@ -9,8 +9,6 @@ class Limits:
 
     Args:
         prompt: characters of a prompt.
-        prompts: prompts of a clip.
-        variants: variants of a clip.
         seconds: of a clip, all its prompts together where they are given.
         streams: streams at a time.
         connections: WebSockets at a time.

@@ -32,7 +32,6 @@ class Metrics:
         )
 
     def segment(self, made: Segment, queue_ms: float) -> None:
-        """A segment was made."""
         self.segments.inc()
         self.frames.inc(made.frames)
         self.evaluations.inc(made.network_evaluations)
@@ -40,7 +39,6 @@ class Metrics:
         self.queue.observe(max(queue_ms, 0.0) / 1e3)
 
     def clip(self, made: Generation) -> None:
-        """A clip was made."""
         self.clips.inc()
         self.frames.inc(len(made.motion))
         self.evaluations.inc(made.network_evaluations)

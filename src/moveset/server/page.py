@@ -68,7 +68,6 @@ async def icon(request: Request) -> Response:
 
 
 def add_page(app: FastAPI, the: Service) -> None:
-    """Add all this to an application."""
     app.include_router(router)
     assets = (the.options.page or STUDIO) / "assets"
     if assets.is_dir():

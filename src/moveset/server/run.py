@@ -30,7 +30,6 @@ class Server(uvicorn.Server):
         self._the, self._opened = the, opened
 
     async def startup(self, sockets: Any = None) -> None:
-        """Listen, and say so."""
         await super().startup(sockets)
         if self.started and self._opened is not None:
             self._opened()
@@ -63,7 +62,6 @@ def listen(host: str, port: int) -> socket.socket:
     """A socket that listens.
 
     Args:
-        host: name or address.
         port: 0 takes any that is free.
 
     Raises:
@@ -85,9 +83,7 @@ def make_server(app: FastAPI, *, opened: Callable[[], None] | None = None, log_l
     """A server; ``run([listen(…)])`` serves until it is told to stop.
 
     Args:
-        app: of ``create_app``.
         opened: called when it accepts connections.
-        log_level: of uvicorn.
     """
     the: Service = app.state.service
     limits = the.limits

@@ -32,8 +32,6 @@ class Options:
 
     Args:
         models: names of shipped models, or folders; by default everything that is shipped.
-        device: where to compute.
-        limits: what clients may ask for.
         origins: other sites whose pages may use this server, such as "https://example.org".
         hosts: names under which the server may be addressed; None allows any.
         page: folder of the page's files; None is the one that is shipped.
@@ -49,9 +47,6 @@ class Options:
 
 class Service:
     """One server's state; made and used on its event loop.
-
-    Args:
-        options: how it is set up.
 
     Raises:
         InputError: no such model or device.
@@ -179,7 +174,6 @@ class Service:
         return await self._write(partial(self._exported, data, format, finish, title))
 
     def next_stream(self) -> int:
-        """A number for a stream."""
         self._streams += 1
         return self._streams
 

@@ -17,8 +17,6 @@ Message = Mapping[str, Any] | bytes
 
 @dataclass(frozen=True)
 class Begin:
-    """A checked wish to begin."""
-
     model: str
     prompt: str | None
     seed: int
@@ -35,7 +33,6 @@ class Session:
         deliver: hands messages to the client's connection; called by the worker, never waits.
         buffer: seconds that may be made ahead of what was acknowledged.
         commit: frames after the acknowledged one that a new prompt leaves alone; None leaves all that was sent alone.
-        begin: what to begin with.
 
     Attributes:
         asked: a prompt that was not taken up yet; a newer one takes its place.
@@ -105,7 +102,6 @@ class Session:
             self.paused, self._paused_at, self.due_since = True, time.monotonic(), None
 
     def resume(self) -> None:
-        """Go on."""
         if self.paused:
             now = time.monotonic()
             self.paused, self._clock, self._heard = False, self._clock + now - self._paused_at, now

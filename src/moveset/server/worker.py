@@ -38,9 +38,6 @@ class Worker:
     """Generates. All methods but ``run`` may be called from any thread and return at once.
 
     Args:
-        catalog: the models.
-        limits: of streams and jobs.
-        metrics: what is counted.
         finished: told of every job whose clips are all made, failed or cancelled, with its error if any; called by the
             worker's thread.
     """
@@ -64,11 +61,9 @@ class Worker:
 
     @property
     def alive(self) -> bool:
-        """Whether its thread runs."""
         return self._thread.is_alive()
 
     def start(self) -> None:
-        """Begin."""
         self._thread.start()
 
     def stop(self) -> list[Job]:
@@ -151,13 +146,11 @@ class Worker:
 
     @property
     def load(self) -> dict[str, int]:
-        """How much there is to do."""
         with self.lock:
             return {"streams": len(self._sessions), "jobs": len(self._jobs)}
 
     @torch.inference_mode()
     def run(self) -> None:
-        """The thread."""
         self._warm_up()
         while True:
             with self.lock:

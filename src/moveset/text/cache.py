@@ -213,7 +213,6 @@ class CachedEncoder:
     Every sentence is encoded alone: the same numbers whatever else is asked for.
 
     Args:
-        encoder: what encodes.
         limit: how many sentences are kept; one takes at most a tenth of a megabyte.
     """
 

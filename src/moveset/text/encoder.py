@@ -35,7 +35,6 @@ class TextEmbedding:
         return TextEmbedding(self.tokens[rows], self.mask[rows], self.pooled[rows])
 
     def to(self, device: torch.device | str) -> "TextEmbedding":
-        """The same on another device."""
         return TextEmbedding(self.tokens.to(device), self.mask.to(device), self.pooled.to(device))
 
 

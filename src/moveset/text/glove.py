@@ -40,9 +40,7 @@ class Tagged(Protocol):
     """A caption with its "lemma/PART_OF_SPEECH" tokens, such as ``data.humanml3d.Caption``."""
 
     @property
-    def tokens(self) -> tuple[str, ...]:
-        """The tokens."""
-        ...
+    def tokens(self) -> tuple[str, ...]: ...
 
 
 class GloveWords:

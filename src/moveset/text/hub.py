@@ -65,7 +65,6 @@ class ClipText(_HubText):
 
     Args:
         where: local folder, or hub id such as "openai/clip-vit-base-patch32".
-        device: where it runs.
 
     Raises:
         InputError: ``transformers`` is not installed, or the model is not on this machine.
@@ -87,7 +86,6 @@ class T5Text(_HubText):
 
     Args:
         where: local folder, or hub id such as "google-t5/t5-base".
-        device: where it runs.
         max_tokens: longer sentences are cut to this many tokens.
 
     Raises:
@@ -114,7 +112,6 @@ class SentenceT5(T5Text):
     Args:
         where: local folder, or hub id such as "sentence-transformers/sentence-t5-large", in the layout of
             sentence-transformers (the projection is ``2_Dense/model.safetensors``).
-        device: where it runs.
         max_tokens: longer sentences are cut to this many tokens.
 
     Raises:

@@ -63,9 +63,6 @@ _TURNS = re.compile(
 def split_stages(sentence: str) -> tuple[str, ...]:
     """The stages of a sentence in order of time, each a sentence of its own; a sentence of one stage as it is.
 
-    Args:
-        sentence: what a person does.
-
     >>> split_stages("a person walks forward, then waves with the left hand")
     ('a person walks forward', 'a person waves with the left hand')
     >>> split_stages("a man bows after running")

@@ -59,7 +59,6 @@ def unread(sentence: str, vocabulary: Iterable[str]) -> tuple[str, ...]:
     A hyphenated word is known if it is, or if all its parts are.
 
     Args:
-        sentence: what a person does.
         vocabulary: words, in any form; none at all is an unknown vocabulary, of which nothing is said.
 
     >>> unread("a person rides a bicycle quickly", ["riding", "quick", "walk"])

@@ -79,7 +79,6 @@ class PieceBatch:
     captions: list[str]
 
     def to(self, device: torch.device | str) -> "PieceBatch":
-        """The same on another device."""
         return PieceBatch(self.prefix.to(device), self.clean.to(device), self.captions)
 
 
@@ -131,7 +130,6 @@ class PieceData(SegmentData):
     """Pieces and embedded captions of both splits."""
 
     def cut(self, config: DiPConfig, dataset: Dataset, split: Split, store: FeatureStore) -> PieceSet:
-        """Pieces of a split."""
         return PieceSet(dataset, split, store, self.codec, config.cutting, config.model, config.standing)
 
 

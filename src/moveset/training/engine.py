@@ -40,11 +40,9 @@ class EngineConfig:
     """How a training runs; what it trains is the task's config.
 
     Args:
-        steps: steps in all.
         save_every: steps between checkpoints; the last step is always saved.
         validate_every: steps between validations, 0 for none; the last step is always validated otherwise.
         log_every: steps between lines in ``metrics.jsonl``.
-        keep_last: checkpoints kept, the latest ones.
         keep_every: besides those, checkpoints at multiples of this stay for good; 0 for none.
         grad_clip: largest norm of an optimiser's whole gradient; 0 for no clipping.
         precision: "32-true", "bf16-mixed", or "auto": bf16 on a CUDA device that has it.
@@ -53,7 +51,6 @@ class EngineConfig:
         threads: CPU threads of torch, 0 to leave them alone.
         workers: processes that make batches ahead, for tasks of segments on a fast device (``data.loader``); 0 makes
             each where it is used.
-        seed: of everything random.
         tensorboard: write TensorBoard events too, where it is installed.
     """
 
@@ -154,7 +151,6 @@ class Loop:
         Args:
             name: unique; streams of different names are independent.
             shared: the same numbers in every process; otherwise each process has its own stream.
-            device: where its numbers are drawn.
         """
         if name in self.generators:
             raise ValueError(f"there is a generator {name!r} already")
@@ -221,7 +217,6 @@ def run(
 
     Args:
         make_task: builds the task; torch's global generator is seeded for it, so fresh modules are reproducible.
-        config: how to run.
         folder: gets ``step_N/`` and ``metrics.jsonl``.
         resume_from_latest: continue from the latest valid checkpoint in ``folder``, or start if there is none.
         init: run folder or checkpoint whose weights a training starts with, at step 0 and with fresh optimisers; of

@@ -43,7 +43,6 @@ class Export:
     """What every folder is made of.
 
     Args:
-        name: what the model is called.
         runs: by name of a network, the run that trained it, or several whose average it is to be.
         guidance: default guidance scales by name of the network.
         last: take the students' last weights instead of the averaged ones.
@@ -60,7 +59,6 @@ class Export:
 
     @property
     def trainings(self) -> list[str]:
-        """Names of the runs."""
         return [run for chosen in self.runs.values() for run in ((chosen,) if isinstance(chosen, str) else chosen)]
 
     def __post_init__(self) -> None:
@@ -127,9 +125,6 @@ def export(what: Export, dataset: Dataset, runs: Path, cache: Path, out: Path) -
     """Write the folder ``out``.
 
     Args:
-        what: which networks, and how they are used by default.
-        dataset: that they were trained on.
-        runs: the folder of all run folders.
         cache: the trainings' folder of features, latents and embedded captions.
         out: the folder to write; it appears whole or not at all.
 

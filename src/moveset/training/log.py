@@ -41,7 +41,6 @@ class TrainingLog:
 
     Args:
         folder: where ``metrics.jsonl`` and ``tensorboard/`` are.
-        name: of the task, for the bar.
         start, total: steps done before, and in all.
         tensorboard: also write TensorBoard events, if the package is installed.
     """

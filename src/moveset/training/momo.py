@@ -31,8 +31,6 @@ class MomoAdam(torch.optim.Optimizer):
     Args:
         params: parameters of one loss, in one group: τ is a single number. Two losses need two optimisers.
         lr: the largest step size; the authors recommend 1e-2.
-        betas: β1 and β2.
-        eps: ε.
         weight_decay: λ, decoupled as in AdamW but as a division.
         lower_bound: f*, a number that the loss is never below.
         estimate_bound: raise f* to what the model of the loss would have predicted, step by step, for losses whose

@@ -106,9 +106,7 @@ def train_all(
     """Train and export everything of a recipe.
 
     Args:
-        recipe: its name.
         data: a corpus file, or a HumanML3D or KIT-ML folder.
-        out: see ``Place``.
         only: names of stages, or of their beginnings ("rdm"); others must be done already where these need them.
         device: "auto", "cpu", "cuda" or "mps".
         jobs: trainings side by side, in processes of their own.
@@ -220,7 +218,6 @@ def _export(stage: Stage, keys: Mapping[str, str], place: Place, log: "_Log") ->
 
 
 def _keys(every: Iterable[Stage], fingerprint: str) -> dict[str, str]:
-    """Of every stage, by its name."""
     keys: dict[str, str] = {}
     for stage in every:
         engine = {} if stage.engine is None else asdict(stage.engine)

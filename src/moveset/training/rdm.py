@@ -55,7 +55,6 @@ class RDMConfig:
         flow: None leaves the flow out.
         depth_cap: P, the most applications of the flow; N - 1 is the paper.
         codec: its features, a name for ``data.dataset.choose_codec``.
-        cutting: which segments are shown.
         optimizer: "momo" (the paper) or "adamw".
         beta2: of AdamW.
         constant_lr: no cosine decay.

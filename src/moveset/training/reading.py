@@ -18,7 +18,6 @@ def embedded(folder: Path, encoder: str, captions: Sequence[str], device: torch.
     Args:
         folder: where the cache is kept.
         encoder: its name, as for ``get_text_encoder``.
-        captions: in any order and number.
         device: where they are encoded, and looked up.
 
     Raises:

@@ -56,8 +56,6 @@ class Rollout:
 
     Args:
         share: of a batch's rows, spread evenly over it.
-        batch: rows of a batch.
-        grid: the student's phases.
 
     Raises:
         InputError: a share that comes to no row.

@@ -52,7 +52,6 @@ class SegmentData:
         return embedded(sources.cache, config.text_encoder, captions, self.device)
 
     def cut(self, config: Any, dataset: Dataset, split: Split, store: FeatureStore) -> Any:
-        """Segments of a split."""
         return SegmentSet(dataset, split, store, self.codec, config.cutting, config.grid.frames)
 
     def training_batch(self, size: int, step: int) -> Any:

@@ -80,8 +80,6 @@ class Recipe:
     """What to train and how to run it: ``moveset.recipes.NAME.TRAINING[WHAT]()`` returns one.
 
     Args:
-        task: what is trained, and how it learns.
-        engine: how long, and how that runs.
         hours: what that takes on one core of a laptop; 0 where nobody knows.
     """
 

@@ -33,7 +33,6 @@ class TrainedNetwork:
     Args:
         module: in evaluation mode, parameters without gradient.
         kind: its name in the registry of models.
-        config: the registry's JSON object.
         task: the configuration of its training.
         digest: sha256 of its weights file; of an average, of the digests of all.
         path: the checkpoint it is from.
