@@ -5,7 +5,6 @@ python benchmarks/reconstruction.py --model src/moveset/weights/motionpcm-small 
 
 import sys
 from pathlib import Path
-from typing import cast
 
 import torch
 
@@ -17,7 +16,7 @@ from moveset.errors import InputError, exit_code_of
 from moveset.motion.features import Normalizer, get_codec
 from moveset.pipelines.model_config import ClipConfig
 from moveset.pipelines.model_folder import ModelFolder
-from moveset.training.vae import MotionVAE, reconstruction_report
+from moveset.training.vae import reconstruction_report
 
 
 def main() -> None:
@@ -39,7 +38,7 @@ def main() -> None:
     trained = Normalizer(n["feature_mean"], n["feature_std"])
     if not (torch.allclose(trained.mean, store.normalizer.mean) and torch.allclose(trained.std, store.normalizer.std)):
         raise InputError("the feature cache has other statistics than the model; delete the cache")
-    vae, rows = cast(MotionVAE, bundle.module("vae")), {}
+    vae, rows = bundle.module("vae"), {}
     for split in ("val", "test"):
         takes = corpus.indices(split, composed=False)
         crops = sorted((Crop(2 * k, 0, store.clips[2 * k].frames) for k in takes), key=lambda crop: crop.frames)

@@ -9,8 +9,8 @@ import pytest
 import moveset
 from moveset.cli.__main__ import main
 from moveset.data.humanml3d import HUMANML3D, KIT
-from moveset.data.synthetic import synthetic_corpus
 from moveset.motion.features import get_codec
+from tests.synthetic import synthetic_corpus
 
 # A busy machine takes some minutes for all of it.
 pytestmark = pytest.mark.timeout(900)

@@ -5,10 +5,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from moveset.data.synthetic import synthetic_corpus
 from moveset.training.engine import EngineConfig, run
 from moveset.training.pipeline import Place, Report, train_all
 from moveset.training.tasks import load_recipe, task_maker, with_settings
+from tests.synthetic import synthetic_corpus
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ import json
 import pytest
 
 from moveset.cli.__main__ import main
-from moveset.data.synthetic import synthetic_corpus
+from tests.synthetic import synthetic_corpus
 
 
 @pytest.fixture(scope="module")

@@ -4,10 +4,10 @@ import pytest
 import torch
 
 from moveset.data.augment import compose_body, compose_in_time, stretched
-from moveset.data.synthetic import KINDS, synthetic_motion
 from moveset.errors import InputError
 from moveset.motion import rotations
 from moveset.motion.skeleton import HML22
+from tests.synthetic import KINDS, synthetic_motion
 
 PAIRS = [("walk", "wave-left-hand"), ("wave-both-hands", "walk"), ("run", "walk-turn-left"), ("walk-turn-right", "bow")]
 ARM = {

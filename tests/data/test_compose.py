@@ -8,11 +8,11 @@ import torch
 
 from moveset.data.augment import bent, quiet_moments
 from moveset.data.compose import add_compositions
-from moveset.data.corpus import Corpus, CorpusWriter, TakeEntry
-from moveset.data.synthetic import synthetic_motion
+from moveset.data.corpus import Corpus, CorpusWriter
 from moveset.motion import rotations
 from moveset.motion.clip import Motion
 from moveset.motion.skeleton import HML22
+from tests.synthetic import TakeEntry, add_take, synthetic_motion
 
 SENTENCES = {
     "walk": ("a person walks forward", "someone is walking"),
@@ -39,7 +39,7 @@ def corpus(tmp_path_factory) -> Corpus:
         motion = standing(50 + k) if content == "stand" else synthetic_motion(kind, 60 + 2 * k, seed=k)
         split = "train" if k < 24 else "test"
         name = f"{content}{k}"
-        writer.add_take(TakeEntry(name, name, "test", content, None, SENTENCES[content], split, "s", motion))
+        add_take(writer, TakeEntry(name, name, "test", content, None, SENTENCES[content], split, "s", motion))
     assert add_compositions(writer, train=60) == 60
     return Corpus.open(writer.write(tmp_path_factory.mktemp("composed") / "corpus.safetensors"))
 

@@ -8,10 +8,10 @@ import pytest
 import torch
 
 from moveset.data.captions import mirror_text
-from moveset.data.corpus import Corpus, CorpusWriter, TakeEntry
+from moveset.data.corpus import Corpus, CorpusWriter
 from moveset.data.records import ClipRecord
-from moveset.data.synthetic import synthetic_corpus, synthetic_motion
 from moveset.errors import FormatError, InputError, MovesetError
+from tests.synthetic import TakeEntry, add_take, synthetic_corpus, synthetic_motion
 
 
 @pytest.fixture(scope="module")
@@ -32,7 +32,7 @@ def test_what_is_written_is_read(tmp_path):
     motions = [synthetic_motion("walk", 60, seed=1), synthetic_motion("wave-left-hand", 45, seed=2)]
     writer = CorpusWriter()
     for k, motion in enumerate(motions):
-        assert writer.add_take(entry(f"take{k}", motion, ("train", "test")[k])) == k
+        assert add_take(writer, entry(f"take{k}", motion, ("train", "test")[k])) == k
     corpus = Corpus.open(writer.write(tmp_path / "c.safetensors"))
     assert [r.name for r in corpus.records] == ["take0", "take1"]
     assert corpus.records[1].first_frame == 7
@@ -223,7 +223,7 @@ def test_a_failed_write_leaves_nothing(tmp_path, monkeypatch):
         raise OSError("disk full")
 
     writer = CorpusWriter()
-    writer.add_take(entry("a", synthetic_motion("walk", 30)))
+    add_take(writer, entry("a", synthetic_motion("walk", 30)))
     monkeypatch.setattr("os.fsync", full_disk)
     with pytest.raises(MovesetError, match="disk full"):
         writer.write(tmp_path / "c.safetensors")

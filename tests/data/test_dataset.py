@@ -14,11 +14,11 @@ from moveset.data.crops import CropSampler
 from moveset.data.dataset import CorpusDataset, FolderDataset, corpus_weights, open_for_training
 from moveset.data.feature_store import FeatureStore
 from moveset.data.latents import LatentSet
-from moveset.data.synthetic import synthetic_corpus
 from moveset.errors import InputError
 from moveset.io.process import locked
 from moveset.motion.features import get_codec
 from moveset.training import checkpoint
+from tests.synthetic import synthetic_corpus
 from tests.training.hml_folder import write_folder
 
 

@@ -10,13 +10,13 @@ import torch
 
 from moveset.data import feature_store
 from moveset.data.bandai_captions import bandai_captions
-from moveset.data.corpus import Corpus, CorpusWriter, TakeEntry
+from moveset.data.corpus import Corpus, CorpusWriter
 from moveset.data.dataset import CorpusDataset, FolderDataset, open_for_training
 from moveset.data.feature_store import FeatureStore
 from moveset.data.latents import LatentSet
-from moveset.data.synthetic import synthetic_motion
 from moveset.errors import InputError, MovesetError
 from moveset.motion.features import get_codec
+from tests.synthetic import TakeEntry, add_take, synthetic_motion
 from tests.training.hml_folder import write_folder
 
 NATIVE = get_codec("native")
@@ -33,7 +33,7 @@ def corpus(path, seed=0, frames=(40, 52, 48), splits=("train", "train", "val"), 
     """Takes of so many frames."""
     writer = CorpusWriter()
     for k, (count, split) in enumerate(zip(frames, splits, strict=True)):
-        writer.add_take(
+        add_take(writer,
             TakeEntry(
                 name=f"{k}", take=f"{k}", source="s", content="walk", style=None, split=split, subject="s",
                 captions=bandai_captions("walk")[:said], motion=synthetic_motion("walk", count, seed=seed + k),

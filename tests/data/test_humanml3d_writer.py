@@ -7,9 +7,9 @@ from moveset.data.corpus import Corpus
 from moveset.data.dataset import CorpusDataset, open_for_training
 from moveset.data.humanml3d import HUMANML3D, KIT, HumanML3D
 from moveset.data.humanml3d_writer import write_humanml3d
-from moveset.data.synthetic import synthetic_corpus
 from moveset.errors import InputError
 from moveset.motion.features import Normalizer, get_codec
+from tests.synthetic import synthetic_corpus
 
 
 @pytest.mark.parametrize("layout", [HUMANML3D, KIT], ids=lambda layout: layout.name)

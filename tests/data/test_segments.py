@@ -13,12 +13,12 @@ from moveset.data.feature_store import FeatureStore
 from moveset.data.humanml3d import KIT
 from moveset.data.records import ClipRecord
 from moveset.data.segments import SEGMENT_FRAMES, ClipSet, CuttingConfig, Row, SegmentSet
-from moveset.data.synthetic import synthetic_corpus, synthetic_motion
 from moveset.errors import InputError
 from moveset.models.dip_decoder import DipDecoderConfig
 from moveset.motion.features import get_codec
 from moveset.training.dip import PieceSet
 from moveset.training.segment_data import forecast, spectrum
+from tests.synthetic import synthetic_corpus
 from tests.training.hml_folder import write_folder
 
 N = 14

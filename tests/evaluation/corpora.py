@@ -5,12 +5,12 @@ from pathlib import Path
 
 import numpy as np
 
-from moveset.data.corpus import CorpusWriter, TakeEntry
+from moveset.data.corpus import CorpusWriter
 from moveset.data.descriptions import said_otherwise
 from moveset.data.english import inflect
 from moveset.data.records import ClipRecord, Part, Recipe
-from moveset.data.synthetic import KINDS, synthetic_motion
 from moveset.data.verbs import VERBS
+from tests.synthetic import KINDS, TakeEntry, add_take, synthetic_motion
 
 FRAMES = 40
 CONTENTS = (*VERBS[:10], "wave-left-hand", *VERBS[13:41])
@@ -29,7 +29,7 @@ def content_corpus(path: Path, *, frames: int = FRAMES, short: int = 0, split: s
     contents = CONTENTS
     for k, content in enumerate([*contents, *contents[:short]]):
         length = frames + k % 5 if k < len(contents) else 20
-        writer.add_take(
+        add_take(writer,
             TakeEntry(
                 name=f"take{k}", take=f"take{k}", source="synthetic", content=content, style=None,
                 captions=own_captions(content), split=split, subject="s",

@@ -2,10 +2,10 @@
 
 from torch import Tensor
 
-from moveset.data.synthetic import synthetic_motion
 from moveset.motion.features import FeatureCodec
 from moveset.motion.native import NativeCodec
 from moveset.motion.retarget import retarget
+from tests.synthetic import synthetic_motion
 
 NATIVE = NativeCodec()
 

@@ -3,12 +3,12 @@
 import pytest
 import torch
 
-from moveset.data.synthetic import synthetic_motion
 from moveset.motion import rotations
 from moveset.motion.features import get_codec
 from moveset.motion.hold_root import hold_root
 from moveset.motion.stream_decoder import StreamDecoder
 from tests.motions import wander
+from tests.synthetic import synthetic_motion
 
 CODECS = ("native", "hml", "kit")
 

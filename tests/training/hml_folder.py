@@ -6,8 +6,8 @@ import numpy as np
 import torch
 
 from moveset.data.humanml3d import HUMANML3D, Layout
-from moveset.data.synthetic import synthetic_motion
 from moveset.motion.features import Normalizer, get_codec
+from tests.synthetic import synthetic_motion
 
 TEXT = "a person walks forward.#a/DET person/NOUN walk/VERB forward/ADV#0.0#0.0"
 PART = "a person turns around.#a/DET person/NOUN turn/VERB around/ADV#1.0#4.0"

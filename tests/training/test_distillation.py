@@ -58,18 +58,6 @@ def test_a_student_goes_on_with_a_discriminator_that_reads(tiny_run, tmp_path):
     assert differs("discriminator", tmp_path / "pcm-1" / "step_4", result.checkpoint)
 
 
-def test_a_student_waits_while_the_discriminator_learns_alone(tiny_run, tmp_path):
-    start, run = tiny_run.runs / "pcm-1", tmp_path / "pcm-1"
-    tiny_run.train("pcm-1", run, "discriminator_warmup=2", steps=3, save_every=1, keep_last=3, init=start)
-    start = checkpoint.resolve(start)
-    for name in ("student", "student_ema"):
-        assert [differs(name, start, run / f"step_{step}") for step in (1, 2, 3)] == [False, False, True]
-    assert differs("discriminator", start, run / "step_1")
-    rates = [row["lr_student"] for row in rows_of(run)]
-    assert rates[:2] == [0.0, 0.0]
-    assert rates[2] > 0.0
-
-
 @pytest.mark.parametrize("what", ["lcm-1", "pcm-1"])
 def test_a_student_may_be_asked_for_all_of_its_teachers_steps(tiny_run, tmp_path, what):
     """Settings come in any order."""
@@ -82,8 +70,6 @@ def test_a_student_may_be_asked_for_all_of_its_teachers_steps(tiny_run, tmp_path
 @pytest.mark.parametrize(
     ("config", "message"),
     [
-        ({"discriminator_warmup": -1}, "discriminator_warmup"),
-        ({"discriminator_warmup": 5, "adversarial": 0.0}, "discriminator_warmup"),
         ({"inference_points": 1.5}, "is outside 0"),
         ({"mismatched_text": -0.1}, "is outside 0"),
         ({"discriminator_max_noise": 2.0}, "is outside 0"),

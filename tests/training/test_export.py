@@ -8,7 +8,6 @@ import torch
 
 from moveset.data.dataset import open_for_training
 from moveset.data.feature_store import FeatureStore
-from moveset.data.synthetic import synthetic_corpus
 from moveset.errors import InputError
 from moveset.io.quantization import restored
 from moveset.models.dip_decoder import DipDecoderConfig
@@ -23,6 +22,7 @@ from moveset.training.dip import DiPConfig
 from moveset.training.export import BaselineExport, StreamExport, export
 from moveset.training.rdm import RDMConfig
 from moveset.training.rdm_distillation import RDMStudentConfig
+from tests.synthetic import synthetic_corpus
 
 FRAMES = 8
 MODEL = SegmentTransformerConfig(frames=FRAMES, width=32, heads=2, hidden=32, blocks=1)

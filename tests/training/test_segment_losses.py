@@ -5,10 +5,10 @@ import math
 import pytest
 import torch
 
-from moveset.data.synthetic import synthetic_motion
 from moveset.motion.features import Normalizer, get_codec
 from moveset.training.condition_dropout import perturb_past
 from moveset.training.segment_losses import KNEE, heading_error
+from tests.synthetic import synthetic_motion
 
 CODEC = get_codec("native")
 

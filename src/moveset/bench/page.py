@@ -5,12 +5,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from moveset.errors import FormatError
 from moveset.evaluation.markdown import lined
 from moveset.evaluation.plots import COLOURS, STYLE
 from moveset.evaluation.published import tables
-from moveset.io.limits import atomic_write, read_limited
-from moveset.io.manifest import json_object
+from moveset.io.limits import atomic_write, write_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -26,19 +24,6 @@ where milliseconds do not.
 """
 
 
-def load_report(path: Path) -> dict[str, Any]:
-    """A report that was written before.
-
-    Raises:
-        InputError: there is no such file.
-        FormatError: it is no report.
-    """
-    report = json_object(read_limited(path), path, "measure again")
-    if report.get("format") != 1 or not {"machine", "models", "plan"} <= set(report):
-        raise FormatError(f"{path} is no report of `moveset bench`; measure again with -o")
-    return report
-
-
 def write_page(report: Report, path: Path) -> list[Path]:
     """Writes PATH (JSON), and beside it the Markdown page and, where there is something to draw, the picture.
 
@@ -46,13 +31,11 @@ def write_page(report: Report, path: Path) -> list[Path]:
         InputError: the folder cannot be written to.
     """
     written = [path, path.with_suffix(".md")]
-    with atomic_write(path) as file:
-        file.write((json.dumps(report, indent=1, ensure_ascii=False) + "\n").encode())
+    write_text(path, json.dumps(report, indent=1, ensure_ascii=False) + "\n")
     picture = path.with_suffix(".png")
     if draw(report, picture):
         written.append(picture)
-    with atomic_write(written[1]) as file:
-        file.write(markdown(report, path.stem, pictured=len(written) > 2).encode())
+    write_text(written[1], markdown(report, path.stem, pictured=len(written) > 2))
     return written
 
 
@@ -206,7 +189,7 @@ def published() -> str:
     """What the paper prints of times: another machine, another model, another data set."""
     table = next(t for t in tables("motionpcm") if "aits" in t.columns)
     body = [
-        [row.method, number.printed, _printed(row.numbers.get("fid"))]
+        [row.method, number.printed, fid.printed if (fid := row.numbers.get("fid")) else "–"]
         for row in table.rows
         if (number := row.numbers.get("aits")) is not None
     ]
@@ -303,7 +286,3 @@ def _ms(row: Mapping[str, Any], part: str) -> str:
 
 def _giga(count: int) -> str:
     return f"{count / 1e9:.3g}"
-
-
-def _printed(number: Any) -> str:
-    return "–" if number is None else number.printed

@@ -21,7 +21,6 @@ from moveset.errors import InputError
 from moveset.pipelines.model_config import StreamConfig
 from moveset.pipelines.model_folder import ModelFolder
 from moveset.pipelines.motion_stream import MotionStream
-from moveset.pipelines.request import Method
 from moveset.pipelines.stream_settings import check_stream
 from moveset.pipelines.text_to_motion import TextToMotion
 
@@ -209,17 +208,14 @@ class Bench:
     def _processes(self) -> dict[str, Any]:
         """Cold starts and peak memory of the command line, by method and network."""
         plan, seconds = self.plan, self.frames / self.fps
+        once = {method.network: method for method in self.methods.values()}  # not again at other steps
         commands: dict[str, Sequence[str]] = {
-            name: clip_command(plan.clips, m.solver, m.steps, seconds, plan.device) for name, m in self._once().items()
+            name: clip_command(plan.clips, m.solver, m.steps, seconds, plan.device) for name, m in once.items()
         }
         for network in self.networks:
             commands[f"stream {network}"] = stream_command(plan.streams, network, seconds, plan.device)
         tick = self._progress("processes", len(commands) * plan.count)
         return processes(commands, plan.count, tick)
-
-    def _once(self) -> Mapping[str, Method]:
-        """Methods without the same network again at other steps."""
-        return {method.network: method for method in self.methods.values()}
 
     def _endless(self) -> list[dict[str, float]]:
         tick = self._progress("endless", 20)

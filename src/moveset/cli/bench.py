@@ -23,7 +23,6 @@ Part = Literal["clips", "streams", "lengths", "batches", "operations", "processe
 def bench(
     *,
     output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"], metavar="FILE.json")] = None,
-    redraw: Annotated[Path | None, tyro.conf.arg(metavar="FILE.json")] = None,
     parts: tuple[Part, ...] = (),
     clips: Annotated[str, tyro.conf.arg(metavar="NAME")] = "motionpcm-small",
     streams: Annotated[str, tyro.conf.arg(metavar="NAME")] = "rdm-small",
@@ -31,7 +30,7 @@ def bench(
     processes: Annotated[int | None, tyro.conf.arg(metavar="N")] = None,
     endless: Annotated[int | None, tyro.conf.arg(metavar="N")] = None,
     quick: tyro.conf.FlagCreatePairsOff[bool] = False,
-    threads: Annotated[int | None, tyro.conf.arg(metavar="N")] = None,
+    threads: Annotated[int, tyro.conf.arg(metavar="N")] = 1,
     device: Annotated[str, tyro.conf.arg(metavar="NAME")] = "auto",
     json: tyro.conf.FlagCreatePairsOff[bool] = False,
 ) -> int:
@@ -41,7 +40,6 @@ def bench(
 
     Args:
         output: Where the report goes; the page and the picture go beside it, as FILE.md and FILE.png.
-        redraw: Measure nothing; make page and picture again of this earlier report.
         parts: What to measure; everything without it.
         clips: A text-to-motion model, shipped or a folder.
         streams: A stream model, shipped or a folder.
@@ -49,33 +47,27 @@ def bench(
         processes: Whole processes of each kind (5).
         endless: Segments of the long stream (2000).
         quick: One round of the least: does it run?
-        threads: CPU threads; 1 by default, as clips and segments are made.
+        threads: CPU threads; one is how clips and segments are made.
         device: auto, cpu, cuda or mps.
         json: Print the report as JSON on stdout and nothing else.
     """
-    from moveset.bench.page import load_report, markdown, write_page
+    from moveset.bench.page import markdown, write_page
     from moveset.bench.run import PARTS, Plan, shortest
 
-    for path in (output, redraw):
-        if path is not None and path.suffix != ".json":
-            raise InputError(f"a report is a .json file, not {path.name!r}; choose such a name")
-    measured = {"parts": parts, "rounds": rounds, "processes": processes, "endless": endless, "threads": threads}
-    if redraw is not None and (idle := [name for name, value in measured.items() if value not in (None, ())]):
-        raise InputError(f"--redraw measures nothing, so --{idle[0]} has no use; leave one of them out")
-    output = output or redraw
     if output is not None:
+        if output.suffix != ".json":
+            raise InputError(f"a report is a .json file, not {output.name!r}; choose such a name")
         check_folder(output.parent)
         if taken := [path for path in map(output.with_suffix, (".json", ".md", ".png")) if path.is_dir()]:
             raise InputError(f"cannot write {str(taken[0])!r}: it is a folder; choose another --output")
-    if output is not None and importlib.util.find_spec("matplotlib") is None:
-        raise InputError("a report with a picture needs matplotlib; `pip install 'moveset[train]'`, or leave --output")
-    if redraw is not None:
-        report = load_report(redraw)
-    else:
-        plan = Plan(clips=clips, streams=streams, device=device, parts=parts or PARTS)
-        given = {"rounds": rounds, "count": processes, "endless": endless}
-        asked: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
-        report = _measure(replace(shortest(plan) if quick else plan, **asked), 1 if threads is None else threads)
+        if importlib.util.find_spec("matplotlib") is None:
+            raise InputError(
+                "a report with a picture needs matplotlib; `pip install 'moveset[train]'`, or leave --output"
+            )
+    plan = Plan(clips=clips, streams=streams, device=device, parts=parts or PARTS)
+    given = {"rounds": rounds, "count": processes, "endless": endless}
+    asked: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
+    report = _measure(replace(shortest(plan) if quick else plan, **asked), threads)
     # Printed first: what took an hour to measure must not be lost to a disk that has filled up meanwhile.
     name = output.stem if output is not None else "benchmarks"
     print(jsonlib.dumps(report) if json else markdown(report, name), flush=True)

@@ -121,7 +121,7 @@ def _sanity(models: Sequence[str], config: "EvaluationConfig", out: Path, json: 
     from moveset.evaluation.evaluator import Evaluator
     from moveset.evaluation.run import open_set
     from moveset.evaluation.sanity import sanity
-    from moveset.io.limits import atomic_write
+    from moveset.io.limits import write_text
     from moveset.pipelines.device import pick_device
 
     if models or config.motions is not None:
@@ -137,8 +137,7 @@ def _sanity(models: Sequence[str], config: "EvaluationConfig", out: Path, json: 
     report = sanity(judge, items, torch.Generator().manual_seed(config.protocol.seed))
     few = "" if config.items is None else f"-{config.items}-items"
     path = out / f"sanity-{judge.card.name}-{config.protocol.split}{few}.json"
-    with atomic_write(path) as file:
-        file.write((jsonlib.dumps(report.to_json(), indent=1) + "\n").encode())
+    write_text(path, jsonlib.dumps(report.to_json(), indent=1) + "\n")
     print(jsonlib.dumps({**report.to_json(), "file": str(path)}) if json else report.to_markdown())
     return 0
 

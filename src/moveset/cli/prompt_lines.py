@@ -5,7 +5,6 @@ import queue
 import sys
 import threading
 from pathlib import Path
-from types import TracebackType
 from typing import Self
 
 from moveset.errors import InputError
@@ -35,9 +34,7 @@ class PromptLines:
         threading.Thread(target=self._read, daemon=True).start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         pass
 
     @property

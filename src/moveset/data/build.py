@@ -31,7 +31,7 @@ from moveset.data.takes import TakeRef
 from moveset.data.typos import mend, word_list
 from moveset.data.verbs import common_verbs
 from moveset.errors import MovesetError
-from moveset.io.limits import atomic_write
+from moveset.io.limits import write_text
 from moveset.motion.clip import Motion
 
 FPS = 20.0
@@ -251,8 +251,9 @@ def build_corpus(
     report = BuildReport(
         str(output), len(refs), clips, composed, round(writer.frames / FPS, 1), rejected, trimmed, spans.failed, mended
     )
-    with atomic_write(output.parent / f"{output.name}.report.json") as file:
-        file.write(json.dumps({**asdict(report), "corpus": output.name}, indent=1).encode())
+    write_text(
+        output.parent / f"{output.name}.report.json", json.dumps({**asdict(report), "corpus": output.name}, indent=1)
+    )
     if not keep_work:
         shutil.rmtree(work)
     return report

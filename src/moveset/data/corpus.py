@@ -10,7 +10,7 @@ stored as recipes and made when asked for; mirrored clips are derived.
 import hashlib
 import json
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property, reduce
 from itertools import accumulate
 from pathlib import Path
@@ -25,11 +25,13 @@ from moveset.data.quantize import pack, unpack
 from moveset.data.records import ClipRecord, Part, Recipe, Run, record_from_json, record_to_json, run_from_json
 from moveset.data.splits import Split
 from moveset.errors import FormatError, InputError
+from moveset.io.manifest import json_object
 from moveset.motion.clip import Motion
 from moveset.motion.skeleton import HML22, KIT21, Skeleton
 
 VERSION = 2
 _ENTRY = "moveset corpus"
+_REMEDY = "build the corpus again"
 _MAX_BYTES = 16 * 2**30
 _MAX_HEADER = 100 * 2**20
 _SKELETONS = {"hml22": HML22, "kit21": KIT21}
@@ -190,24 +192,14 @@ def _checked_index(path: Path) -> dict[str, Any]:
         length = int.from_bytes(file.read(8), "little")
         if size > _MAX_BYTES or not 2 <= length <= min(_MAX_HEADER, size - 8):
             raise FormatError(f"{path} is not a corpus: its header claims {length} of {size} bytes; build it again")
-        header = _json_object(file.read(length).decode("utf-8", "replace"), path)
+        header = json_object(file.read(length), path, _REMEDY)
     metadata = header.get("__metadata__")
     if not isinstance(metadata, dict) or not isinstance(metadata.get(_ENTRY), str):
         raise FormatError(f"{path} is not a moveset corpus; make one with 'moveset data build'")
-    index = _json_object(metadata[_ENTRY], path)
+    index = json_object(metadata[_ENTRY], path, _REMEDY)
     if index.get("version") != VERSION:
         raise FormatError(f"{path} is a corpus of version {index.get('version')}, not {VERSION}; build it again")
     return index
-
-
-def _json_object(text: str, path: str | Path) -> dict[str, Any]:
-    try:
-        value = json.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise FormatError(f"{path} is damaged: its header is not JSON; build the corpus again") from error
-    if not isinstance(value, dict):
-        raise FormatError(f"{path} is damaged: its header is not a JSON object; build the corpus again")
-    return value
 
 
 def _tensors(path: Path, index: dict[str, Any]) -> dict[str, Tensor]:
@@ -254,22 +246,6 @@ def _check_recipes(records: Sequence[ClipRecord]) -> None:
                 raise FormatError(f"clip {record.name!r} is composed of frames it may not use; build the corpus again")
 
 
-@dataclass(frozen=True, eq=False)
-class TakeEntry:
-    """A clip to be stored with a run of its own: fields as in ``ClipRecord``, captions as sentences."""
-
-    name: str
-    take: str
-    source: str
-    content: str
-    style: str | None
-    captions: tuple[str, ...]
-    split: Split
-    subject: str
-    motion: Motion
-    first_frame: int = 0
-
-
 class CorpusWriter:
     """Collects runs and clips and writes a corpus; the same ones in the same order give the same bytes."""
 
@@ -308,30 +284,6 @@ class CorpusWriter:
             numbers.append(self._strings[sentence])
         self.records.append(replace(record, captions=tuple(numbers)))
         return len(self.records) - 1
-
-    def add_take(self, entry: TakeEntry) -> int:
-        """Store a clip with a run of its own; returns its number.
-
-        Raises:
-            InputError: as of ``add_run`` and ``add_clip``.
-        """
-        record = ClipRecord(
-            name=entry.name,
-            take=entry.take,
-            source=entry.source,
-            subject=entry.subject,
-            group=entry.take,
-            kind="take",
-            contents=(entry.content,),
-            style=entry.style,
-            split=entry.split,
-            fps=entry.motion.fps,
-            frames=len(entry.motion),
-            captions=(),
-            first_frame=entry.first_frame,
-            run=self.add_run(entry.take, entry.motion, entry.first_frame),
-        )
-        return self.add_clip(record, entry.captions)
 
     def sentences(self, record: ClipRecord) -> tuple[str, ...]:
         """The captions of a stored clip."""

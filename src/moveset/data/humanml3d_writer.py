@@ -12,7 +12,7 @@ from moveset.data.dataset import Clip, CorpusDataset
 from moveset.data.humanml3d import HUMANML3D, Layout
 from moveset.data.splits import Split
 from moveset.errors import InputError
-from moveset.io.limits import atomic_write
+from moveset.io.limits import write_text
 from moveset.motion.clip import Motion
 from moveset.motion.features import Normalizer, get_codec
 from moveset.motion.hml import HmlCodec
@@ -94,5 +94,4 @@ def _line(caption: str, start: float, stop: float) -> str:
 
 
 def _write(path: Path, lines: Sequence[str]) -> None:
-    with atomic_write(path) as file:
-        file.write("".join(f"{line}\n" for line in lines).encode())
+    write_text(path, "".join(f"{line}\n" for line in lines))

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import Any
 
 import torch
 from safetensors import safe_open
@@ -23,13 +23,6 @@ from moveset.errors import InputError
 from moveset.io.limits import atomic_write
 
 _SOURCE = "moveset source"
-
-
-class Encoder(Protocol):
-    """The half of a VAE that is needed here."""
-
-    def encode(self, x_BFD: Tensor, lengths_B: Tensor) -> tuple[Tensor, Tensor]:
-        """Mean and log-variance (B, N, d)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +63,7 @@ class LatentSet:
         dataset: Dataset,
         split: Split,
         store: FeatureStore,
-        vae: Encoder,
+        vae: Any,
         path: Path,
         windows: int = 2,
         batch: int = 64,
@@ -143,7 +136,7 @@ def _entries(dataset: Dataset, clips: Sequence[int], store: FeatureStore, window
 
 @torch.inference_mode()
 def _encode(
-    crops: list[Crop], store: FeatureStore, vae: Encoder, batch: int, device: torch.device | str
+    crops: list[Crop], store: FeatureStore, vae: Any, batch: int, device: torch.device | str
 ) -> dict[str, Tensor]:
     crops = sorted(crops, key=lambda crop: crop.frames)
     means, stds = [], []

@@ -1,7 +1,7 @@
 """What a corpus says about each of its clips."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from typing import Any, Literal, get_args
 
 from moveset.data.augment import MAX_FRAMES
@@ -119,27 +119,10 @@ def in_a_row(records: Sequence[ClipRecord], chosen: Iterable[int]) -> list[list[
 
 def record_to_json(record: ClipRecord, caption_set: int) -> dict[str, Any]:
     """The record as plain JSON values, its captions replaced by the number of a shared set."""
-    out: dict[str, Any] = {
-        "name": record.name,
-        "take": record.take,
-        "source": record.source,
-        "subject": record.subject,
-        "group": record.group,
-        "kind": record.kind,
-        "contents": list(record.contents),
-        "style": record.style,
-        "split": record.split,
-        "fps": record.fps,
-        "frames": record.frames,
-        "captions": caption_set,
-        "first_frame": record.first_frame,
-        "run": record.run,
-        "weight": record.weight,
-    }
+    out = {**vars(record), "captions": caption_set}
+    del out["recipe"]
     if record.recipe is not None:
-        parts = [[p.clip, p.start, p.stop, p.mirrored] for p in record.recipe.parts]
-        recipe = {name: getattr(record.recipe, name) for name in ("blend", "arms", "turn", "sharp", "speed")}
-        out["recipe"] = {"parts": parts, **recipe}
+        out["recipe"] = {**vars(record.recipe), "parts": [astuple(part) for part in record.recipe.parts]}
     return out
 
 
@@ -163,11 +146,7 @@ def record_from_json(data: Any, caption_sets: list[tuple[int, ...]]) -> ClipReco
                 float(data["recipe"]["speed"]),
             )
         record = ClipRecord(
-            name=_text(data["name"]),
-            take=_text(data["take"]),
-            source=_text(data["source"]),
-            subject=_text(data["subject"]),
-            group=_text(data["group"]),
+            **{name: _text(data[name]) for name in ("name", "take", "source", "subject", "group")},
             kind=_one_of(data["kind"], get_args(Kind)),
             contents=tuple(_text(c) for c in data["contents"]),
             style=None if data["style"] is None else _text(data["style"]),

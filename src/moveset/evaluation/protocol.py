@@ -12,15 +12,13 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
-from typing import Protocol as Interface
 
 import torch
 from torch import Tensor
 
-from moveset.data.humanml3d import Caption
 from moveset.errors import InputError
 from moveset.evaluation import metrics
-from moveset.evaluation.evaluator import EvaluatorCard
+from moveset.evaluation.evaluator import Evaluator
 from moveset.evaluation.generators import Given, Reconstruction, Source, Wanted, check_made
 from moveset.evaluation.samples import Sample, TestSet
 from moveset.evaluation.sides import named_side, on_named_side
@@ -31,19 +29,6 @@ ENCODED = 64  # clips turned into features at once
 PHYSICAL = ("skating", "penetration", "floating", "jerk", "root_drift")
 
 Progress = Callable[[str, int, int], None]
-
-
-class Judge(Interface):
-    """What embeds: ``evaluation.evaluator.Evaluator``."""
-
-    card: EvaluatorCard
-    sha256: str | None
-
-    def embed_motions(self, features: Sequence[Tensor]) -> Tensor:
-        """(M, E) float64 of features (F, D), not normalised."""
-
-    def embed_texts(self, captions: Sequence[Caption | str]) -> Tensor:
-        """(M, E) float64."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,7 +92,7 @@ class Session:
     protocol: Protocol
     items: TestSet
     generator: Source
-    evaluator: Judge
+    evaluator: Evaluator
 
     def __post_init__(self) -> None:
         card, codec = self.evaluator.card, self.items.codec
@@ -169,12 +154,13 @@ def run_repeat(session: Session, number: int, progress: Progress = lambda stage,
         found |= _sides(asked, made, session.items.codec)
     if isinstance(generator, Reconstruction):
         found |= _errors(asked, made)
+    shorter = sum(len(joints) < d.frames for joints, d in zip(made, asked, strict=True))
     return {
         "repeat": number,
         "metrics": found,
         "groups": len(groups),
         **texts,
-        "shortened": 0 if isinstance(generator, Given) else _shorter(made, asked),
+        "shortened": 0 if isinstance(generator, Given) else shorter,
         "seconds": {"generating": round(generated, 4), "all": round(time.perf_counter() - begun, 4)},
     }
 
@@ -253,11 +239,6 @@ def _multimodality(session: Session, asked: Sequence[Sample], number: int, progr
     motion = session.evaluator.embed_motions(encoded(made, session.items.codec))
     motion_TnE = motion.view(len(chosen), protocol.samples, -1)
     return metrics.multimodality(motion_TnE, random_of(protocol, number, "pairs"), protocol.pairs), len(chosen)
-
-
-def _shorter(made: Sequence[Tensor], asked: Sequence[Sample]) -> int:
-    """How many motions are shorter than asked for, because the model has a limit."""
-    return sum(len(joints) < draw.frames for joints, draw in zip(made, asked, strict=True))
 
 
 def _sides(asked: Sequence[Sample], made: Sequence[Tensor], codec: HmlCodec) -> dict[str, float]:

@@ -17,7 +17,7 @@ from moveset.evaluation.latex import latex
 from moveset.evaluation.markdown import markdown
 from moveset.evaluation.plots import draw
 from moveset.evaluation.table import REPORT, Table, days, load_table
-from moveset.io.limits import atomic_write
+from moveset.io.limits import write_text
 from moveset.io.process import locked
 
 PAGE = """# Results
@@ -42,9 +42,9 @@ def write_report(folder: Path) -> Path:
     with locked(folder / "repeats"):
         table = _whole(folder)
         pictures = draw(table, folder)
-        _write(folder / "table.md", markdown(table, pictures))
-        _write(folder / "table.tex", latex(table))
-        _write(folder / REPORT, json.dumps(to_json(table), indent=1, ensure_ascii=False) + "\n")
+        write_text(folder / "table.md", markdown(table, pictures))
+        write_text(folder / "table.tex", latex(table))
+        write_text(folder / REPORT, json.dumps(to_json(table), indent=1, ensure_ascii=False) + "\n")
     return folder / "table.md"
 
 
@@ -85,7 +85,7 @@ def page(folders: Sequence[Path], path: Path) -> None:
     for table in tables:
         names = [f"{images.name}/{name}" for name in draw(table, images)]
         parts.append(markdown(table, names, level=2))
-    _write(path, "\n\n".join(part.strip() for part in parts) + "\n")
+    write_text(path, "\n\n".join(part.strip() for part in parts) + "\n")
 
 
 def _whole(folder: Path) -> Table:
@@ -94,11 +94,6 @@ def _whole(folder: Path) -> Table:
     if table.measured:
         table.state()
     return table
-
-
-def _write(path: Path, text: str) -> None:
-    with atomic_write(path) as file:
-        file.write(text.encode())
 
 
 def main() -> None:

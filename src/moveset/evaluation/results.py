@@ -22,7 +22,7 @@ import moveset
 from moveset.errors import FormatError, InputError
 from moveset.evaluation.intervals import Interval
 from moveset.evaluation.protocol import Session
-from moveset.io.limits import atomic_write, read_limited
+from moveset.io.limits import read_limited, write_text
 from moveset.io.manifest import json_object
 
 #: What a repeat counts besides what it measures.
@@ -51,8 +51,7 @@ class Results:
         self._refuse_another_question()
         try:
             self._folder.mkdir(parents=True, exist_ok=True)
-            with atomic_write(self._folder / "about.json") as file:
-                file.write(_bytes(depends))
+            write_text(self._folder / "about.json", _json(depends))
         except OSError as error:
             raise InputError(
                 f"cannot write to {str(out)!r}: {error.strerror or error}; choose another --out"
@@ -79,8 +78,7 @@ class Results:
 
     def add(self, repeat: Mapping[str, Any]) -> None:
         """Keep a repeat; its file appears whole or not at all."""
-        with atomic_write(self._file(int(repeat["repeat"]))) as file:
-            file.write(_bytes(repeat))
+        write_text(self._file(int(repeat["repeat"])), _json(repeat))
 
     def finish(self) -> dict[str, Any] | None:
         """Write and return the result, if every repeat is there.
@@ -94,8 +92,7 @@ class Results:
         versions = {"moveset": moveset.__version__, "torch": torch.__version__, "python": platform.python_version()}
         made = {"date": datetime.now(UTC).date().isoformat(), "versions": versions}
         result = {**self.head, **made, **summary(repeats, len(self._session.judged))}
-        with atomic_write(self.path) as file:
-            file.write(_bytes(result))
+        write_text(self.path, _json(result))
         return result
 
     def _refuse_another_question(self) -> None:
@@ -207,5 +204,5 @@ def _git(folder: Path, *arguments: str) -> str:
     return done.stdout.strip() if done.returncode == 0 else ""
 
 
-def _bytes(value: Mapping[str, Any]) -> bytes:
-    return (json.dumps(value, indent=1, ensure_ascii=False, allow_nan=False) + "\n").encode()
+def _json(value: Mapping[str, Any]) -> str:
+    return json.dumps(value, indent=1, ensure_ascii=False, allow_nan=False) + "\n"

@@ -8,17 +8,16 @@ M items, F rows of features (F frames of joints and one more), D features.
 """
 
 import math
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
-from typing import Protocol
 
 import torch
 from torch import Tensor
 
-from moveset.data.humanml3d import Caption
 from moveset.errors import InputError
+from moveset.evaluation.evaluator import Evaluator
 from moveset.evaluation.metrics import GROUP, frechet_distance, group, matching_score, r_precision
-from moveset.evaluation.protocol import Judge
+from moveset.evaluation.samples import Item
 from moveset.motion.features import get_codec
 from moveset.motion.hml import HmlCodec
 
@@ -29,22 +28,6 @@ HALVINGS = 8
 MARGIN = 1.1
 #: Real motion must be found this many times as often as by chance, or the evaluator hardly reads.
 ABOVE_CHANCE = 5.0
-
-
-class RealMotion(Protocol):
-    """What is asked of an item."""
-
-    @property
-    def captions(self) -> Sequence[Caption | str]:
-        """Sentences that fit."""
-
-    @property
-    def label(self) -> Hashable | None:
-        """What is shown; None where unknown."""
-
-    @property
-    def features(self) -> Callable[[], Tensor]:
-        """(F, D), not normalised."""
 
 
 @dataclass(frozen=True)
@@ -111,7 +94,7 @@ class SanityReport:
         )
 
 
-def sanity(evaluator: Judge, items: Sequence[RealMotion], generator: torch.Generator) -> SanityReport:
+def sanity(evaluator: Evaluator, items: Sequence[Item], generator: torch.Generator) -> SanityReport:
     """Run all checks on real items; the same generator state gives the same report.
 
     Raises:
@@ -123,7 +106,7 @@ def sanity(evaluator: Judge, items: Sequence[RealMotion], generator: torch.Gener
     labels = [item.label for item in items]
     known = None if any(label is None for label in labels) else labels
     groups = group(known, len(items), generator)
-    captions = [item.captions[_below(len(item.captions), generator)] for item in items]
+    captions = [item.captions[int(torch.randint(len(item.captions), (1,), generator=generator))] for item in items]
     features = [item.features() for item in items]
     text, motion = evaluator.embed_texts(captions), evaluator.embed_motions(features)
     return SanityReport(
@@ -169,7 +152,7 @@ def _texts(text: Tensor, motion: Tensor, groups: list[list[int]], generator: tor
     ]
 
 
-def _broken(evaluator: Judge, features: list[Tensor], real: Tensor, generator: torch.Generator) -> list[Check]:
+def _broken(evaluator: Evaluator, features: list[Tensor], real: Tensor, generator: torch.Generator) -> list[Check]:
     """Does broken motion lie further from real motion than other real motion does?"""
     codec = get_codec(evaluator.card.codec)
     if not isinstance(codec, HmlCodec):
@@ -220,7 +203,3 @@ def _slide(frames: int, fps: float) -> Tensor:
 def _with_one_more(joints: Tensor) -> Tensor:
     """(F + 1, J, 3): encoding takes a frame away, so the last step is made twice."""
     return torch.cat((joints, 2 * joints[-1:] - joints[-2:-1]))
-
-
-def _below(count: int, generator: torch.Generator) -> int:
-    return int(torch.randint(count, (1,), generator=generator))

@@ -203,10 +203,9 @@ def save_beside(metadata: Mapping[str, str | int | float | None], path: Path) ->
     Raises:
         InputError: the folder cannot be written to.
     """
-    from moveset.io.limits import atomic_write
+    from moveset.io.limits import write_text
 
-    with atomic_write(_beside(path)) as file:
-        file.write((json.dumps(metadata, ensure_ascii=False, indent=1) + "\n").encode())
+    write_text(_beside(path), json.dumps(metadata, ensure_ascii=False, indent=1) + "\n")
 
 
 def read_metadata(path: str | Path) -> dict[str, Any]:

@@ -62,6 +62,12 @@ def written_to(path: str | Path) -> Path:
     return target
 
 
+def write_text(path: str | Path, text: str) -> None:
+    """A UTF-8 file, by ``atomic_write``."""
+    with atomic_write(path) as file:
+        file.write(text.encode())
+
+
 @contextmanager
 def atomic_write(path: str | Path) -> Iterator[IO[bytes]]:
     """A binary file that appears at ``path`` whole or not at all.

@@ -163,7 +163,7 @@ def json_bytes(data: Mapping[str, object], *, allow_nan: bool = True) -> bytes:
     return (json.dumps(data, indent=1, ensure_ascii=False, allow_nan=allow_nan) + "\n").encode()
 
 
-def json_object(data: bytes, where: Path, remedy: str = "copy the model folder again") -> dict[str, Any]:
+def json_object(data: bytes | str, where: Path, remedy: str = "copy the model folder again") -> dict[str, Any]:
     """The JSON object in the bytes of a file.
 
     Args:

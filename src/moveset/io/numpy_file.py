@@ -32,7 +32,8 @@ def read_array(path: str | Path) -> Tensor:
         FormatError: no npy file of real numbers, damaged, or over 512 MB.
     """
     data = read_limited(path, MAX_NPZ_BYTES)
-    return _float32(parse_array(BytesIO(data), len(data), str(path), "fiu", finite=False))
+    values = parse_array(BytesIO(data), len(data), str(path), "fiu", finite=False)
+    return torch.from_numpy(np.array(values, dtype=np.float32, order="C"))
 
 
 def array_shape(path: str | Path) -> tuple[int, ...]:
@@ -139,7 +140,3 @@ def parse_array(file: IO[bytes], size: int, where: str, kinds: str, *, finite: b
 
 def _one_line(error: Exception) -> str:
     return " ".join(str(error)[:80].split())
-
-
-def _float32(values: np.ndarray) -> Tensor:
-    return torch.from_numpy(np.array(values, dtype=np.float32, order="C"))

@@ -12,7 +12,6 @@ A BVH or HTML part needs no more than that; an npz or a GLB is arranged from its
 
 from collections.abc import Mapping
 from pathlib import Path
-from types import TracebackType
 from typing import Self
 
 from moveset.errors import InputError, MovesetError
@@ -149,9 +148,7 @@ class Take:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
 

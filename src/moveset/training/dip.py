@@ -20,7 +20,6 @@ from moveset.diffusion.steps import add_noise
 from moveset.errors import InputError
 from moveset.models.condition import Condition, PastSegment
 from moveset.models.dip_decoder import DipDecoderConfig
-from moveset.models.registry import describe
 from moveset.motion.features import FeatureCodec
 from moveset.rdm.losses import masked_mse
 from moveset.text.encoder import TextEmbedding
@@ -29,12 +28,12 @@ from moveset.training.engine import Loop
 from moveset.training.rdm import feature_weights
 from moveset.training.reading import MAX_TOKENS
 from moveset.training.segment_data import SegmentData
-from moveset.training.single_network import SingleNetworkTask
+from moveset.training.single_network import NetworkConfig, SingleNetworkTask
 from moveset.training.tasks import Sources
 
 
 @dataclass(frozen=True, kw_only=True)
-class DiPConfig:
+class DiPConfig(NetworkConfig):
     """What ``DiPTask`` trains and how.
 
     Args:
@@ -64,10 +63,6 @@ class DiPConfig:
     text_encoder: str = "minilm"
     augmentation: TextAugmentation = field(default_factory=TextAugmentation)
     max_tokens: int = MAX_TOKENS
-    kind: str = field(init=False)
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "kind", describe(self.model)[0])
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,7 +18,7 @@ from moveset.errors import InputError
 from moveset.models.condition import Condition, Denoiser, Prediction, guided
 from moveset.models.discriminator import DiscriminatorConfig, LatentDiscriminator
 from moveset.models.latent_denoiser import LatentDenoiserConfig
-from moveset.models.registry import ModelConfig, describe, parse_config, require_range
+from moveset.models.registry import ModelConfig, describe, require_range
 from moveset.models.token_denoiser import TokenDenoiserConfig
 from moveset.pcm.consistency import (
     Draws,
@@ -37,7 +37,6 @@ from moveset.text.encoder import TextEmbedding
 from moveset.training.adversarial import discriminator_step
 from moveset.training.ema import Ema
 from moveset.training.engine import Loop
-from moveset.training.optim import cosine_lr
 from moveset.training.single_network import SingleNetworkTask
 from moveset.training.tasks import Sources
 from moveset.training.teacher import LatentData, normalised_latents
@@ -58,8 +57,6 @@ class StudentConfig:
         mismatched_text: share of real samples with another item's text in what the discriminator is to call fake, so
             that it judges what is said too; 0 as published.
         discriminator_max_noise: the lower part of a phase in which the discriminator looks; 1 as published.
-        discriminator_warmup: steps at the beginning in which the discriminator learns and the student waits, so that a
-            student that is good already (``--init``) is not pushed by one that knows nothing yet; 0 as published.
         trajectory_rows: rows of a batch that are asked, besides, for what all of the teacher's steps lead to from where
             sampling enters a phase (``pcm.consistency.phase_entry`` and ``trajectory_target``, and
             ``rdm.distillation.trajectory_target``); 0 as published.
@@ -75,7 +72,6 @@ class StudentConfig:
     inference_points: float = 0.0
     mismatched_text: float = 0.0
     discriminator_max_noise: float = 1.0
-    discriminator_warmup: int = 0
     trajectory_rows: int = 0
     ema: float = 0.95
     batch: int = 128
@@ -91,18 +87,8 @@ class StudentConfig:
         require_range("share of sampled points", self.inference_points, 0.0, 1.0)
         require_range("share of mismatched text", self.mismatched_text, 0.0, 1.0)
         require_range("judged span", self.discriminator_max_noise, 0.0, 1.0)
-        if self.discriminator_warmup < 0 or (self.discriminator_warmup and not self.adversarial):
-            raise InputError(
-                f"discriminator_warmup = {self.discriminator_warmup} asks for a discriminator and 0 steps at least; "
-                "set adversarial too"
-            )
         if self.model is not None:
             object.__setattr__(self, "kind", describe(self.model)[0])
-
-    def learning_rate(self, step: int, steps: int) -> float:
-        """Of the student in a step of a run of so many; its cosine begins when it no longer waits."""
-        alone = self.discriminator_warmup
-        return cosine_lr(max(step - alone, 0), self.lr, self.warmup, steps - alone)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -125,16 +111,13 @@ class _DistillationTask(SingleNetworkTask):
         self.data = LatentData(sources, config.text_encoder, config.augmentation, loop, normalised_latents(teacher))
         self.teacher = teacher.module
         self.student = self.teacher.student().requires_grad_(True)
-        self.config = _with_model(config, self.student)
+        self.config = replace(config, model=self.student.config)
         self.ema = Ema(self.student, config.ema)
         self.schedule = scaled_linear()
         self.grid = PhaseGrid(config.points, config.phases)
         self.draws = loop.generator("draws")
         self.optimizer = torch.optim.AdamW(self.student.parameters(), config.lr, betas=(0.9, 0.999), weight_decay=0.0)
         self._reference: Tensor | None = None
-
-    def learning_rates(self, step: int) -> dict[str, float]:
-        return {"student": self.config.learning_rate(step, self.steps)}
 
     def validate(self, step: int, loop: Loop) -> dict[str, float]:
         """Mean squared distance in the latent to the teacher's 50 guided steps from the same noise, captions of val."""
@@ -198,10 +181,8 @@ class LCMTask(_DistillationTask):
 
     def training_step(self, step: int, loop: Loop) -> dict[str, Tensor]:
         batch = self.data.batch(self.config.batch, step)
-        text, draws = (
-            self.data.read(batch.captions, self.draws),
-            draw(self.grid, batch.z0, self.config.guidance, self.draws, self.config.inference_points),
-        )
+        text = self.data.read(batch.captions, self.draws)
+        draws = draw(self.grid, batch.z0, self.config.guidance, self.draws, self.config.inference_points)
         t = self.grid.time(draws.point_B)
         z = add_noise(self.schedule, batch.z0, draws.noise_BND, t)
         teacher, ema, student = (
@@ -260,15 +241,10 @@ class PCMTask(_DistillationTask):
             self._guided(network, text, batch.frames, draws.w_B)
             for network in (self.teacher, self.ema.module, self.student)
         )
-        report: dict[str, Tensor] = {}
-        if step <= config.discriminator_warmup:
-            with torch.no_grad():
-                self._judged(batch, text, draws, self.predict(student, z, draws.point_B), report, loop)
-            return report
         target = phased_target(self.schedule, self.grid, teacher, ema, z, draws.point_B)
         made = self.predict(student, z, draws.point_B)
         loss = pseudo_huber(made, target, config.huber)
-        report["consistency"] = loss.detach()
+        report = {"consistency": loss.detach()}
         loss = loss + self._trajectory(batch, draws, report)
         if config.adversarial:
             fooled = hinge_generator(self.judge.heads(self._judged(batch, text, draws, made, report, loop)))
@@ -299,8 +275,3 @@ class PCMTask(_DistillationTask):
                 others_seen = self.judge.features(real, s_B, others)
         report |= discriminator_step(self.judge.heads, real_seen, seen, others_seen, self.config.mismatched_text, loop)
         return seen
-
-
-def _with_model(config: DistillationConfig, student: nn.Module) -> DistillationConfig:
-    kind, settings = describe(student.config)  # type: ignore[arg-type]
-    return replace(config, model=parse_config(kind, settings))

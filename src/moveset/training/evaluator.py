@@ -22,14 +22,13 @@ from moveset.data.feature_store import Crop, FeatureStore
 from moveset.data.glove_files import read_glove
 from moveset.errors import InputError
 from moveset.models.evaluator import EvaluatorConfig, MatchingEvaluator, MovementConfig
-from moveset.models.registry import describe
 from moveset.motion.features import Normalizer, get_codec
 from moveset.text.glove import GloveWords
 from moveset.text.words import as_words
 from moveset.training.ema import Ema, ema_warmup
 from moveset.training.engine import Loop
 from moveset.training.reading import embedded
-from moveset.training.single_network import SingleNetworkTask
+from moveset.training.single_network import NetworkConfig, SingleNetworkTask
 from moveset.training.tasks import Sources
 from moveset.training.trained import load_trained
 
@@ -37,7 +36,7 @@ Option = TypeVar("Option")
 
 
 @dataclass(frozen=True, kw_only=True)
-class MovementTrainingConfig:
+class MovementTrainingConfig(NetworkConfig):
     """What ``MovementTask`` trains and how.
 
     Args:
@@ -56,14 +55,10 @@ class MovementTrainingConfig:
     smooth: float = 1e-3
     feat_bias: float = 5.0
     codec: str = "published"
-    kind: str = field(init=False)
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "kind", describe(self.model)[0])
 
 
 @dataclass(frozen=True, kw_only=True)
-class EvaluatorTrainingConfig:
+class EvaluatorTrainingConfig(NetworkConfig):
     """What ``EvaluatorTask`` trains and how.
 
     Args:
@@ -92,10 +87,6 @@ class EvaluatorTrainingConfig:
     noise: float = 0.0
     feat_bias: float = 5.0
     codec: str = "hml"
-    kind: str = field(init=False)
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "kind", describe(self.model)[0])
 
 
 class MovementTask(SingleNetworkTask):
@@ -183,7 +174,10 @@ class EvaluatorTask(SingleNetworkTask):
     def training_step(self, step: int, loop: Loop) -> dict[str, Tensor]:
         self.evaluator.movement.train(self.config.blurred)
         generator = torch.Generator().manual_seed(self.seed * 1_000_003 + step)
-        crops = [self._undivided(crop) for crop in self.sampler.crops(step)]
+        crops = [
+            crop if self.dataset.clip(crop.clip).croppable else self.store.whole(crop.clip)
+            for crop in self.sampler.crops(step)
+        ]
         motion, text, labels = self._embed(self.evaluator, crops, generator, loop, self.config.noise)
         loss, right = contrast(text, motion, labels, self.config.margin, self._shift(len(crops), generator))
         norm = loop.minimise(loss, "evaluator")
@@ -201,9 +195,6 @@ class EvaluatorTask(SingleNetworkTask):
             losses.append(float(loss))
             rights.append(float(right))
         return {"loss": sum(losses) / len(losses), "nearest": sum(rights) / len(rights)}
-
-    def _undivided(self, crop: Crop) -> Crop:
-        return crop if self.dataset.clip(crop.clip).croppable else self.store.whole(crop.clip)
 
     def _embed(
         self,

@@ -10,15 +10,14 @@ from moveset.data.dataset import Dataset, open_for_training
 from moveset.data.splits import Split
 from moveset.errors import InputError
 from moveset.models.length import LengthPredictorConfig
-from moveset.models.registry import describe
 from moveset.training.engine import Loop
 from moveset.training.reading import embedded
-from moveset.training.single_network import SingleNetworkTask
+from moveset.training.single_network import NetworkConfig, SingleNetworkTask
 from moveset.training.tasks import Sources
 
 
 @dataclass(frozen=True, kw_only=True)
-class LengthConfig:
+class LengthConfig(NetworkConfig):
     """What ``LengthTask`` trains and how; the learning rate is a cosine over the run.
 
     Args:
@@ -31,10 +30,6 @@ class LengthConfig:
     warmup: int = 0
     smoothing: float = 0.05
     text_encoder: str = "minilm"
-    kind: str = field(init=False)
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "kind", describe(self.model)[0])
 
 
 class LengthTask(SingleNetworkTask):

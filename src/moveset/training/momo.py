@@ -2,15 +2,15 @@
 
     d = β1 d + (1 - β1) g                  v = β2 v + (1 - β2) g²              D = sqrt(v / (1 - β2^k)) + ε
     F = β1 F + (1 - β1) f                  γ = β1 γ + (1 - β1) <g, x>
-    τ = min( lr / (1 - β1^k),  max(0, (1 + lr λ) (F - (1 - β1^k) f* - γ) + <d, x>) / <d, d / D> )
+    τ = min( lr / (1 - β1^k),  max(0, (1 + lr λ) (F - γ) + <d, x>) / <d, d / D> )
     x = (x - τ d / D) / (1 + lr λ)
 
-f is the loss at x in step k = 1, 2, …, g its gradient, λ the weight decay, f* a lower bound of the loss. The second
-term of τ is Polyak's: it takes the averaged linear model of the loss down to the bound and no further. While it is the
-larger one, this is Adam.
+f is the loss at x in step k = 1, 2, …, g its gradient, λ the weight decay. The second term of τ is
+Polyak's: it takes the averaged linear model of the loss down to 0, which no loss is below, and no further. While it is
+the larger one, this is Adam.
 
 Source: Schaipp, Ohana, Eickenberg, Defazio, Gower, "MoMo: Momentum Models for Adaptive Learning Rates", ICML 2024
-(arXiv 2305.07583), Algorithm 3 and Section 4 on the bound.
+(arXiv 2305.07583), Algorithm 3 with the lower bound 0.
 """
 
 from collections.abc import Iterable
@@ -25,16 +25,13 @@ from moveset.errors import InputError
 class MomoAdam(torch.optim.Optimizer):
     """Adam with a Polyak-type cap; ``step`` wants the loss.
 
-    All that a step depends on is in ``state_dict()``; what belongs to no single parameter (k, F, γ, f*) is kept with
+    All that a step depends on is in ``state_dict()``; what belongs to no single parameter (k, F, γ) is kept with
     the first one. Nothing waits for the device.
 
     Args:
         params: parameters of one loss, in one group: τ is a single number. Two losses need two optimisers.
         lr: the largest step size; the authors recommend 1e-2.
         weight_decay: λ, decoupled as in AdamW but as a division.
-        lower_bound: f*, a number that the loss is never below.
-        estimate_bound: raise f* to what the model of the loss would have predicted, step by step, for losses whose
-            minimum is far above ``lower_bound``.
 
     Raises:
         InputError: an argument is out of range, or there is more than one group of parameters.
@@ -50,8 +47,6 @@ class MomoAdam(torch.optim.Optimizer):
         betas: tuple[float, float] = (0.9, 0.999),
         eps: float = 1e-8,
         weight_decay: float = 0.0,
-        lower_bound: float = 0.0,
-        estimate_bound: bool = False,
     ) -> None:
         if not lr > 0.0:
             raise InputError(f"the learning rate is {lr} but must be above 0; the authors recommend 1e-2")
@@ -61,15 +56,7 @@ class MomoAdam(torch.optim.Optimizer):
         for name, value in (("eps", eps), ("weight_decay", weight_decay)):
             if not value >= 0.0:
                 raise InputError(f"{name} is {value} but must not be negative; give 0 or more")
-        defaults = {
-            "lr": lr,
-            "betas": tuple(betas),
-            "eps": eps,
-            "weight_decay": weight_decay,
-            "lower_bound": lower_bound,
-            "estimate_bound": estimate_bound,
-        }
-        super().__init__(params, defaults)
+        super().__init__(params, {"lr": lr, "betas": tuple(betas), "eps": eps, "weight_decay": weight_decay})
 
     def add_param_group(self, param_group: dict[str, Any]) -> None:
         """Takes the one group that there can be. Raises InputError for a second one."""
@@ -116,15 +103,8 @@ class MomoAdam(torch.optim.Optimizer):
         # Were d zero, any step would do: it moves nothing.
         size = size.clamp_min(torch.finfo(size.dtype).tiny)
         along = _inner(momenta, values)
-        reach, bound = (1.0 + lr * decay) * (average - gamma) + along, whole["lower_bound"]
-        if group["estimate_bound"]:
-            # The model lies below the bound, so the bound was too high: half of what the model says, if that is better.
-            unit = (1.0 + lr * decay) * rise1
-            bound.copy_(torch.where(reach < unit * bound, reach / (2.0 * unit), bound))
-            bound.clamp_(min=group["lower_bound"])
-        tau = ((reach - (1.0 + lr * decay) * rise1 * bound).clamp_min(0.0) / size).clamp_max(lr / rise1)
-        if group["estimate_bound"]:
-            bound.copy_((average - gamma + along - 0.5 * tau * size) / rise1).clamp_(min=group["lower_bound"])
+        reach = (1.0 + lr * decay) * (average - gamma) + along
+        tau = (reach.clamp_min(0.0) / size).clamp_max(lr / rise1)
 
         moves = torch._foreach_mul(momenta, tau)
         torch._foreach_div_(moves, scales)
@@ -138,8 +118,8 @@ class MomoAdam(torch.optim.Optimizer):
         state = self.state[first]
         if "step" not in state:
             state["step"] = torch.zeros((), dtype=torch.float32)
-            for name, value in (("loss", 0.0), ("gamma", 0.0), ("lower_bound", group["lower_bound"])):
-                state[name] = torch.full((), value, dtype=first.dtype, device=first.device)
+            for name in ("loss", "gamma"):
+                state[name] = torch.zeros((), dtype=first.dtype, device=first.device)
         return state
 
 

@@ -17,7 +17,7 @@ from typing import Any
 
 from moveset.data.dataset import open_for_training
 from moveset.errors import InputError, MovesetError
-from moveset.io.limits import atomic_write
+from moveset.io.limits import write_text
 from moveset.training import checkpoint
 from moveset.training.engine import EngineConfig, run
 from moveset.training.export import Export, export
@@ -256,8 +256,7 @@ def _done(stage: Stage, keys: Mapping[str, str], place: Place) -> bool:
 
 
 def _note(place: Place, stage: Stage, key: str, **more: Any) -> None:
-    with atomic_write(place.out / "stages" / f"{stage.name}.json") as file:
-        file.write(json.dumps({"key": key, **more}, indent=1).encode())
+    write_text(place.out / "stages" / f"{stage.name}.json", json.dumps({"key": key, **more}, indent=1))
 
 
 def _noted(place: Place, stage: Stage) -> dict[str, Any]:

@@ -34,6 +34,7 @@ from moveset.training.optim import cosine_lr
 from moveset.training.reading import MAX_TOKENS
 from moveset.training.segment_data import SegmentData, forecast, spectrum
 from moveset.training.segment_losses import foot_error, heading_error
+from moveset.training.single_network import NetworkConfig
 from moveset.training.tasks import Sources
 
 SCHEDULE = linear()
@@ -46,7 +47,7 @@ Told = Literal["clean_prev", "none"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class RDMConfig:
+class RDMConfig(NetworkConfig):
     """What ``RDMTask`` trains and how.
 
     Args:
@@ -128,10 +129,9 @@ class RDMConfig:
     heading_change: float = 0.0
     heading_noise: float = 0.0
     max_tokens: int = MAX_TOKENS
-    kind: str = field(init=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "kind", describe(self.model)[0])
+        super().__post_init__()
         named = {
             "optimizer": Optimizer,
             "weight": Weight,

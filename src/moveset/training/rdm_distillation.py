@@ -51,10 +51,10 @@ class RDMStudentConfig(StudentConfig):
         root: weight of the four root features, as in the teacher's training.
         tremor: of the student's network, see ``SegmentTransformerConfig``; one evaluation trembles more than ten.
         heading, past_perturbation: as in the teacher's training (``RDMConfig``); the teacher is told the bent past too.
-        context_noise: tell the teacher the segment before at a level somewhat below the one it is asked at, as most of
-            its training did, instead of finished; the student is told a finished one, as in use.
-        context_noise_rollout: tell it so of ``rollout_share`` only: from a noisy past the teacher goes on more lively
-            than from the tired one that a stream may have come to; told takes' pasts as they are, it can be followed.
+        context_noise_rollout: tell the teacher of ``rollout_share`` the segment before at a level somewhat below the
+            one it is asked at, as most of its training did; the student is told a finished one, as in use. From a noisy
+            past the teacher goes on more lively than from the tired one that a stream may have come to; told takes'
+            pasts as they are, it can be followed.
         rollout_share: share of a batch's rows that are told what the student made itself (``training.rollout``). They
             are asked at the top of each phase in turn, and judged without their past: not whether a segment goes on as
             takes do, but whether it shows what is said as takes do.
@@ -75,7 +75,6 @@ class RDMStudentConfig(StudentConfig):
     tremor: float = 0.0
     heading: float = 0.0
     past_perturbation: float = 0.0
-    context_noise: bool = False
     context_noise_rollout: bool = False
     rollout_share: float = 0.0
     timing: float = 0.0
@@ -153,9 +152,6 @@ class RDMStudentTask(SingleNetworkTask):
     def load_state(self, state: Mapping[str, Any]) -> None:
         self.own.load_state(state, self.scale.device)
 
-    def learning_rates(self, step: int) -> dict[str, float]:
-        return {"student": self.config.learning_rate(step, self.steps)}
-
     def training_step(self, step: int, loop: Loop) -> dict[str, Tensor]:
         config = self.config
         batch = self.data.training_batch(config.batch, step)
@@ -176,18 +172,12 @@ class RDMStudentTask(SingleNetworkTask):
         if config.rollout_share:
             batch, w_B = self.own.tell(batch, draws.w_B, self.draws)
             draws = replace(draws, w_B=w_B)
-        noisy = config.context_noise or config.context_noise_rollout
-        past_noise = self._past_noise(self.own.began_with(white_BnD), noisy)
+        past_noise = self._past_noise(self.own.began_with(white_BnD))
         # The student reads a roughened sentence and should say what is said to the sentence as it is.
         rough, text = self.data.read(batch.captions, self.draws), self.data.read(batch.captions)
         bound = self._bound(batch, text, past_noise)
         t_B, edge_B = self.grid.time(draws.point_B), self.grid.lower(draws.point_B)
         z = self.own.enter(add_noise(SCHEDULE, bound.pull(batch.clean), draws.noise_BND, t_B))
-        if step <= config.discriminator_warmup:
-            with torch.no_grad():
-                made = bound.by(self.student, draws.w_B, rough)(bound.push(z), t_B)
-            self._go_on(bound, z, made, t_B, edge_B)
-            return self._judge(bound, batch, draws, z, made, t_B, edge_B, loop)[1]
         target, share_B = clean_target(
             SCHEDULE, self.grid, bound.guided(draws.w_B), bound.by(self.ema.module, draws.w_B), bound.push, bound.pull,
             z, draws.point_B,
@@ -242,7 +232,7 @@ class RDMStudentTask(SingleNetworkTask):
         batch = self.data.val.batch(64, 0, 0).to(loop.device)
         text, w = self.data.read(batch.captions), torch.full((64,), sum(self.config.guidance) / 2).to(loop.device)
         noise = torch.randn(batch.clean.shape, generator=torch.Generator().manual_seed(0)).to(loop.device)
-        bound = self._bound(batch, text, self._past_noise(noise, self.config.context_noise))
+        bound = self._bound(batch, text)
         noise = self.teacher.colour(noise)
         if self._reference is None:
             self._reference = bound.sample(bound.guided(w), noise, levels(25))
@@ -256,24 +246,22 @@ class RDMStudentTask(SingleNetworkTask):
             )
         return report | {"teacher_std": float(self._reference.std()), "student_std": float(made.std())}
 
-    def _past_noise(self, white_BnD: Tensor, noisy: bool) -> Tensor | None:
-        """Noise of the past that a segment's own noise decides: the teacher's way down has to be a function of it.
+    def _past_noise(self, white_BnD: Tensor) -> Tensor | None:
+        """Noise of the streams' past that a segment's own noise decides: the teacher's way down is a function of it.
 
         The features' noises change places, so that to the teacher the two look independent, as in its training.
         """
-        if not noisy:
+        if not self.config.context_noise_rollout:
             return None
         noise: Tensor = self.teacher.colour(white_BnD.roll(white_BnD.shape[-1] // 2, dims=-1))
         return noise
 
-    def _bound(self, batch: SegmentBatch, text: TextEmbedding, past_noise: Tensor | None) -> BoundSegments:
+    def _bound(self, batch: SegmentBatch, text: TextEmbedding, past_noise: Tensor | None = None) -> BoundSegments:
         empty = self.data.read([""])
         past = None
         if past_noise is not None:
-            # A trajectory's rows are the first of a batch; those of a validation are more, and takes.
-            every_B = torch.ones_like(batch.index, dtype=torch.bool)
-            noisy_B = every_B if self.config.context_noise else self.alone[: len(batch.index)]
-            past = (past_noise, self.data.pooled(batch.previous_captions), noisy_B)
+            # A trajectory's rows are the first of a batch.
+            past = (past_noise, self.data.pooled(batch.previous_captions), self.alone[: len(batch.index)])
         return BoundSegments(batch, text, empty, self.transport, self.teacher, past)
 
     def _coloured(self, draws: Draws) -> Draws:

@@ -1,13 +1,26 @@
 """Trainings of one network: what the engine saves and steps, by one name."""
 
+from dataclasses import dataclass, field
 from typing import Any
 
 import torch
 from torch import nn
 
+from moveset.models.registry import describe
 from moveset.training.ema import Ema
 from moveset.training.engine import Task
 from moveset.training.optim import cosine_lr
+
+
+@dataclass(frozen=True, kw_only=True)
+class NetworkConfig:
+    """What is trained and how; ``kind`` is the architecture of ``model``, for whoever reads a checkpoint."""
+
+    model: Any
+    kind: str = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "kind", describe(self.model)[0])
 
 
 class SingleNetworkTask(Task):

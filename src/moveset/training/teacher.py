@@ -14,19 +14,18 @@ from moveset.diffusion.schedule import scaled_linear
 from moveset.diffusion.steps import add_noise
 from moveset.models.condition import Condition
 from moveset.models.latent_denoiser import LatentDenoiserConfig
-from moveset.models.registry import describe
 from moveset.models.token_denoiser import TokenDenoiserConfig
 from moveset.text.encoder import TextEmbedding
 from moveset.training.ema import Ema, ema_warmup
 from moveset.training.engine import Loop
 from moveset.training.reading import embedded, read_captions
-from moveset.training.single_network import SingleNetworkTask
+from moveset.training.single_network import NetworkConfig, SingleNetworkTask
 from moveset.training.tasks import Sources
 from moveset.training.trained import TrainedNetwork, load_trained
 
 
 @dataclass(frozen=True, kw_only=True)
-class TeacherConfig:
+class TeacherConfig(NetworkConfig):
     """What ``TeacherTask`` trains and how; the learning rate is a cosine over the run.
 
     Args:
@@ -45,10 +44,6 @@ class TeacherConfig:
     ema: float = 0.999
     text_encoder: str = "minilm"
     augmentation: TextAugmentation = field(default_factory=TextAugmentation)
-    kind: str = field(init=False)
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "kind", describe(self.model)[0])
 
 
 def normalised_latents(teacher: TrainedNetwork) -> bool:

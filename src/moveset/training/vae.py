@@ -1,7 +1,7 @@
 """Training the motion VAE: reconstruction after forward kinematics, a small KL, an averaged copy that ships."""
 
 from dataclasses import dataclass, field, replace
-from typing import Literal, Protocol, cast
+from typing import Any, Literal, cast
 
 import torch
 from torch import Tensor
@@ -10,7 +10,6 @@ from moveset.data.crops import CropSampler
 from moveset.data.dataset import choose_codec, open_for_training
 from moveset.data.feature_store import Crop, FeatureStore
 from moveset.errors import InputError
-from moveset.models.registry import describe
 from moveset.models.timed_vae import TimedVAEConfig
 from moveset.models.token_vae import TokenVAEConfig
 from moveset.motion.features import FeatureCodec
@@ -18,7 +17,7 @@ from moveset.motion.measures import jerk, skating
 from moveset.motion.native import NativeCodec
 from moveset.training.ema import Ema, ema_warmup
 from moveset.training.engine import Loop
-from moveset.training.single_network import SingleNetworkTask
+from moveset.training.single_network import NetworkConfig, SingleNetworkTask
 from moveset.training.tasks import Sources
 from moveset.training.trained import load_trained
 from moveset.training.vae_loss import (
@@ -30,18 +29,8 @@ from moveset.training.vae_loss import (
 )
 
 
-class MotionVAE(Protocol):
-    """What a motion VAE offers, whatever its architecture."""
-
-    def encode(self, x_BFD: Tensor, lengths_B: Tensor) -> tuple[Tensor, Tensor]:
-        """Posterior mean and log-variance (B, N, d)."""
-
-    def decode(self, z_BND: Tensor, lengths_B: Tensor, frames: int) -> Tensor:
-        """Features (B, frames, D)."""
-
-
 @dataclass(frozen=True, kw_only=True)
-class VAETrainingConfig:
+class VAETrainingConfig(NetworkConfig):
     """What ``VAETask`` and ``DecoderTask`` train and how; the learning rate is a cosine over the run.
 
     Args:
@@ -67,10 +56,6 @@ class VAETrainingConfig:
     latent_noise: float = 0.0
     codec: str = "auto"
     loss: Literal["auto", "kinematic", "published"] = "auto"
-    kind: str = field(init=False)
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "kind", describe(self.model)[0])
 
 
 class VAETask(SingleNetworkTask):
@@ -137,9 +122,7 @@ class VAETask(SingleNetworkTask):
         return (0.5 * log_variance).exp()
 
     def validate(self, step: int, loop: Loop) -> dict[str, float]:
-        return reconstruction_report(
-            cast(MotionVAE, self.ema.module), self.store, self.held_out, self.codec, loop.device
-        )
+        return reconstruction_report(self.ema.module, self.store, self.held_out, self.codec, loop.device)
 
 
 class DecoderTask(VAETask):
@@ -181,7 +164,7 @@ class DecoderTask(VAETask):
 
 @torch.no_grad()
 def reconstruction_report(
-    vae: MotionVAE, store: FeatureStore, crops: list[Crop], codec: FeatureCodec, device: torch.device, batch: int = 64
+    vae: Any, store: FeatureStore, crops: list[Crop], codec: FeatureCodec, device: torch.device, batch: int = 64
 ) -> dict[str, float]:
     """Means over clips: position errors (mm), jerk (m/s³) and skating of reconstructions and of the originals."""
     rows = []

@@ -1,6 +1,7 @@
 """Motion made from formulas: walks, runs, turns, waves, raised arms. Small, instant, and nobody's data, for tests."""
 
 import math
+from dataclasses import dataclass
 from pathlib import Path
 
 import torch
@@ -8,7 +9,8 @@ from torch import Tensor
 
 from moveset.data.bandai_captions import bandai_captions
 from moveset.data.compose import add_compositions
-from moveset.data.corpus import CorpusWriter, TakeEntry
+from moveset.data.corpus import CorpusWriter
+from moveset.data.records import ClipRecord
 from moveset.data.splits import Split
 from moveset.errors import InputError
 from moveset.motion import rotations
@@ -100,6 +102,43 @@ def synthetic_motion(
     return Motion(motion.rotations, motion.root - lowest[:, None] * torch.tensor((0.0, 1.0, 0.0)), fps)
 
 
+@dataclass(frozen=True, eq=False)
+class TakeEntry:
+    """A clip to be stored with a run of its own: fields as in ``ClipRecord``, captions as sentences."""
+
+    name: str
+    take: str
+    source: str
+    content: str
+    style: str | None
+    captions: tuple[str, ...]
+    split: Split
+    subject: str
+    motion: Motion
+    first_frame: int = 0
+
+
+def add_take(writer: CorpusWriter, entry: TakeEntry) -> int:
+    """Store a clip with a run of its own; returns its number."""
+    record = ClipRecord(
+        name=entry.name,
+        take=entry.take,
+        source=entry.source,
+        subject=entry.subject,
+        group=entry.take,
+        kind="take",
+        contents=(entry.content,),
+        style=entry.style,
+        split=entry.split,
+        fps=entry.motion.fps,
+        frames=len(entry.motion),
+        captions=(),
+        first_frame=entry.first_frame,
+        run=writer.add_run(entry.take, entry.motion, entry.first_frame),
+    )
+    return writer.add_clip(record, entry.captions)
+
+
 def synthetic_corpus(path: str | Path, clips: int = 24, seed: int = 0, held_out: int | None = None) -> Path:
     """A small corpus of synthetic takes in every split, and a few training compositions.
 
@@ -118,7 +157,8 @@ def synthetic_corpus(path: str | Path, clips: int = 24, seed: int = 0, held_out:
         kind = KINDS[k % len(KINDS)]
         split: Split = "train" if k < clips - held_out else "val" if k % 2 else "test"
         frames = int(torch.randint(40, 120, (1,), generator=generator))
-        writer.add_take(
+        add_take(
+            writer,
             TakeEntry(
                 name=f"synthetic_{kind}_{k:03d}",
                 take=f"synthetic_{kind}_{k:03d}",
@@ -129,7 +169,7 @@ def synthetic_corpus(path: str | Path, clips: int = 24, seed: int = 0, held_out:
                 split=split,
                 subject="synthetic",
                 motion=synthetic_motion(kind, frames, seed=seed * 1000 + k),
-            )
+            ),
         )
     add_compositions(writer, train=max(4, clips // 3), seed=seed)
     return writer.write(path)
