@@ -18,7 +18,7 @@ from moveset.models.dip_decoder import DipDecoderConfig
 from moveset.motion.features import get_codec
 from moveset.training.dip import PieceSet
 from moveset.training.segment_data import forecast, spectrum
-from tests.synthetic import synthetic_corpus
+from tests.synthetic import synthetic_corpus, synthetic_motion
 from tests.training.hml_folder import write_folder
 
 N = 14

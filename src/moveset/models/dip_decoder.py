@@ -16,7 +16,7 @@ from torch.nn import functional as fn
 from moveset.errors import InputError
 from moveset.models.condition import Condition, Denoiser
 from moveset.models.layers import Attention
-from moveset.models.registry import register, require_range
+from moveset.models.registry import register, require_range, require_sizes
 from moveset.models.sinusoids import sinusoids
 
 
@@ -42,14 +42,7 @@ class DipDecoderConfig:
     dropout: float = 0.1
 
     def __post_init__(self) -> None:
-        for name in ("features", "text_dim", "feed_forward"):
-            require_range(name, getattr(self, name), 1, 16384)
-        require_range("prefix", self.prefix, 0, 4096)
-        require_range("frames", self.frames, 1, 4096)
-        require_range("width", self.width, 2, 4096)
-        require_range("layers", self.layers, 1, 64)
-        require_range("heads", self.heads, 1, self.width)
-        require_range("dropout", self.dropout, 0.0, 0.9)
+        require_sizes(self, prefix=(0, 4096), frames=(1, 4096), width=(2, 4096), heads=(1, self.width))
         require_range("width modulo 2", self.width % 2, 0, 0)
         require_range("width modulo heads", self.width % self.heads, 0, 0)
 

@@ -12,7 +12,7 @@ from torch.nn import functional as F
 
 from moveset.errors import InputError
 from moveset.models.condition import Condition, Denoiser
-from moveset.models.registry import register, require_range
+from moveset.models.registry import register, require_sizes
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -24,9 +24,7 @@ class DiscriminatorConfig:
     groups: int = 32
 
     def __post_init__(self) -> None:
-        require_range("discriminator width", self.width, 1, 4096)
-        require_range("discriminator taps", self.taps, 1, 256)
-        require_range("discriminator groups", self.groups, 1, self.width)
+        require_sizes(self, taps=(1, 256), groups=(1, self.width))
         if self.width % self.groups:
             raise InputError(f"discriminator width {self.width} is not a multiple of its {self.groups} groups")
 

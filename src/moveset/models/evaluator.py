@@ -17,7 +17,7 @@ from torch.nn import functional as F
 from torch.nn.utils.rnn import pack_padded_sequence
 
 from moveset.errors import InputError
-from moveset.models.registry import register, require_range
+from moveset.models.registry import register, require_sizes
 
 FRAMES_PER_TOKEN = 4
 MAX_FRAMES = 196
@@ -35,10 +35,7 @@ class MovementConfig:
     dropout: float = 0.2
 
     def __post_init__(self) -> None:
-        require_range("features", self.features, CONTACTS + 1, 10_000)
-        require_range("movement width", self.width, 1, 4096)
-        require_range("movement latent", self.latent, 1, 4096)
-        require_range("dropout", self.dropout, 0.0, 0.9)
+        require_sizes(self, features=(CONTACTS + 1, 10_000))
 
     def build(self) -> "MovementAutoencoder":
         """The module with fresh weights."""
@@ -72,12 +69,7 @@ class EvaluatorConfig:
 
     def __post_init__(self) -> None:
         _ = self.movement
-        require_range("hidden dropout", self.hidden_dropout, 0.0, 0.9)
-        require_range("word width", self.word_width, 1, 8192)
-        require_range("speech classes", self.speech_classes, 0, 1000)
-        require_range("text hidden width", self.text_hidden, 1, 4096)
-        require_range("motion hidden width", self.motion_hidden, 1, 4096)
-        require_range("joint width", self.joint, 1, 4096)
+        require_sizes(self, speech_classes=(0, 1000), hidden_dropout=(0.0, 0.9))
 
     @property
     def movement(self) -> MovementConfig:

@@ -28,7 +28,7 @@ import torch
 from torch import Generator, Tensor, nn
 
 from moveset.errors import InputError
-from moveset.models.registry import register, require_range
+from moveset.models.registry import register, require_sizes
 
 BOUNDS = ("tanh", "hardtanh")
 
@@ -62,15 +62,7 @@ class FlowConfig:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        require_range("flow features", self.features, 2, 4096)
-        require_range("flow blocks", self.blocks, 1, 64)
-        require_range("flow hidden", self.hidden, 1, 4096)
-        require_range("text_dim", self.text_dim, 1, 8192)
-        require_range("text_context", self.text_context, 1, 4096)
-        require_range("index_context", self.index_context, 1, 4096)
-        require_range("max_index", self.max_index, 0, 4096)
-        require_range("log_scale", self.log_scale, 1e-4, 2.0)
-        require_range("flow seed", self.seed, 0, 2**31 - 1)
+        require_sizes(self, features=(2, 4096), log_scale=(1e-4, 2.0), seed=(0, 2**31 - 1))
         if self.bound not in BOUNDS:
             raise InputError(f"unknown bound {self.bound!r} of a flow's log-scales; choose from {', '.join(BOUNDS)}")
 

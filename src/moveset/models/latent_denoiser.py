@@ -16,7 +16,7 @@ from torch.nn import functional as fn
 
 from moveset.diffusion.schedule import Schedule, scaled_linear
 from moveset.models.condition import Condition, Denoiser
-from moveset.models.registry import register, require_range
+from moveset.models.registry import register, require_range, require_sizes
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -42,10 +42,7 @@ class LatentDenoiserConfig:
     carried: bool = False
 
     def __post_init__(self) -> None:
-        for name in ("tokens", "token_dim", "text_dim", "width", "heads", "hidden"):
-            require_range(name, getattr(self, name), 1, 16384)
-        require_range("blocks", self.blocks, 1, 64)
-        require_range("dropout", self.dropout, 0.0, 0.9)
+        require_sizes(self)
         require_range("width modulo heads", self.width % self.heads, 0, 0)
 
     def build(self) -> "LatentDenoiser":

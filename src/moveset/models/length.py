@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import torch
 from torch import Generator, Tensor, nn
 
-from moveset.models.registry import register, require_range
+from moveset.models.registry import register, require_sizes
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -25,11 +25,7 @@ class LengthPredictorConfig:
     dropout: float = 0.2
 
     def __post_init__(self) -> None:
-        require_range("text_dim", self.text_dim, 1, 8192)
-        require_range("width", self.width, 1, 8192)
-        require_range("classes", self.classes, 2, 10_000)
-        require_range("frames_per_class", self.frames_per_class, 1, 1000)
-        require_range("dropout", self.dropout, 0.0, 0.9)
+        require_sizes(self, classes=(2, 10_000))
 
     def build(self) -> "LengthPredictor":
         """The module with fresh weights."""

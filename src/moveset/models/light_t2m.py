@@ -17,7 +17,7 @@ from torch.nn import functional as fn
 from moveset.errors import InputError
 from moveset.models.condition import Condition, Denoiser
 from moveset.models.layers import time_embedding
-from moveset.models.registry import register, require_range
+from moveset.models.registry import register, require_range, require_sizes
 from moveset.models.selective_scan import Mamba
 from moveset.models.sinusoids import sinusoids
 
@@ -56,14 +56,8 @@ class LightT2MConfig:
     dropout: float = 0.1
 
     def __post_init__(self) -> None:
-        for name in ("features", "text_dim"):
-            require_range(name, getattr(self, name), 1, 16384)
-        require_range("width", self.width, 2, 4096)
-        for name in ("frames", "rank", "groups"):
-            require_range(name, getattr(self, name), 1, 4096)
-        for name in ("stages", "patch", "states", "convolution", "expand"):
-            require_range(name, getattr(self, name), 1, 64)
-        require_range("dropout", self.dropout, 0.0, 0.9)
+        few = dict.fromkeys(("stages", "patch", "states", "convolution", "expand"), (1, 64))
+        require_sizes(self, frames=(1, 4096), width=(2, 4096), **few)
         require_range("width modulo 2", self.width % 2, 0, 0)
         require_range("width modulo groups", self.width % self.groups, 0, 0)
         if self.pool not in POOLS:

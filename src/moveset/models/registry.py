@@ -95,6 +95,12 @@ def build_model(kind: str, config: Mapping[str, Any]) -> nn.Module:
     return module
 
 
+_SIZES = {
+    "dropout": (0.0, 0.9), "layers": (1, 99), "blocks": (1, 64), "text_layers": (0, 64), "max_index": (0, 4096),
+    "guidance_waves": (4, 4096),
+}  # fmt: skip
+
+
 def require_range(name: str, value: float, low: float, high: float) -> None:
     """For ``__post_init__`` of configurations: keep sizes sane before anything is allocated.
 
@@ -103,6 +109,18 @@ def require_range(name: str, value: float, low: float, high: float) -> None:
     """
     if not low <= value <= high:
         raise InputError(f"{name} = {value} is outside {low} to {high}")
+
+
+def require_sizes(config: ModelConfig, **limits: tuple[float, float]) -> None:
+    """The same of every number of a configuration: within ``limits``, those of its name in ``_SIZES``, or 1 to 16384.
+
+    Raises:
+        InputError: one that is not.
+    """
+    for field in dataclasses.fields(config):  # type: ignore[arg-type]
+        value = getattr(config, field.name)
+        if isinstance(value, int | float) and not isinstance(value, bool):
+            require_range(field.name, value, *limits.get(field.name, _SIZES.get(field.name, (1, 16384))))
 
 
 def _plain(value: Any) -> Any:

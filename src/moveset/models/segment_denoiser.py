@@ -21,7 +21,7 @@ from moveset.diffusion.guidance import guidance_embedding
 from moveset.errors import InputError
 from moveset.models.condition import Condition, Denoiser
 from moveset.models.layers import Block, TimeEmbedding
-from moveset.models.registry import register, require_range
+from moveset.models.registry import register, require_range, require_sizes
 
 PREVIOUS = ("none", "xattn", "channel", "token")
 ATTENTION = ("linear", "softmax")
@@ -71,19 +71,7 @@ class SegmentDenoiserConfig:
     guidance_waves: int = 256
 
     def __post_init__(self) -> None:
-        for name in ("features", "text_dim", "feed_forward", "conditioning", "text_feed_forward"):
-            require_range(name, getattr(self, name), 1, 16384)
-        for name in ("width", "text_width", "prev_width"):
-            require_range(name, getattr(self, name), 2, 16384)
-        require_range("frames", self.frames, 1, 4096)
-        require_range("layers", self.layers, 1, 64)
-        require_range("text_layers", self.text_layers, 0, 64)
-        require_range("heads", self.heads, 1, self.width)
-        require_range("text_heads", self.text_heads, 1, self.text_width)
-        require_range("dropout", self.dropout, 0.0, 0.9)
-        require_range("boundary", self.boundary, 0, self.frames)
-        require_range("max_index", self.max_index, 0, 4096)
-        require_range("guidance_waves", self.guidance_waves, 4, 4096)
+        require_sizes(self, heads=(1, self.width), text_heads=(1, self.text_width), boundary=(0, self.frames))
         require_range("width modulo heads", self.width % self.heads, 0, 0)
         require_range("width modulo 2", self.width % 2, 0, 0)
         require_range("text_width modulo text_heads", self.text_width % self.text_heads, 0, 0)

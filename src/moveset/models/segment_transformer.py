@@ -27,7 +27,7 @@ from moveset.diffusion.schedule import linear
 from moveset.errors import InputError
 from moveset.models.condition import Condition, Denoiser
 from moveset.models.latent_denoiser import Block, waves
-from moveset.models.registry import register, require_range
+from moveset.models.registry import register, require_range, require_sizes
 
 _WAVES = 256
 _SCHEDULE = linear()
@@ -67,13 +67,7 @@ class SegmentTransformerConfig:
     heading_change: bool = False
 
     def __post_init__(self) -> None:
-        for name in ("features", "text_dim", "width", "heads", "hidden"):
-            require_range(name, getattr(self, name), 1, 16384)
-        require_range("frames", self.frames, 2, 4096)
-        require_range("blocks", self.blocks, 1, 64)
-        require_range("max_index", self.max_index, 0, 4096)
-        require_range("smoothing", self.smoothing, 0.0, 100.0)
-        require_range("tremor", self.tremor, 0.0, 100.0)
+        require_sizes(self, frames=(2, 4096), smoothing=(0.0, 100.0), tremor=(0.0, 100.0))
         require_range("width modulo heads", self.width % self.heads, 0, 0)
 
     def build(self) -> "SegmentTransformer":

@@ -11,7 +11,7 @@ from torch import Tensor, nn
 
 from moveset.errors import InputError
 from moveset.models.layers import Block
-from moveset.models.registry import require_range
+from moveset.models.registry import require_sizes
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -25,11 +25,7 @@ class SkipTransformerConfig:
     dropout: float = 0.1
 
     def __post_init__(self) -> None:
-        require_range("width", self.width, 1, 4096)
-        require_range("layers", self.layers, 1, 99)
-        require_range("heads", self.heads, 1, self.width)
-        require_range("feed_forward", self.feed_forward, 1, 32768)
-        require_range("dropout", self.dropout, 0.0, 0.9)
+        require_sizes(self, heads=(1, self.width))
         if self.layers % 2 == 0:
             raise InputError(
                 f"layers = {self.layers} is even; a skip transformer has a middle layer, so give an odd number"

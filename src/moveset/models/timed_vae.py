@@ -14,7 +14,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as fn
 
-from moveset.models.registry import register, require_range
+from moveset.models.registry import register, require_sizes
 
 PATCH = 4
 
@@ -35,10 +35,8 @@ class TimedVAEConfig:
     frame_blocks: int = 2
 
     def __post_init__(self) -> None:
-        for name in ("features", "tokens", "slots", "token_dim", "width", "frame_width"):
-            require_range(name, getattr(self, name), 1, 16384)
-        for name in ("encoder_blocks", "decoder_blocks", "token_blocks", "frame_blocks"):
-            require_range(name, getattr(self, name), 0, 64)
+        blocks = ("encoder_blocks", "decoder_blocks", "token_blocks", "frame_blocks")
+        require_sizes(self, **dict.fromkeys(blocks, (0, 64)))
 
     def build(self) -> "TimedVAE":
         """The module with fresh weights."""

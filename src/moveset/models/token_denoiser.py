@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from moveset.diffusion.guidance import guidance_embedding
 from moveset.models.condition import Condition, Denoiser
 from moveset.models.layers import Positions, TimeEmbedding
-from moveset.models.registry import register, require_range
+from moveset.models.registry import register, require_sizes
 from moveset.models.skip_transformer import SkipTransformer, SkipTransformerConfig
 
 
@@ -33,11 +33,7 @@ class TokenDenoiserConfig:
     guidance_waves: int = 256
 
     def __post_init__(self) -> None:
-        require_range("token_dim", self.token_dim, 1, 4096)
-        require_range("text_dim", self.text_dim, 1, 16384)
-        require_range("positions", self.positions, 1, 16384)
-        require_range("time_waves", self.time_waves, 2, 4096)
-        require_range("guidance_waves", self.guidance_waves, 4, 4096)
+        require_sizes(self, time_waves=(2, 4096))
         self.stack()
 
     def stack(self) -> SkipTransformerConfig:

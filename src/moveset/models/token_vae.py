@@ -11,7 +11,7 @@ from torch import Tensor, nn
 
 from moveset.errors import InputError
 from moveset.models.layers import Positions
-from moveset.models.registry import register, require_range
+from moveset.models.registry import register, require_sizes
 from moveset.models.skip_transformer import SkipTransformer, SkipTransformerConfig
 
 
@@ -30,10 +30,7 @@ class TokenVAEConfig:
     positions: int = 500
 
     def __post_init__(self) -> None:
-        require_range("features", self.features, 1, 16384)
-        require_range("tokens", self.tokens, 1, 1024)
-        require_range("token_dim", self.token_dim, 1, 4096)
-        require_range("positions", self.positions, 1, 16384)
+        require_sizes(self, tokens=(1, 1024))
         if self.positions <= 2 * self.tokens:
             raise InputError(f"{self.positions} positions leave no frame beside 2 x {self.tokens} tokens; give more")
         self.stack()
