@@ -43,8 +43,8 @@ def decoder() -> Recipe:
 def teacher() -> Recipe:
     """5.9 M parameters, text as token states."""
     model = LatentDenoiserConfig(token_dim=_VAE.token_dim)
-    task = TeacherConfig(model=model, batch=64, lr=7e-4, augmentation=AUGMENTATION)
-    return Recipe(task=task, engine=_engine(10000))
+    task = TeacherConfig(model=model, batch=128, lr=8e-4, augmentation=AUGMENTATION)
+    return Recipe(task=task, engine=_engine(5500))
 
 
 def lcm() -> Recipe:
