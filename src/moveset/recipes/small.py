@@ -79,7 +79,7 @@ def rdm(segments: int = 7) -> Recipe:
             cutting=STREAMED,
             augmentation=AUGMENTATION,
         ),
-        engine=_engine(10300),
+        engine=_engine(6000),
     )
 
 
@@ -134,7 +134,7 @@ def rdm_student() -> Recipe:
         cutting=STREAMED,
         augmentation=AUGMENTATION,
     )
-    return Recipe(task=task, engine=_engine(2000))
+    return Recipe(task=task, engine=_engine(1000))
 
 
 def movement() -> Recipe:
@@ -175,7 +175,7 @@ def _engine(steps: int, grad_clip: float = 1.0) -> EngineConfig:
 
 # The published range [5, 15] is far too strong here: above 2 motion only trembles more.
 GUIDANCE = (1.0, 4.0)
-STUDENTS = 2000  # steps, the same for all: they are compared
+STUDENTS = 1000  # steps, the same for all: they are compared
 # No words go missing: "left" and "right" are words too, and sentences of people are many.
 AUGMENTATION = TextAugmentation(embedding_noise=0.05)
 _VAE = TimedVAEConfig(token_dim=64)
