@@ -9,6 +9,8 @@ import { toast } from "./toasts";
 const FORMATS = [
   { format: "bvh", name: "BVH", use: "Blender, MotionBuilder, Maya" },
   { format: "glb", name: "GLB", use: "Unity, Godot, three.js" },
+  { format: "gltf", name: "glTF", use: "the same as text" },
+  { format: "vrma", name: "VRMA", use: "VRM characters" },
   { format: "npz", name: "npz", use: "NumPy" },
   { format: "amass.npz", name: "AMASS", use: "SMPL-H tools, as npz" },
   { format: "html", name: "HTML", use: "a page that plays anywhere" },
