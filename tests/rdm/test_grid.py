@@ -1,12 +1,15 @@
 """Segments of sequences, and cells of the grid by their formulas."""
 
+from itertools import pairwise
+
 import pytest
 import torch
 
 from moveset.diffusion.schedule import linear
+from moveset.diffusion.steps import add_noise, denoise_step, over
 from moveset.errors import InputError
 from moveset.models.flow import FlowConfig
-from moveset.rdm.grid import Draws, GridConfig, assemble, corrupt, draw, split
+from moveset.rdm.grid import Draws, GridConfig, assemble, corrupt, draw, left_of_copy, split
 from moveset.rdm.transport import Transport
 
 SCHEDULE, N, D = linear(), 4, 6
@@ -98,7 +101,8 @@ def test_noise_is_shared_only_if_asked():
         if not shared:
             assert float((draws.noise_BnD * draws.prev_noise_BnD).mean()) == pytest.approx(0, abs=0.1)
         again = draw(config, SCHEDULE, (500, 2, 3), torch.Generator().manual_seed(0))
-        assert all(torch.equal(a, b) for a, b in zip(vars(draws).values(), vars(again).values(), strict=True))
+        assert draws.copied_B is None
+        assert all(torch.equal(getattr(draws, name), getattr(again, name)) for name in list(vars(draws))[:4])
 
 
 @pytest.mark.parametrize("cap", [1, 3])
@@ -151,12 +155,47 @@ def test_shared_noise_gives_clean_data_away():
     torch.testing.assert_close(left, sigma_p * alpha * CLEAN - sigma * alpha_p * PREV, rtol=1e-3, atol=1e-4)
 
 
-def test_no_gradient_reaches_the_flow(flow):
-    assert all(parameter.requires_grad for parameter in flow.parameters())
-    draws = draw(GridConfig(frames=N), SCHEDULE, (4, N, D), torch.Generator().manual_seed(0))
-    cell = cells(GridConfig(frames=N), Transport(flow, 3), draws)
-    assert not cell.x_BnD.requires_grad
-    assert not cell.prev_BnD.requires_grad
+@pytest.mark.parametrize("eta", [0.0, 1.0])
+def test_an_entangled_cell_is_where_a_sampler_comes_to_that_began_with_a_copy(flow, eta):
+    """Steps of any length from a copy of the neighbour's state, with a denoiser that is right and no fresh noise."""
+    entry, levels = torch.tensor([900, 900, 40, 7]), (900, 700, 650, 40, 25, 7, 3)
+    noise, transport = _rand(4, N, D, seed=6), Transport(flow, 3)
+    own = transport.pull(CLEAN, INDEX, SAID)
+    neighbour = transport.pull(PREV, (INDEX - 1).clamp(min=0), BEFORE)
+    z = add_noise(SCHEDULE, neighbour, noise, entry)
+    for t, s in pairwise(levels):
+        later = denoise_step(SCHEDULE, z, own, *(torch.full((4,), k) for k in (t, s)), eta, torch.zeros_like(z))
+        z = torch.where((t <= entry)[:, None, None], later, z)
+    q = left_of_copy(SCHEDULE, entry, torch.full((4,), 3))
+    left, mine = (q, torch.ones(4)) if eta == 0 else (q.square(), q)
+    at = torch.full((4,), 3)
+    draws = Draws(at, at - 1, over(mine, noise) * noise, noise, left)
+    cell = cells(GridConfig(frames=N, entangled=1.0), transport, draws)
+    torch.testing.assert_close(cell.x_BnD[1:], transport.push(z, INDEX, SAID)[1:], rtol=1e-3, atol=1e-4)
+    # A first segment has no neighbour to copy.
+    assert torch.equal(cell.x_BnD[:1], cells(GridConfig(frames=N), transport, draws).x_BnD[:1])
+
+
+def test_entangled_noise_is_what_the_steps_leave_of_the_neighbours():
+    rows, at = (40_000, 1, 1), torch.Generator().manual_seed
+    for shared in (False, True):
+        draws = draw(GridConfig(frames=2, entangled=1.0, share_noise=shared), SCHEDULE, rows, at(1))
+        noise, other, q = draws.noise_BnD.flatten(), draws.prev_noise_BnD.flatten(), draws.copied_B
+        assert abs(float(noise.std()) - 1) < 0.02 > abs(float(other.std()) - 1)
+        assert bool(((draws.prev_t_B < draws.t_B) & (q > 0) & (q <= 1)).all())
+        if shared:
+            assert torch.equal(noise, other)
+            continue
+        # The neighbour went on from the same noise: by the product of both shares the noises go together.
+        both = q.sqrt() * q.sqrt() * left_of_copy(SCHEDULE, draws.t_B, draws.prev_t_B)
+        assert float((noise * other).mean()) == pytest.approx(float(both.mean()), abs=0.02)
+        for low, high in ((1, 10), (10, 100), (100, 1000)):  # each decade of entries as often
+            assert float(((draws.t_B >= low) & (draws.t_B <= high)).float().mean()) > 0.2
+    some = draw(GridConfig(frames=2, entangled=0.25), SCHEDULE, rows, at(2))
+    assert float((some.copied_B > 0).float().mean()) == pytest.approx(0.25, abs=0.02)
+    rest = some.copied_B == 0
+    assert float(some.t_B[rest].float().mean()) == pytest.approx(500.5, abs=10)
+    assert float((some.noise_BnD * some.prev_noise_BnD)[rest].mean()) == pytest.approx(0, abs=0.03)
 
 
 @pytest.mark.parametrize(

@@ -117,7 +117,31 @@ def test_four_steps_are_two_a_stop_and_two(settings, tiny_run, tmp_path):
     assert moved("denoiser", 3)
 
 
+def test_the_denoisers_error_reaches_the_flow_only_where_they_learn_jointly(tiny_run, tmp_path):
+    """Then by the same loss: the denoiser's first step is the same, and only while the flow learns at all."""
+    entangled = ("grid.entangled=0.5", "depth_cap=6", "flow.max_index=6", "jacobian=1e-4", "frozen_flow=0")
+    apart, _ = tiny_run.train("rdm-7", tmp_path / "apart", *entangled, steps=1, save_every=1)
+    tiny_run.train("rdm-7", tmp_path / "both", *entangled, "joint=true", steps=1, save_every=1)
+    read = checkpoint.read_tensors
+    alone, together = ({n: read(tmp_path / x / "step_1", n) for n in ("denoiser", "flow")} for x in ("apart", "both"))
+    assert all(torch.equal(alone["denoiser"][key], value) for key, value in together["denoiser"].items())
+    assert any(not torch.equal(alone["flow"][key], value) for key, value in together["flow"].items())
+    batch = apart.data.train.batch(4, 0, 0)
+    text = apart.data.read(batch.captions)
+    batch = replace(batch, index=torch.ones_like(batch.index))
+    for joint in (False, True):
+        loss, _ = apart._loss(apart.denoiser, apart.transport, batch, text, torch.Generator().manual_seed(0), joint)
+        found = torch.autograd.grad(loss, list(apart.flow.blocks.parameters()), allow_unused=True)
+        assert any(gradient is not None and bool(gradient.any()) for gradient in found) == joint
+    frozen = ("joint=true", "frozen_flow=1.0")
+    tiny_run.train("rdm-7", tmp_path / "frozen", *frozen, steps=1, save_every=1)
+    assert not read(tmp_path / "frozen/step_1", "flow")["blocks.0.out.weight"].any()
+
+
 def test_variants_train(tiny_run, tmp_path):
+    task, _ = tiny_run.train("rdm-7", tmp_path / "identity", "flow.blocks=6", "flow=null", steps=1)
+    assert task.flow is None
+    assert task.transport.flow is None
     task, _ = tiny_run.train("rdm-7", tmp_path / "literal", *LITERAL, "cutting.aligned=true", steps=1)
     assert task.transport.depth_cap == 6
     assert task.denoiser.index.weight.shape[0] == 7
@@ -136,6 +160,8 @@ def test_variants_train(tiny_run, tmp_path):
         ("rdm-7", ["md_condition=none"], "without a flow"),
         ("rdm-7", ["max_tokens=77"], "disturbed captions"),
         ("rdm-1", ["jacobian=1"], "jacobian 1 is of the flow"),
+        ("rdm-7", ["joint=true", "flow=null"], "joint 1 is of the flow"),
+        ("rdm-7", ["grid.entangled=1", "grid.anchor=first"], 'grid.entangled 1 is for grid.anchor="segment"'),
         ("rdm-1", ["noise=coloured"], "segment transformer"),
         ("light-rdm-1", ["timing=0.5"], "timing is for the segment transformer"),
         ("light-rdm-1", ["heading_change=0.5"], "heading_change is for the segment transformer"),

@@ -24,6 +24,7 @@ class Config:
     kind: str = field(default="made", init=False)
     corpus: Path = Path("a")
     model: Model = field(default_factory=Model)
+    other: Model | None = field(default_factory=Model)
 
 
 def test_settings_replace_fields_by_their_types():
@@ -32,6 +33,8 @@ def test_settings_replace_fields_by_their_types():
     )
     assert got == Config(2.0, False, "y", Path("b/c"), Model(9, 0.1, (1, 2)))
     assert isinstance(got.lr, float)
+    assert with_settings(Config(), ["other.layers=2"]).other == Model(2)
+    assert with_settings(Config(), ["other=null"]).other is None
 
 
 @pytest.mark.parametrize(
@@ -40,13 +43,14 @@ def test_settings_replace_fields_by_their_types():
         ("lr", "not of the form NAME=VALUE"),
         ("lrr=1", "did you mean 'lr'"),
         ("model.layer=1", "did you mean 'layers'"),
-        ("kind=y", "no setting 'kind'; choose one of lr, augment, name, corpus, model$"),
+        ("kind=y", "no setting 'kind'; choose one of lr, augment, name, corpus, model, other$"),
         ("lr=NaN", "is no finite number; give one, such as 0.001"),
         ("lr=fast", "is str but must be float"),
         ("augment=1", "is int but must be bool"),
         ("lr=true", "is bool but must be float"),
         ("lr.x=1", "float has no setting 'x'"),
         ("model=3", "must be Model"),
+        ("model=null", "is NoneType but must be Model"),
     ],
 )
 def test_a_wrong_setting_is_one_sentence(setting, message):

@@ -20,7 +20,6 @@ def masked_mse(prediction_BnD: Tensor, target_BnD: Tensor, valid_Bn: Tensor) -> 
     return (square_Bn * valid_Bn).sum() / valid_Bn.sum().clamp_min(1)
 
 
-@torch.no_grad()
 def jacobian_weight(
     transport: Transport, clean_BnD: Tensor, valid_Bn: Tensor, index_B: Tensor, pooled_BC: Tensor, power: float
 ) -> Tensor:

@@ -166,19 +166,22 @@ class Loop:
             self.generators[name].manual_seed(stream_seed(self.config.seed, f"{name}@{step}", self.rank))
         torch.manual_seed(stream_seed(self.config.seed, f"dropout@{step}", self.rank))
 
-    def minimise(self, loss: Tensor, optimizer: str) -> Tensor:
-        """One update of one optimiser's parameters, and of no others. Returns the gradient's norm before clipping."""
-        self.backward(loss, optimizer)
-        return self.step(optimizer)
+    def minimise(self, loss: Tensor, *optimizers: str) -> Tensor:
+        """One update of these optimisers' parameters, and of no others. Returns the norm of the first one's gradient
+        before clipping."""
+        self.backward(loss, *optimizers)
+        first, *_ = [self.step(name) for name in optimizers]
+        return first
 
-    def backward(self, loss: Tensor, optimizer: str) -> None:
-        """Adds the gradient of ``loss`` to the parameters of one optimiser only: no gradient leaks into the other half
-        of a GAN. Call it several times before ``step`` to accumulate."""
-        wanted = [parameter for parameter in _parameters(self._optimizers[optimizer]) if parameter.requires_grad]
+    def backward(self, loss: Tensor, *optimizers: str) -> None:
+        """Adds the gradient of ``loss`` to the parameters of these optimisers only: no gradient leaks into the other
+        half of a GAN. Call it several times before ``step`` to accumulate."""
+        parameters = [parameter for name in optimizers for parameter in _parameters(self._optimizers[name])]
         with torch.autocast(self.device.type, enabled=False):
-            loss.backward(inputs=wanted)
+            loss.backward(inputs=[parameter for parameter in parameters if parameter.requires_grad])
         # Gradients of several calls add up, and so must the losses that they belong to.
-        self._losses[optimizer] = loss.detach() + self._losses.get(optimizer, 0.0)
+        for name in optimizers:
+            self._losses[name] = loss.detach() + self._losses.get(name, 0.0)
 
     def step(self, optimizer: str) -> Tensor:
         """Averages gradients over processes, clips, steps, clears. Returns the gradient's norm before clipping.

@@ -5,6 +5,7 @@ MD-N, one segment as long as the longest clip is a volume model (RDM-1, MotionDi
 Source: RDM (arXiv 2406.07169), Section 4.4 and Algorithm 2; MotionDiffuse (arXiv 2208.15001).
 """
 
+from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from typing import Literal, cast, get_args
 
@@ -64,6 +65,8 @@ class RDMConfig(NetworkConfig):
             noise.
         jacobian: power of the flow's |det df/dx|^-1 in a cell's weight: 0 as in RDM's Algorithm 2, 1 as in its Eq. 13
             and 31 (``rdm.losses.jacobian_weight``).
+        joint: let the denoiser's error reach the flow, too, through what is carried and through ``jacobian`` (Eq. 13),
+            beside the flow's own loss.
         root: weight of the four root features, by which a character travels.
         noise: "white" (the paper), or "coloured" with the temporal spectrum of the training segments
             (``diffusion.coloured``).
@@ -111,6 +114,7 @@ class RDMConfig(NetworkConfig):
     ema: float = 0.999
     weight: Weight = "v"
     jacobian: float = 0.0
+    joint: bool = False
     root: float = 5.0
     noise: Noise = "white"
     forecast: bool = False
@@ -145,7 +149,7 @@ class RDMConfig(NetworkConfig):
 
 
 class RDMTask(Task):
-    """Both networks, each with its own loss and optimiser: the denoiser's error does not reach the flow."""
+    """Both networks, each with its own loss and optimiser; the denoiser's error reaches the flow only if ``joint``."""
 
     name = "rdm"
 
@@ -195,13 +199,16 @@ class RDMTask(Task):
         config = self.config
         batch = self.data.training_batch(config.batch, step)
         report: dict[str, Tensor] = {}
-        if self.flow is not None and step <= self.steps * (1 - config.frozen_flow):
+        learns = self.flow is not None and step <= self.steps * (1 - config.frozen_flow)
+        if learns:
             report |= self._train_flow(batch, loop)
         dropped = torch.rand(config.batch, generator=self.draws, device=loop.device) < config.condition_dropout
         said = ["" if drop else caption for drop, caption in zip(dropped.tolist(), batch.captions, strict=True)]
         text = self.data.read(said, self.draws)
-        loss, parts = self._loss(self.denoiser, self.transport, batch, text, self.draws)
-        report |= parts | {"loss": loss.detach(), "gradient_norm": loop.minimise(loss, "denoiser")}
+        both = config.joint and learns
+        loss, parts = self._loss(self.denoiser, self.transport, batch, text, self.draws, both)
+        moved = ("denoiser", "flow") if both else ("denoiser",)
+        report |= parts | {"loss": loss.detach(), "gradient_norm": loop.minimise(loss, *moved)}
         self.ema.update(self.denoiser, ema_warmup(step, config.ema))
         if self.flow is not None and self.flow_ema is not None:
             self.flow_ema.update(self.flow, ema_warmup(step, config.ema))
@@ -251,12 +258,14 @@ class RDMTask(Task):
         batch: SegmentBatch,
         text: TextEmbedding,
         generator: torch.Generator,
+        joint: bool = False,
     ) -> tuple[Tensor, dict[str, Tensor]]:
         config = self.config
         if config.md_condition == "none":
             batch = replace(batch, index=torch.zeros_like(batch.index))
         draws = draw(config.grid, SCHEDULE, tuple(batch.clean.shape), generator)  # type: ignore[arg-type]
-        draws = replace(draws, **{name: value.to(batch.clean.device) for name, value in vars(draws).items()})
+        drawn = {name: value for name, value in vars(draws).items() if value is not None}
+        draws = replace(draws, **{name: value.to(batch.clean.device) for name, value in drawn.items()})
         if isinstance(self.denoiser, SegmentTransformer):
             noises = (draws.noise_BnD, draws.prev_noise_BnD)
             noise, other = (self.denoiser.colour(part) for part in noises)
@@ -273,15 +282,17 @@ class RDMTask(Task):
         if config.past_perturbation:
             size = config.past_perturbation
             previous = perturb_past(previous, batch.index, size, self.data.codec, self.normalizer, generator)
-        cell = corrupt(config.grid, SCHEDULE, transport, clean, previous, first, batch.index, said, before, draws)
+        with nullcontext() if joint else torch.no_grad():
+            cell = corrupt(config.grid, SCHEDULE, transport, clean, previous, first, batch.index, said, before, draws)
+            weight_B = _level_weight(config.weight, cell.t_B)
+            if config.jacobian:
+                of_flow_B = jacobian_weight(transport, clean, batch.valid, batch.index, said, config.jacobian)
+                weight_B = weight_B * of_flow_B
         timing_B2 = drop_timing(batch.place, config.timing, generator) if config.timing else None
         heading_B = drop_heading_change(turned_B, config.heading_change, generator) if config.heading_change else None
         past = PastSegment(cell.prev_BnD, cell.prev_t_B, batch.index, timing_B2, heading_B)
         made = denoiser(cell.x_BnD, cell.t_B, Condition(text, past=past, valid=batch.valid)).float()
         scale = self.feature_weight.sqrt()
-        weight_B = _level_weight(config.weight, cell.t_B)
-        if config.jacobian:
-            weight_B = weight_B * jacobian_weight(transport, clean, batch.valid, batch.index, said, config.jacobian)
         root_B = weight_B.sqrt()[:, None, None] * scale
         target = draws.noise_BnD if config.predict == "eps" else clean
         loss = masked_mse(made * root_B, target * root_B, batch.valid)
@@ -353,7 +364,10 @@ def _check(config: RDMConfig) -> None:
             'predict="eps" is for models without a flow, with velocity, feet and heading 0 and weight "x0"; '
             "change these"
         )
-    if config.jacobian and config.flow is None:
-        raise InputError(f"jacobian {config.jacobian:g} is of the flow, and there is none; leave it out")
+    for name in ("jacobian", "joint"):
+        if getattr(config, name) and config.flow is None:
+            raise InputError(f"{name} {getattr(config, name):g} is of the flow, and there is none; leave it out")
+    if config.grid.entangled and config.grid.anchor != "segment":
+        raise InputError(f'grid.entangled {config.grid.entangled:g} is for grid.anchor="segment"; leave it out')
     if config.md_condition == "none" and (config.flow is not None or config.grid.condition != "clean"):
         raise InputError('md_condition="none" is for models without a flow and with grid.condition="clean"')

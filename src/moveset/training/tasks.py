@@ -8,7 +8,7 @@ import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar, get_args
 
 from moveset.errors import InputError
 
@@ -139,7 +139,7 @@ def task_maker(what: str, config: Any, sources: Sources) -> "Callable[[Loop], Ta
 def with_settings(config: Config, settings: Iterable[str]) -> Config:
     """A copy of a frozen dataclass with fields replaced by ``NAME=VALUE``; names of nested ones are joined by dots.
 
-    A value is read as JSON, and as a string where it is none.
+    A value is read as JSON, and as a string where it is none; null leaves out what may be left out, such as a flow.
 
     >>> from dataclasses import dataclass
     >>> @dataclass(frozen=True)
@@ -165,9 +165,8 @@ def with_settings(config: Config, settings: Iterable[str]) -> Config:
 
 
 def _replaced(config: Any, path: list[str], value: Any, setting: str) -> Any:
-    fields = (
-        [field.name for field in dataclasses.fields(config) if field.init] if dataclasses.is_dataclass(config) else []
-    )
+    found = dataclasses.fields(config) if dataclasses.is_dataclass(config) else ()
+    fields = {field.name: field.type for field in found if field.init}
     if path[0] not in fields:
         near = difflib.get_close_matches(path[0], fields, n=1)
         remedy = f"did you mean {near[0]!r}?" if near else f"choose one of {', '.join(fields) or 'nothing'}"
@@ -175,7 +174,9 @@ def _replaced(config: Any, path: list[str], value: Any, setting: str) -> Any:
     old = getattr(config, path[0])
     if len(path) > 1:
         return dataclasses.replace(config, **{path[0]: _replaced(old, path[1:], value, setting)})
-    return dataclasses.replace(config, **{path[0]: _as_type_of(old, value, setting)})
+    if value is not None or type(None) not in get_args(fields[path[0]]):
+        value = _as_type_of(old, value, setting)
+    return dataclasses.replace(config, **{path[0]: value})
 
 
 def _as_type_of(old: Any, value: Any, setting: str) -> Any:
