@@ -64,7 +64,7 @@ def run_suite(
         raise InputError("the tables of a suite have pictures, which need matplotlib; `pip install 'moveset[train]'`")
     rows, out = chosen_rows(name, tuple(map(Path, folders)), only), how.out / name
     if out.is_dir() and (there := load_table(out)).measured:
-        there.check_alike([row for row, _, missing in rows if not missing], _state(common), common.foot_lock)
+        there.check_alike([row for row, _, missing in rows if not missing], state_now(common), common.foot_lock)
     for row, folder, missing in rows:
         repeats = row.times(common.protocol.repeats)
         print(f"moveset: {row.label}: {missing or plural(repeats, 'repeat')}", file=sys.stderr)
@@ -86,7 +86,7 @@ def run_suite(
     return 0
 
 
-def _state(common: "EvaluationConfig") -> "State":
+def state_now(common: "EvaluationConfig") -> "State":
     """How rows are measured now."""
     from moveset.evaluation.evaluator import Evaluator
     from moveset.evaluation.results import commit

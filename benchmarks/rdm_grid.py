@@ -1,0 +1,311 @@
+"""RDM as published: what its training, its flow and its sampler are worth, in FID and R@3 against network calls.
+
+    python benchmarks/rdm_grid.py --corpus data/corpus.safetensors --out runs/rdm-grid
+    python benchmarks/rdm_grid.py --out runs/rdm-grid --plot        # the pictures alone, from what is there
+
+Every variant is trained with every seed for the same steps, exported, and sampled on val at every point: K = 1000 with
+both variances and DDIM, from every start R, in both shapes of the staircase. All of it can be stopped and called again:
+trainings go on where they were, and a point whose result is there is skipped. Several processes may share the work by
+``--variants``. OUT has ``runs``, ``models`` and ``points``; ``curves.json`` has means over seeds with Student's 95 %
+intervals and every seed's values, ``curves-fid.svg`` and ``curves-r3.svg`` are drawn from it.
+"""
+
+import argparse
+import json
+import sys
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from arguments import Parser, at_least, write_report
+from moveset.cli.tables import state_now
+from moveset.data.dataset import open_for_training
+from moveset.data.segments import SEGMENT_FRAMES
+from moveset.errors import InputError, exit_code_of
+from moveset.evaluation.evaluator import DEFAULT_EVALUATOR
+from moveset.evaluation.intervals import Interval
+from moveset.evaluation.plots import COLOURS, STYLE
+from moveset.evaluation.protocol import Protocol
+from moveset.evaluation.run import EvaluationConfig, evaluate
+from moveset.io.limits import atomic_write
+from moveset.io.manifest import json_object
+from moveset.rdm.staircase import Staircase
+from moveset.training.engine import run
+from moveset.training.export import StreamExport, export
+from moveset.training.tasks import RECIPES, Sources, load_recipe, task_maker, with_settings
+
+N = 7
+LATE = (N, 100, 500, 900, 1000)  # R at K = 1000: the paper's Entangle-993 (it prints 996 and 997), -900, …
+STEPS = (10, 50, 100, 1000)
+METRICS = ("fid", "r1", "r2", "r3", "mm_dist", "diversity", "jerk", "boundary_jerk")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Variant:
+    """A training of the grid.
+
+    Args:
+        what: as for ``moveset train``.
+        settings: that differ from the recipe's.
+        teacher: the variant that a student learns from.
+    """
+
+    what: str = "rdm-7"
+    settings: tuple[str, ...] = ()
+    teacher: str = ""
+
+    @property
+    def network(self) -> str:
+        """In the exported folder."""
+        return f"pcm-{self.settings[-1].removeprefix('phases=')}" if self.teacher else "rdm"
+
+    @property
+    def overlaps(self) -> bool:
+        """Whether segments are sampled by a staircase, not one after the other."""
+        return self.what == "rdm-7"
+
+
+ALIGNED = "cutting.aligned=true"
+NUMBERED = (ALIGNED, f"model.max_index={N - 1}")
+# Powers of the flow up to the last segment's, as published; its capacity is the recipe's.
+FLOW = (f"depth_cap={N - 1}", f"flow.max_index={N - 1}", "flow.bound=hardtanh")
+PUBLISHED = ("flow.blocks=6", "flow.hidden=256")
+IDENTITY = ("flow=null",)
+ENTANGLED = ("grid.entangled=0.5",)
+# Eq. 13 and 31 weigh by 1 / |det|, which overflows for 28 frames of 269 features: here its mean for a number of them.
+JOINT = ("joint=true", "weight=x0", f"jacobian={1 / (SEGMENT_FRAMES[N] * 269):.3g}")
+BARE = ("timing=0", "heading_change=0", "heading_noise=0", "model.timing=false", "model.heading_change=false")
+
+VARIANTS = {
+    "anchored": Variant(settings=(*NUMBERED, *FLOW)),
+    "anchored-identity": Variant(settings=(*NUMBERED, *IDENTITY)),
+    "entangled": Variant(settings=(*NUMBERED, *FLOW, *ENTANGLED)),
+    "entangled-identity": Variant(settings=(*NUMBERED, *IDENTITY, *ENTANGLED)),  # joint training of no flow is this
+    "joint": Variant(settings=(*NUMBERED, *FLOW, *ENTANGLED, *JOINT)),
+    "entangled-published": Variant(settings=(*NUMBERED, *FLOW, *ENTANGLED, *PUBLISHED)),
+    "entangled-free": Variant(settings=(*NUMBERED, *FLOW, *ENTANGLED, *PUBLISHED, "flow.log_scale=1.0")),
+    # What one of RDM-7 and MD-7 is told or both are: place and course; the past.
+    "anchored-bare": Variant(settings=(*NUMBERED, *FLOW, *BARE)),
+    "md": Variant(what="md-7", settings=NUMBERED),
+    "md-bare": Variant(what="md-7", settings=(*NUMBERED, *BARE)),
+    "md-alone": Variant(what="md-7", settings=(*NUMBERED, "md_condition=none")),
+    # Few evaluations a segment, told a finished past, in the coordinates of the teacher's flow or of none.
+    **{
+        f"{teacher}-pcm-{k}": Variant(what="rdm-student", teacher=teacher, settings=(ALIGNED, f"phases={k}"))
+        for teacher in ("entangled", "entangled-identity")
+        for k in (1, 2, 4)
+    },
+}
+
+
+@dataclass(frozen=True)
+class Point:
+    """How a trained variant is sampled: K steps, of which a later segment takes R."""
+
+    steps: int
+    start: int
+    shape: str = "parallelogram"
+    variance: str = ""  # of DDPM; "" is DDIM
+
+    @property
+    def name(self) -> str:
+        """In files."""
+        return f"K{self.steps}-R{self.start}-{self.shape}{'-' if self.variance else ''}{self.variance}"
+
+    def settings(self, overlaps: bool) -> dict[str, Any]:
+        """Of the sampler."""
+        fresh = {"eta": 1.0, "variance": self.variance} if self.variance else {"eta": 0.0}
+        return {"start": self.start, "lag": 1 if overlaps else self.steps, "shape": self.shape, **fresh}
+
+
+def points(variant: Variant, steps: tuple[int, ...]) -> Iterator[Point]:
+    """Those of a variant at these K; a student has one of its own."""
+    if variant.teacher:
+        count = int(variant.network.removeprefix("pcm-"))
+        yield Point(count, count)
+        return
+    for k in steps:
+        variances = ("posterior", "beta") if k == 1000 else ("",)
+        if not variant.overlaps:
+            yield from (Point(k, k, variance=variance) for variance in variances)
+            continue
+        starts = sorted(set(LATE if k == 1000 else (min(N, k), max(1, k // 2), k)))
+        yield from (Point(k, r, "triangle", variance) for variance in variances for r in starts)
+        yield from (Point(k, r, "parallelogram", variances[0]) for r in starts)
+
+
+def trained(name: str, seed: int, given: argparse.Namespace) -> Path:
+    """The model folder of a variant, made if it is not there.
+
+    Raises:
+        KeyboardInterrupt: the training was stopped; its checkpoint is there.
+    """
+    out, variant = given.out, VARIANTS[name]
+    folder = out / "models" / f"{name}.{seed}"
+    if (folder / "config.json").is_file():
+        return folder
+    recipe, runs = load_recipe(given.recipe, variant.what), out / "runs"
+    more = () if variant.teacher else given.set
+    config = with_settings(recipe.task, (*variant.settings, *more))
+    steps = recipe.engine.steps if given.train_steps is None else given.train_steps
+    engine = replace(recipe.engine, seed=seed, device=given.device, steps=steps)
+    teacher = runs / f"{variant.teacher}.{seed}"
+    sources = Sources(corpus=given.corpus, vae=runs / "vae", teacher=teacher, cache=out / "cache")
+    if variant.teacher:
+        trained(variant.teacher, seed, given)
+    print(f"rdm_grid: training {name}, seed {seed}", file=sys.stderr, flush=True)
+    if run(task_maker(variant.what, config, sources), engine, runs / folder.name, True).stopped_by:
+        raise KeyboardInterrupt
+    networks = {"rdm": teacher.name, variant.network: folder.name} if variant.teacher else {"rdm": folder.name}
+    what = StreamExport(name=folder.name, runs=networks, sampler_steps=10, start=10, lag=10)
+    return export(what, open_for_training(given.corpus), runs, out / "cache", folder)
+
+
+def measure(name: str, seed: int, point: Point, given: argparse.Namespace) -> None:
+    """The result of a point, in ``points``, if it is not there."""
+    variant, key = VARIANTS[name], f"{name}.{seed}.{point.name}"
+    if (given.out / "points" / f"{key}.json").is_file():
+        return
+    print(f"rdm_grid: measuring {key}", file=sys.stderr, flush=True)
+    settings = {} if variant.teacher else point.settings(variant.overlaps)
+    config = replace(
+        common(given), model=str(given.out / "models" / f"{name}.{seed}"), network=variant.network, steps=point.steps,
+        settings=tuple(settings.items()), name=key,
+    )  # fmt: skip
+    evaluate(config, given.out / "points", processes=given.repeats)
+
+
+def common(given: argparse.Namespace) -> EvaluationConfig:
+    """How all points are measured."""
+    protocol = Protocol(split="val", repeats=given.repeats, multimodality=0)
+    return EvaluationConfig(
+        data=given.corpus, evaluator=given.evaluator, protocol=protocol, items=given.items, device=given.device
+    )
+
+
+def gather(out: Path) -> dict[str, Any]:
+    """All points that are there: means over seeds with intervals, in the order of the grid.
+
+    Raises:
+        InputError: there is none.
+    """
+    rows: dict[tuple, dict[int, dict[str, float]]] = {}
+    for path in sorted((out / "points").glob("*.json")):
+        name, seed, _ = path.stem.split(".")
+        result = json_object(path.read_bytes(), path, "delete it, and it is measured again")
+        said = result["settings"]
+        variance = said.get("variance", "posterior") if said["eta"] else ""
+        key = (name, result["steps"], said["start"], said["lag"], said["shape"], variance)
+        metrics = {metric: result["metrics"][metric]["mean"] for metric in METRICS if metric in result["metrics"]}
+        rows.setdefault(key, {})[int(seed)] = metrics
+    if not rows:
+        raise InputError(f"{out} has no points; leave --plot out to make them")
+    order = list(VARIANTS)
+    curves = []
+    for key in sorted(rows, key=lambda key: (order.index(key[0]), *key[1:])):
+        name, steps, start, lag, shape, variance = key
+        seeds = dict(sorted(rows[key].items()))
+        first = next(iter(seeds.values()))
+        curves.append(
+            {
+                "variant": name, "K": steps, "R": start, "lag": lag, "shape": shape, "variance": variance,
+                "calls": Staircase(steps, N, start, shape, lag).calls,
+                "metrics": {metric: Interval.of([one[metric] for one in seeds.values()]).to_json() for metric in first},
+                "seeds": seeds,
+            }
+        )  # fmt: skip
+    return {"state": json_object((out / "state.json").read_bytes(), out / "state.json"), "curves": curves}
+
+
+def draw(found: dict[str, Any], metric: str, label: str, path: Path) -> None:
+    """One metric against calls of a clip of N segments, a panel a sampler; dashed are parallelograms."""
+    import matplotlib
+    from matplotlib.figure import Figure
+
+    panels: dict[str, list[dict[str, Any]]] = {}
+    for curve in sorted(found["curves"], key=lambda c: (not VARIANTS[c["variant"]].teacher, c["K"], c["variance"])):
+        sampler = f"K = {curve['K']}{', ' if curve['variance'] else ''}{curve['variance']}"
+        panels.setdefault("students" if VARIANTS[curve["variant"]].teacher else sampler, []).append(curve)
+    names = list(dict.fromkeys(c["variant"] for c in found["curves"]))
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=(1 + 3.2 * len(panels), 4.2), layout="constrained")
+        axes = figure.subplots(1, len(panels), sharey=True, squeeze=False)[0]
+        for axis, (title, shown) in zip(axes, panels.items(), strict=True):
+            for name in names:
+                for shape, line in (("triangle", "-"), ("parallelogram", "--")):
+                    line_of = [c for c in shown if (c["variant"], c["shape"]) == (name, shape)]
+                    values = [Interval.from_json(c["metrics"][metric]) for c in line_of]
+                    halves = [value.half_width if value.half_width < float("inf") else 0.0 for value in values]
+                    axis.errorbar(
+                        [c["calls"] for c in line_of], [value.mean for value in values], halves, ls=line, marker="o",
+                        ms=4, lw=1.2, capsize=2, color=COLOURS[names.index(name) % len(COLOURS)],
+                        mfc=None if names.index(name) < len(COLOURS) else "none",
+                    )  # fmt: skip
+            axis.set(xscale="log", xlabel="network calls", title=title)
+            axis.grid()
+        if metric == "fid":
+            axes[0].set_yscale("log")
+        axes[0].set_ylabel(label)
+        handles = [
+            axes[0].plot([], [], "o", color=COLOURS[k % len(COLOURS)], mfc=None if k < len(COLOURS) else "none")[0]
+            for k in range(len(names))
+        ]
+        figure.legend(handles, names, loc="outside lower center", ncols=5)
+        with atomic_write(path) as file:
+            figure.savefig(file, format=path.suffix[1:], transparent=True)
+
+
+def check_state(given: argparse.Namespace) -> None:
+    """All of OUT is of one state of code, data and settings.
+
+    Raises:
+        InputError: OUT is of another.
+    """
+    state = {"recipe": given.recipe, "train_steps": given.train_steps, "repeats": given.repeats, "set": given.set}
+    state = json.loads(json.dumps(state | asdict(state_now(common(given)))))
+    path = given.out / "state.json"
+    there = json_object(path.read_bytes(), path, "give another --out") if path.is_file() else state
+    if other := [name for name in state if there.get(name) != state[name]]:
+        name = other[0]
+        raise InputError(f"{given.out} was made with {name} {there.get(name)}, not {state[name]}; give another --out")
+    write_report(path, state)
+
+
+def main() -> None:
+    """See the module."""
+    parser = Parser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--corpus", type=Path, default=Path("data/corpus.safetensors"))
+    parser.add_argument("--out", type=Path, default=Path("runs/rdm-grid"))
+    parser.add_argument("--recipe", choices=RECIPES, default="small")
+    parser.add_argument("--variants", nargs="+", choices=VARIANTS, default=list(VARIANTS), metavar="NAME")
+    parser.add_argument("--seeds", type=at_least(1), default=3, help="trainings of each variant")
+    parser.add_argument("--train-steps", type=at_least(1), help="of each training; by default the recipe's")
+    parser.add_argument("--set", action="append", default=[], help="a setting of all variants but students")
+    parser.add_argument("--steps", type=at_least(1), nargs="+", default=list(STEPS), help="K; 1000 is DDPM")
+    parser.add_argument("--items", type=at_least(1), help="at most so many of val; by default all")
+    parser.add_argument("--repeats", type=at_least(1), default=1, help="of each point and seed, in processes")
+    parser.add_argument("--evaluator", default=DEFAULT_EVALUATOR)
+    parser.add_argument("--device", default="auto")
+    parser.add_argument("--plot", action="store_true", help="make nothing; only gather and draw what is there")
+    given = parser.parse_args()
+    if not given.plot:
+        given.out.mkdir(parents=True, exist_ok=True)
+        check_state(given)
+        for seed in range(given.seeds):  # a whole grid of one seed is worth more than half of one of three
+            for name in given.variants:
+                trained(name, seed, given)
+                for point in points(VARIANTS[name], tuple(given.steps)):
+                    measure(name, seed, point, given)
+    found = gather(given.out)
+    write_report(given.out / "curves.json", found)
+    for metric, label in (("fid", "FID"), ("r3", "R@3")):
+        draw(found, metric, label, given.out / f"curves-{metric}.svg")
+    for row in found["curves"]:
+        values = (f"{metric} {Interval.from_json(row['metrics'][metric]).format()}" for metric in ("fid", "r3"))
+        sampler = Point(row["K"], row["R"], row["shape"], row["variance"]).name
+        print(f"{row['variant']:24} {sampler:32} {row['calls']:5} calls  {'  '.join(values)}  ({len(row['seeds'])})")
+
+
+if __name__ == "__main__":
+    sys.exit(exit_code_of(main))
