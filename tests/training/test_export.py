@@ -75,7 +75,8 @@ def stored(runs, run, name):
 
 
 def stream(dataset, runs, out, networks, **more):
-    what = StreamExport(name="tried", runs=networks, **more)
+    own = {name: more.pop(name) for name in ("guidance", "smoothing", "last", "differences", "compact") if name in more}
+    what = StreamExport(name="tried", runs=networks, sampling=more, **own)
     return ModelFolder(export(what, dataset, runs, runs / "cache", out), StreamConfig)
 
 

@@ -32,15 +32,12 @@ def halved(state: Mapping[str, Tensor]) -> dict[str, Tensor]:
     return {name: _half(name, value.detach().cpu()) for name, value in state.items()}
 
 
-def subtracted(
-    state: Mapping[str, Tensor], base: Mapping[str, Tensor], max_error: float = MAX_ERROR
-) -> dict[str, Tensor]:
+def subtracted(state: Mapping[str, Tensor], base: Mapping[str, Tensor]) -> dict[str, Tensor]:
     """Matrices as 8-bit differences from the base's of the same name and shape; the rest as in ``halved``.
 
     Args:
         state: a network's weights.
         base: another network's, as stored by ``halved`` or ``compacted``.
-        max_error: a matrix that its difference would miss by more than this, relative to its norm, is stored whole.
 
     Raises:
         ValueError: values that half precision cannot hold.
@@ -51,7 +48,7 @@ def subtracted(
             value = value.detach().cpu().float()
             difference, scale = _quantised(value - base[name])
             error = torch.linalg.vector_norm(_sum(base[name], difference, scale) - value)
-            if error <= max_error * torch.linalg.vector_norm(value):
+            if error <= MAX_ERROR * torch.linalg.vector_norm(value):
                 del stored[name]
                 stored |= {name + DIFFERENCE: difference, name + SCALE: scale}
     return stored

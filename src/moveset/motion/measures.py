@@ -12,7 +12,10 @@ import torch
 from torch import Tensor
 
 from moveset.errors import InputError
+from moveset.motion.contacts import TOE_HEIGHT
 from moveset.motion.skeleton import HML22, Skeleton
+
+_SLIDING = 0.5  # metres a second
 
 
 @dataclass(frozen=True)
@@ -50,20 +53,12 @@ def measure(joints: Tensor, fps: float, skeleton: Skeleton = HML22) -> Physical:
     )
 
 
-def skating(
-    joints: Tensor,
-    fps: float,
-    skeleton: Skeleton = HML22,
-    *,
-    height: float = 0.05,
-    speed: float = 0.5,
-    window: int = 1,
-) -> Tensor:
+def skating(joints: Tensor, fps: float, skeleton: Skeleton = HML22, *, window: int = 1) -> Tensor:
     """Share of frames in which a foot slides over the floor, in [0, 1].
 
-    A toe slides between two frames when it is lower than ``height`` (m) in both and its planar speed exceeds ``speed``
-    (m/s); a frame counts once, whichever foot slides. With ``window=5`` the speed averaged over five frames (zeros
-    beyond the ends) must exceed the limit too: the skating ratio of GMD and OmniControl, used by MotionLCM.
+    A toe slides between two frames when it is lower than 5 cm in both and its planar speed exceeds 0.5 m/s; a frame
+    counts once, whichever foot slides. With ``window=5`` the speed averaged over five frames (zeros beyond the ends)
+    must exceed the limit too: the skating ratio of GMD and OmniControl, used by MotionLCM.
 
     Raises:
         InputError: a clip with fewer than two frames, or an even window.
@@ -73,8 +68,8 @@ def skating(
     _check(joints, 2)
     toes = joints[..., _toes(skeleton), :].float()
     moved = (toes[..., 1:, :, :] - toes[..., :-1, :, :])[..., [0, 2]].norm(dim=-1) * fps
-    low = (toes[..., 1] < height)[..., 1:, :] & (toes[..., 1] < height)[..., :-1, :]
-    slides = (low & (moved > speed) & (_moving_average(moved, window) > speed)).any(dim=-1)
+    low = (toes[..., 1] < TOE_HEIGHT)[..., 1:, :] & (toes[..., 1] < TOE_HEIGHT)[..., :-1, :]
+    slides = (low & (moved > _SLIDING) & (_moving_average(moved, window) > _SLIDING)).any(dim=-1)
     return slides.float().mean(dim=-1)
 
 

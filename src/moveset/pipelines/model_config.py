@@ -158,12 +158,10 @@ class ClipConfig(FolderConfig):
 
     @classmethod
     def of(cls, raw: Mapping[str, Any]) -> Self:
-        """From the JSON object, whose ``models`` are specifications already."""
         tokens, width = (int(n) for n in raw["latent"])
         return cls(**{**raw, "latent": (tokens, width)})
 
     def check(self) -> None:
-        """Raises ValueError, TypeError or KeyError for numbers that no such model can have."""
         super().check()
         for denoiser in ("teacher", *(f"{solver}-{n}" for solver in ("pcm", "lcm") for n in self.steps(solver))):
             if denoiser in self.models and not self.guidance[denoiser] >= 0:
@@ -240,7 +238,6 @@ class StreamConfig(FolderConfig):
         return tuple(name for name in self.models if name != FLOW)
 
     def check(self) -> None:
-        """Raises ValueError, TypeError or KeyError for numbers that no such model can have."""
         super().check()
         if self.network not in self.denoisers:
             raise ValueError(f"the default network {self.network!r} is none of {', '.join(self.denoisers)}")
@@ -308,7 +305,6 @@ class BaselineConfig(FolderConfig):
         return (*self.statistics, IDLE) if self.prefix else self.statistics
 
     def check(self) -> None:
-        """Raises ValueError, TypeError or KeyError for numbers that no such model can have."""
         super().check()
         if tuple(self.models) != (DENOISER,):
             raise ValueError(f"a baseline has one network, {DENOISER!r}, not {', '.join(self.models)}")

@@ -213,7 +213,7 @@ EXPORTS: tuple[Export, ...] = (
     *(
         StreamExport(
             name=f"rdm-{n}-paper", runs={"rdm": f"rdm-{n}"} | ({"md": f"md-{n}"} if n in (4, 7) else {}),
-            sampler_steps=1000, start=n, eta=1.0, variance="beta",
+            sampling={"sampler_steps": 1000, "start": n, "eta": 1.0, "variance": "beta"},
         )
         for n in (4, 7, 14)
     ),

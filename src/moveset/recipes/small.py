@@ -225,18 +225,16 @@ EXPORTS: tuple[Export, ...] = (
         runs={"rdm": "rdm-7", "md": "md-7", "pcm-1": "rdm-student"},
         guidance={"rdm": 1.0, "md": 1.0, "pcm-1": 1.0},
         smoothing={"rdm": 0.3, "md": 0.3},
-        network="pcm-1",
-        sampler_steps=10,
-        start=10,
-        lag=10,
-        past_lag=1,
-        travelling=0.25,
-        symmetric=("pcm-1",),
+        sampling={
+            "network": "pcm-1", "sampler_steps": 10, "start": 10, "lag": 10, "past_lag": 1, "travelling": 0.25,
+            "symmetric": ("pcm-1",),
+        },
         compact=("md",),
     ),
     *(
         StreamExport(
-            name=f"{run}-small", runs={"rdm": run}, guidance={"rdm": 1.5}, sampler_steps=10, start=10, lag=10
+            name=f"{run}-small", runs={"rdm": run}, guidance={"rdm": 1.5},
+            sampling={"sampler_steps": 10, "start": 10, "lag": 10},
         )
         for run in ("rdm-4", "rdm-14")
     ),

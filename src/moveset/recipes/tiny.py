@@ -184,9 +184,7 @@ EXPORTS: tuple[Export, ...] = (
         name="rdm-tiny",
         runs={"rdm": "rdm-7", "md": "md-7", "pcm-1": "rdm-student"},
         guidance={"rdm": 1.5, "md": 1.5, "pcm-1": 1.5},
-        network="pcm-1",
-        sampler_steps=4,
-        start=4,
+        sampling={"network": "pcm-1", "sampler_steps": 4, "start": 4},
     ),
     *(
         BaselineExport(name=f"{run}-tiny", runs={"denoiser": run}, steps=4)

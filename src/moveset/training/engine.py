@@ -141,29 +141,21 @@ class Loop:
         self.rank: int = fabric.global_rank
         self.world_size: int = fabric.world_size
         self.generators: dict[str, torch.Generator] = {}
-        self._shared: set[str] = set()
         self._optimizers: dict[str, torch.optim.Optimizer] = {}
         self._losses: dict[str, Tensor] = {}
 
-    def generator(self, name: str, *, shared: bool = False, device: torch.device | str = "cpu") -> torch.Generator:
-        """A new generator that is saved with every checkpoint.
-
-        Args:
-            name: unique; streams of different names are independent.
-            shared: the same numbers in every process; otherwise each process has its own stream.
-        """
+    def generator(self, name: str, *, device: torch.device | str = "cpu") -> torch.Generator:
+        """A new generator of this process, saved with every checkpoint; streams of different names are independent."""
         if name in self.generators:
             raise ValueError(f"there is a generator {name!r} already")
-        made = torch.Generator(device).manual_seed(stream_seed(self.config.seed, name, None if shared else self.rank))
+        made = torch.Generator(device).manual_seed(stream_seed(self.config.seed, name, self.rank))
         self.generators[name] = made
-        if shared:
-            self._shared.add(name)
         return made
 
     def reseed(self, step: int) -> None:
-        """Starts this process's own streams, torch's global one included, anew at a step; shared ones go on."""
-        for name in self.generators.keys() - self._shared:
-            self.generators[name].manual_seed(stream_seed(self.config.seed, f"{name}@{step}", self.rank))
+        """Starts this process's streams, torch's global one included, anew at a step."""
+        for name, generator in self.generators.items():
+            generator.manual_seed(stream_seed(self.config.seed, f"{name}@{step}", self.rank))
         torch.manual_seed(stream_seed(self.config.seed, f"dropout@{step}", self.rank))
 
     def minimise(self, loss: Tensor, *optimizers: str) -> Tensor:

@@ -59,7 +59,12 @@ class Export:
 
     @property
     def trainings(self) -> list[str]:
-        return [run for chosen in self.runs.values() for run in ((chosen,) if isinstance(chosen, str) else chosen)]
+        return [run for network in self.runs for run in self.of(network)]
+
+    def of(self, network: str) -> tuple[str, ...]:
+        """Names of the runs of a network."""
+        chosen = self.runs[network]
+        return (chosen,) if isinstance(chosen, str) else chosen
 
     def __post_init__(self) -> None:
         if unknown := set(self.guidance) - set(self.runs):
@@ -77,29 +82,11 @@ class StreamExport(Export):
 
     Args:
         smoothing: of a network's output by its name, instead of that of its training; guidance makes it tremble.
-
-    The others are fields of ``StreamConfig``: what a stream does by default.
+        sampling: fields of ``StreamConfig``: what a stream does by default.
     """
 
     smoothing: Mapping[str, float] = field(default_factory=dict)
-    network: str = RDM
-    sampler_steps: int = StreamConfig.sampler_steps
-    start: int = StreamConfig.start
-    lag: int = StreamConfig.lag
-    eta: float = StreamConfig.eta
-    variance: Variance = StreamConfig.variance
-    past_lag: int | None = StreamConfig.past_lag
-    idle: str = StreamConfig.idle
-    travelling: float = StreamConfig.travelling
-    symmetric: tuple[str, ...] = StreamConfig.symmetric
-
-    def sampling(self) -> dict[str, Any]:
-        """The fields of ``StreamConfig`` among its own."""
-        names = (
-            "network", "sampler_steps", "start", "lag", "eta", "variance", "past_lag", "idle", "travelling",
-            "symmetric",
-        )  # fmt: skip
-        return {name: getattr(self, name) for name in names}
+    sampling: Mapping[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -145,15 +132,10 @@ def _load(what: Export, network: str, runs: Path) -> TrainedNetwork:
         chosen = "student" if what.last else "student_ema"
     else:
         chosen = weights.get(network, f"{network}_ema")
-    found = average_weights(network, [load_trained(runs / run, chosen) for run in _names(what, network)])
+    found = average_weights(network, [load_trained(runs / run, chosen) for run in what.of(network)])
     if is_student(network) and named(network).steps != found.task["phases"]:
         raise InputError(f"{network!r} would be a student of {found.task['phases']} phases; give it its own run folder")
     return found
-
-
-def _names(what: Export, network: str) -> tuple[str, ...]:
-    chosen = what.runs[network]
-    return (chosen,) if isinstance(chosen, str) else chosen
 
 
 def _common(
@@ -164,8 +146,7 @@ def _common(
     known = known_captions(dataset)
     pooled = embedded(cache, encoder, known).pooled_of(known)
     steps = {
-        name: f"{' and '.join(_names(what, name))}, {network.path.name.replace('_', ' ')}"
-        for name, network in found.items()
+        name: f"{' and '.join(what.of(name))}, {network.path.name.replace('_', ' ')}" for name, network in found.items()
     }
     fields = {
         "name": what.name,
@@ -216,12 +197,16 @@ def _stream(
     for name, value in what.smoothing.items():
         modules[name].config = replace(modules[name].config, smoothing=value)
     if rdm.task["flow"] is not None:
-        flows = [load_trained(runs / run, "flow_ema", part="coupling_flow") for run in _names(what, RDM)]
+        flows = [load_trained(runs / run, "flow_ema", part="coupling_flow") for run in what.of(RDM)]
         modules[FLOW] = average_weights(FLOW, flows).module
     points = _one_grid(found[name] for name in students)
     fields, known, pooled, store = _common(what, dataset, rdm.task, found, cache)
     config = StreamConfig(
-        **fields, segment=rdm.task["grid"]["frames"], depth_cap=rdm.task["depth_cap"], points=points, **what.sampling()
+        **fields,
+        segment=rdm.task["grid"]["frames"],
+        depth_cap=rdm.task["depth_cap"],
+        points=points,
+        **{"network": RDM, **what.sampling},
     )
     bases = dict.fromkeys(students, RDM) if what.differences else None
     return save_model(
