@@ -18,8 +18,9 @@ beside, ``walk.bvh.json``.
 import json
 import os
 import warnings
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -46,11 +47,23 @@ class Body:
     joints: Mapping[str, str] = field(default_factory=dict)
 
 
+#: Where what writes a file, or reads what it remembers, is in this package; nothing is imported before it is asked for.
+_WRITERS = {
+    ".bvh": "bvh.write_bvh", ".glb": "gltf.write_glb", ".gltf": "gltf.write_gltf", ".vrma": "gltf.write_vrma",
+    ".html": "html.save_html", ".npz": "arrays.write_npz", ".amass.npz": "amass.write_amass",
+    ".npy": "joint_arrays.write_npy", ".png": "filmstrip.write_filmstrip", ".gif": "video.write_gif",
+    ".mp4": "video.write_mp4",
+}  # fmt: skip
+_REMEMBERED = {
+    **dict.fromkeys((".glb", ".gltf", ".vrma"), "gltf_reader.glb_metadata"), ".npz": "arrays.npz_metadata",
+    ".html": "html.html_metadata", ".png": "filmstrip.filmstrip_metadata",
+}  # fmt: skip
 GLTF = (".gltf", ".vrma", ".glb")
 READABLE = (".gltf", ".vrma", ".bvh", ".glb", ".npz", ".npy", ".html")
-WRITABLE = (*READABLE, ".mp4", ".gif", ".png")
+_PICTURES = (".mp4", ".gif", ".png")
+WRITABLE = (*READABLE, *_PICTURES)
 _BODIES = (".bvh", *GLTF)  # may have any axes, any unit and any names
-_DRAWN = (*GLTF, ".html", ".png", ".gif", ".mp4")  # with a body hung on the rest pose
+_DRAWN = (*GLTF, ".html", *_PICTURES)  # with a body hung on the rest pose
 _OF_BLENDER = (".fbx", ".dae", ".usd", ".usda", ".usdc", ".usdz", ".blend", ".abc")
 _THROUGH_BLENDER = (
     ": open it in Blender and export it as glTF 2.0 (.glb) or BVH",
@@ -105,8 +118,6 @@ def load(
 def _loaded(
     path: str | Path, fps: float | None, source_fps: float | None, animation: str | None, body: Body | None
 ) -> "Motion":
-    from dataclasses import replace
-
     suffix = _suffix(path, READABLE, "read")
     if animation is not None and suffix not in (*GLTF, ".npy"):
         raise InputError(f"{path}: {suffix} files hold one motion; leave --animation out")
@@ -153,30 +164,13 @@ def save(motion: "Motion", path: str | Path, *, metadata: Mapping[str, str | int
         from moveset.motion.reference import resting_upright
 
         motion = resting_upright(motion)
-    if suffix == ".bvh":
-        from moveset.io.bvh import write_bvh
-
-        write_bvh(motion, path)
-    elif suffix in GLTF:
-        from moveset.io import gltf
-
-        write = {".glb": gltf.write_glb, ".gltf": gltf.write_gltf, ".vrma": gltf.write_vrma}[suffix]
-        write(motion, path, metadata=notes)
-    elif suffix == ".html":
-        from moveset.io.html import save_html
-
-        save_html(motion, path, metadata=notes)
-    elif suffix in (".npz", ".npy"):
-        from moveset.io import arrays
-
-        if suffix == ".npy":
-            arrays.write_npy(motion, path)
-        elif _is_amass(path):
-            arrays.write_amass(motion, path)
-        else:
-            arrays.write_npz(motion, path, metadata=notes)
+    write = _function(_WRITERS[".amass.npz" if _is_amass(path) else suffix])
+    if suffix in _PICTURES:
+        write(motion, path, caption=str(notes.get("prompt") or ""), metadata=json.dumps(notes) if notes else "")
+    elif _has_beside(path):
+        write(motion, path)
     else:
-        _save_picture(motion, path, suffix, notes)
+        write(motion, path, metadata=notes)
     if suffix == ".npy":
         from moveset.io.joint_arrays import still_notes
 
@@ -218,22 +212,9 @@ def read_metadata(path: str | Path) -> dict[str, Any]:
         FormatError: a damaged file.
     """
     suffix = _suffix(path, (*READABLE, ".png"), "read metadata of")
-    if suffix in GLTF:
-        from moveset.io.gltf_reader import glb_metadata
-
-        return glb_metadata(path)
-    if suffix == ".npz" and not _is_amass(path):
-        from moveset.io.arrays import npz_metadata
-
-        return npz_metadata(path)
-    if suffix == ".html":
-        from moveset.io.html import html_metadata
-
-        return html_metadata(path)
-    if suffix == ".png":
-        from moveset.io.filmstrip import filmstrip_metadata
-
-        return filmstrip_metadata(path)
+    if suffix in _REMEMBERED and not _is_amass(path):
+        found: dict[str, Any] = _function(_REMEMBERED[suffix])(path)
+        return found
     return _notes_beside(Path(path))
 
 
@@ -248,6 +229,12 @@ def _notes_beside(path: Path) -> dict[str, Any]:
     except (ValueError, RecursionError) as error:
         raise FormatError(f"{beside} is not JSON; delete it or write the motion again") from error
     return found if isinstance(found, dict) else {}
+
+
+def _function(place: str) -> Callable[..., Any]:
+    module, name = place.split(".")
+    found: Callable[..., Any] = getattr(import_module(f"moveset.io.{module}"), name)
+    return found
 
 
 def _suffix(path: str | Path, known: tuple[str, ...], verb: str) -> str:
@@ -286,8 +273,6 @@ def _beside(path: Path) -> Path:
 
 def _placed(motion: "Motion", body: Body, *, in_metres: bool) -> "Motion":
     """In metres, Y up, with the joints as they were named."""
-    from dataclasses import replace
-
     from moveset.motion.reference import upright
     from moveset.motion.rigs import with_roles
     from moveset.motion.units import resized, unit_of
@@ -300,8 +285,6 @@ def _placed(motion: "Motion", body: Body, *, in_metres: bool) -> "Motion":
 
 
 def _load_bvh(path: str | Path, fps: float | None, body: Body | None) -> "Motion":
-    from dataclasses import replace
-
     from moveset.io.bvh import bvh_motion, likely_scale
     from moveset.io.bvh_parser import read_bvh
     from moveset.motion.rigs import as_skeleton, name_after
@@ -310,19 +293,3 @@ def _load_bvh(path: str | Path, fps: float | None, body: Body | None) -> "Motion
     motion = bvh_motion(bvh, scale=(body.unit if body else None) or likely_scale(bvh))
     found, name = motion.skeleton, name_after(Path(path))
     return replace(motion, skeleton=as_skeleton(name, found.joints, found.parents, found.offsets))
-
-
-def _save_picture(motion: "Motion", path: Path, suffix: str, notes: dict[str, Any]) -> None:
-    caption, text = str(notes.get("prompt") or ""), json.dumps(notes) if notes else ""
-    if suffix == ".png":
-        from moveset.io.filmstrip import write_filmstrip
-
-        write_filmstrip(motion, path, caption=caption, metadata=text)
-    elif suffix == ".gif":
-        from moveset.io.video import write_gif
-
-        write_gif(motion, path, caption=caption, metadata=text)
-    else:
-        from moveset.io.video import write_mp4
-
-        write_mp4(motion, path, caption=caption, metadata=text)

@@ -9,6 +9,7 @@ Shapes: B streams, n frames of a segment, D features, C text width.
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, cast
 
 import torch
@@ -113,6 +114,9 @@ class StreamModel:
         FormatError: a damaged model.
     """
 
+    #: Whether several segments of a stream may be in work at once.
+    overlaps = True
+
     @one_thread()
     def __init__(
         self,
@@ -123,6 +127,12 @@ class StreamModel:
         encoder: TextEncoder | None = None,
         remembered: int = 64,
     ) -> None:
+        if not (self.overlaps or settings.sequential):
+            raise InputError(
+                f"network {settings.network!r} works on several segments of a stream at once (lag {settings.lag} of "
+                f"{settings.steps} steps); streams are grouped where a segment follows a finished one: set start and "
+                "lag to the steps, or use a student"
+            )
         config = bundle.config
         self.bundle, self.settings = bundle, settings
         self.codec, self.device = config.feature_codec(), pick_device(str(device))
@@ -214,23 +224,11 @@ class StreamBatch(StreamModel):
         InputError: settings by which several segments of a stream are in work at once.
     """
 
-    def __init__(
-        self,
-        bundle: ModelFolder[StreamConfig],
-        settings: StreamSettings,
-        *,
-        device: torch.device | str = "auto",
-        encoder: TextEncoder | None = None,
-        remembered: int = 64,
-    ) -> None:
-        if not settings.sequential:
-            raise InputError(
-                f"network {settings.network!r} works on several segments of a stream at once (lag {settings.lag} of "
-                f"{settings.steps} steps); streams are grouped where a segment follows a finished one: set start and "
-                "lag to the steps, or use a student"
-            )
-        super().__init__(bundle, settings, device=device, encoder=encoder, remembered=remembered)
-        self._course = self.course(window=1)
+    overlaps = False
+
+    @cached_property
+    def _course(self) -> HeadingTracker:
+        return self.course(window=1)
 
     @one_thread()
     def step(self, streams: Sequence[Stream]) -> list[Segment]:

@@ -70,7 +70,7 @@ class EmbeddingCache:
         path = Path(path)
         wanted = tuple(dict.fromkeys(["", *check_sentences(sentences)]))
         found = cls._usable(path, encoder)
-        if found is not None and found._holds(wanted):
+        if found is not None and all(sentence in found for sentence in wanted):
             return found
         # Of two processes that add to it at once the second adds to what the first has written.
         with locked(path.parent):
@@ -112,9 +112,6 @@ class EmbeddingCache:
 
     def __contains__(self, sentence: str) -> bool:
         return sentence in self._row_of
-
-    def _holds(self, sentences: Sequence[str]) -> bool:
-        return all(sentence in self for sentence in sentences)
 
     @property
     def widths(self) -> tuple[int, int]:
@@ -218,12 +215,8 @@ class CachedEncoder:
 
     def __init__(self, encoder: TextEncoder, limit: int = 64) -> None:
         self._encoder, self._limit = encoder, limit
-        self.name, self.dim, self.max_tokens, self.device = (
-            encoder.name,
-            encoder.dim,
-            encoder.max_tokens,
-            encoder.device,
-        )
+        self.name, self.dim = encoder.name, encoder.dim
+        self.max_tokens, self.device = encoder.max_tokens, encoder.device
         self._known: OrderedDict[str, TextEmbedding] = OrderedDict()
         self._lock = threading.Lock()
 
