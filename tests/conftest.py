@@ -4,6 +4,7 @@ import hashlib
 import os
 import tarfile
 import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,16 +12,17 @@ import pytest
 from hypothesis import settings
 
 if TYPE_CHECKING:
+    from tests.forks import Forks
     from tests.tiny_run import TinyRun
 
 # A test must not fail because the machine was busy.
 settings.register_profile("moveset", deadline=None)
 settings.load_profile("moveset")
 
-# Fixtures that cost many seconds or a browser: all tests that use one run in the same process, so that it is made once.
-COSTLY = ("tiny_run", "browser")
+# Fixtures that cost seconds or a browser: all tests that use one run in the same process, so that it is made once.
+COSTLY = ("tiny_run", "browser", "forks")
 # Files that take longest besides, so that no process is left alone with one of them in the end.
-LONG = ("test_researcher.py", "test_shipped.py", "test_kill.py", "test_command.py")
+LONG = ("test_researcher.py", "test_shipped.py")
 REPOSITORY = Path(__file__).resolve().parents[1]
 # What the tests read from the archives; a folder given by MOVESET_RAW or data/raw may hold the whole sets.
 MEMBERS = {
@@ -118,6 +120,16 @@ def _unpacked(archives: dict[str, Path]) -> Path:
             if not cache.is_dir():
                 raise
     return cache
+
+
+@pytest.fixture(scope="session")
+def forks() -> Iterator["Forks"]:
+    """Calls functions in processes that tests may kill."""
+    from tests.forks import Forks
+
+    made = Forks()
+    yield made
+    made.close()
 
 
 @pytest.fixture(scope="session")

@@ -21,7 +21,3 @@ def run(arguments: list[str]) -> int:
     sys.modules["moveset.recipes.tiny"] = types.SimpleNamespace(TRAINING={"vae": lambda: recipe})
     tasks.TASKS["vae"] = tasks.Trainable("tests.crash.command:make")
     return main(arguments)
-
-
-if __name__ == "__main__":
-    sys.exit(run(sys.argv[1:]))

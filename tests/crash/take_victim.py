@@ -1,12 +1,13 @@
-"""A process that forks writers of takes, each to be killed at another moment.
+"""Writers of takes, each forked and killed at another moment.
 
-Arguments: a folder and formats (".bvh"). Of each, writer n makes ``folder/.bvh/n/take.bvh`` of four pieces of
-``motion()`` and dies by SIGKILL at its n-th operation on the disk; a write is done by half before. After each piece it
-notes its number of frames in ``folder/.bvh/n.noted``. Goes on to the next format after the first writer that survived,
-and prints how many were killed.
+Of each format (".bvh"), writer n makes ``folder/.bvh/n/take.bvh`` of four pieces of ``motion()`` and dies by SIGKILL at
+its n-th operation on the disk; a write is done by half before. After each piece it notes its number of frames in
+``folder/.bvh/n.noted``. The next format comes after the first writer that survived; ``killed.json`` tells how many did
+not.
 """
 
 import itertools
+import json
 import os
 import signal
 import sys
@@ -75,6 +76,6 @@ def kill(folder: Path, suffix: str) -> int:
     raise AssertionError("unreachable")
 
 
-if __name__ == "__main__":
-    for kind in sys.argv[2:]:
-        print(kill(Path(sys.argv[1], kind), kind), flush=True)
+def kill_all(folder: str, suffixes: list[str]) -> None:
+    counts = {suffix: kill(Path(folder, suffix), suffix) for suffix in suffixes}
+    Path(folder, "killed.json").write_text(json.dumps(counts))

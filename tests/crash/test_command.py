@@ -1,9 +1,9 @@
 import dataclasses
 import os
 import signal
-import subprocess
 import sys
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -12,40 +12,35 @@ from moveset.training import checkpoint, tasks
 from moveset.training.engine import run
 from tests.crash import command
 from tests.crash.metrics import logged_step
+from tests.forks import Forks
 from tests.training.tiny_task import TinyConfig, TinyTask
 
-REPOSITORY = Path(__file__).resolve().parents[2]
 COMMAND = ("train", "vae", "--recipe", "tiny")
 pytestmark = [pytest.mark.skipif(os.name == "nt", reason="stops by POSIX signals"), pytest.mark.timeout(600)]
 
 
-def start(folder: Path, *arguments: str) -> subprocess.Popen:
-    environment = {**os.environ, "PYTHONPATH": str(REPOSITORY), "OMP_NUM_THREADS": "1"}
-    words = [sys.executable, "-m", "tests.crash.command", *COMMAND, "--folder", str(folder), *arguments]
-    return subprocess.Popen(words, cwd=REPOSITORY, env=environment, text=True, stderr=subprocess.PIPE)
-
-
-def stopped(folder: Path, number: int, *arguments: str) -> tuple[int, str]:
+def stopped(forks: Forks, folder: Path, number: int, *arguments: str) -> tuple[int, str]:
     """Exit code and stderr of a training that got a signal after its first own step."""
     before, deadline = logged_step(folder), time.monotonic() + 200
-    process = start(folder, *arguments)
-    while process.poll() is None and logged_step(folder) <= before and time.monotonic() < deadline:
+    process = forks.start("tests.crash.command:run", [*COMMAND, "--folder", str(folder), *arguments])
+    while forks.running and logged_step(folder) <= before and time.monotonic() < deadline:
         time.sleep(0.02)
-    process.send_signal(number)
-    _, complained = process.communicate(timeout=240)
+    with suppress(ProcessLookupError):
+        os.kill(process, number)
+    code, complained = forks.end(), forks.said
     assert "Traceback" not in complained
-    return process.returncode, complained
+    return code, complained
 
 
-def test_a_signal_saves_and_resuming_ends_as_if_there_had_been_none(tmp_path, monkeypatch, capsys):
+def test_a_signal_saves_and_resuming_ends_as_if_there_had_been_none(forks, tmp_path, monkeypatch, capsys):
     slow = ("--set", "seconds_per_step=0.01", "--steps", "200", "--log-every", "1")
-    code, complained = stopped(tmp_path / "run", signal.SIGTERM, *slow)
+    code, complained = stopped(forks, tmp_path / "run", signal.SIGTERM, *slow)
     assert (code, "stopped by SIGTERM at step" in complained) == (0, True), complained
     (step,) = checkpoint.steps(tmp_path / "run")
     assert 0 < step < 200
     checkpoint.verify(tmp_path / "run" / f"step_{step}")
 
-    code, complained = stopped(tmp_path / "run", signal.SIGINT, *slow, "--resume")
+    code, complained = stopped(forks, tmp_path / "run", signal.SIGINT, *slow, "--resume")
     assert code == 130, complained
     assert checkpoint.steps(tmp_path / "run")[-1] > step
 

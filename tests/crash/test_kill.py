@@ -2,14 +2,10 @@
 nothing had happened, byte for byte."""
 
 import contextlib
-import json
 import os
 import random
 import shutil
 import signal
-import subprocess
-import sys
-import tempfile
 import time
 from pathlib import Path
 
@@ -17,48 +13,28 @@ import pytest
 
 from moveset.training import checkpoint
 from tests.crash.metrics import logged_step
-
-REPOSITORY = Path(__file__).resolve().parents[2]
-BROKEN = 70  # a victim that ended by an exception of no kind that users may see
+from tests.forks import Forks
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="kills by POSIX signals")
 
 
 class Victims:
-    """Trainings started by forking one process that has imported everything."""
+    """Trainings as orders say."""
 
-    def __init__(self) -> None:
-        environment = {**os.environ, "PYTHONPATH": str(REPOSITORY), "OMP_NUM_THREADS": "1"}
-        command = [sys.executable, "-m", "tests.crash.victim"]
-        self.said = tempfile.TemporaryFile("w+")  # noqa: SIM115 (a pipe that nobody reads would fill up)
-        pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": self.said}
-        self.process = subprocess.Popen(command, cwd=REPOSITORY, env=environment, text=True, **pipes)
+    def __init__(self, forks: Forks) -> None:
+        self.end, self._forks = forks.end, forks
 
-    def start(self, folder: Path, **order) -> int:
-        self.process.stdin.write(json.dumps({"folder": str(folder), **order}) + "\n")
-        self.process.stdin.flush()
-        return int(self.process.stdout.readline())
+    def start(self, folder: Path, **order: object) -> int:
+        return self._forks.start("tests.crash.victim:resumed", {"folder": str(folder), **order})
 
-    def end(self) -> int:
-        code = int(self.process.stdout.readline())
-        if code == BROKEN:
-            self.said.seek(0)
-            raise AssertionError(self.said.read())
-        return code
-
-    def train(self, folder: Path, **order) -> int:
+    def train(self, folder: Path, **order: object) -> int:
         self.start(folder, **order)
         return self.end()
 
 
-@pytest.fixture(scope="module")
-def victims():
-    made = Victims()
-    yield made
-    made.process.stdin.close()
-    made.process.wait(60)
-    made.process.stdout.close()
-    made.said.close()
+@pytest.fixture
+def victims(forks):
+    return Victims(forks)
 
 
 def contents(folder: Path) -> dict[str, bytes]:
@@ -70,9 +46,8 @@ def saved_step(folder: Path) -> int:
     return int(found.name.removeprefix("step_")) if found else 0
 
 
-@pytest.mark.filterwarnings(
-    "error"
-)  # a kill must not even leave a damaged checkpoint that would have to be passed over
+# A kill must not even leave a damaged checkpoint that would have to be passed over.
+@pytest.mark.filterwarnings("error")
 def test_sigkill_at_random_moments(victims, tmp_path):
     steps, every = 120, 3
     order = {"steps": steps, "save_every": every}

@@ -1,10 +1,8 @@
 """A take may be killed at any moment: what had been appended is recovered, and nothing else is left."""
 
+import json
 import os
-import subprocess
-import sys
 from contextlib import suppress
-from pathlib import Path
 
 import pytest
 
@@ -13,7 +11,6 @@ from moveset.io import load
 from moveset.io.take_writer import recover_take
 from tests.crash.take_victim import motion
 
-REPOSITORY = Path(__file__).resolve().parents[2]
 pytestmark = [pytest.mark.skipif(os.name == "nt", reason="kills by POSIX signals"), pytest.mark.timeout(600)]
 
 
@@ -21,21 +18,19 @@ SUFFIXES = (".bvh", ".glb", ".npz", ".html")
 
 
 @pytest.fixture(scope="module")
-def killed(tmp_path_factory):
+def killed(forks, tmp_path_factory):
     """A folder of what killed writers of each format left, and how many of them there were."""
     folder = tmp_path_factory.mktemp("killed")
-    environment = {**os.environ, "PYTHONPATH": str(REPOSITORY), "OMP_NUM_THREADS": "1"}
-    command = [sys.executable, "-m", "tests.crash.take_victim", str(folder), *SUFFIXES]
-    done = subprocess.run(command, cwd=REPOSITORY, env=environment, text=True, capture_output=True, timeout=540)
-    assert done.returncode == 0, done.stderr[-2000:]
-    return folder, dict(zip(SUFFIXES, map(int, done.stdout.split()), strict=True))
+    assert forks.run("tests.crash.take_victim:kill_all", str(folder), SUFFIXES) == 0, forks.said
+    return folder, json.loads((folder / "killed.json").read_text())
 
 
 @pytest.mark.parametrize("suffix", SUFFIXES)
 def test_sigkill_at_every_operation_on_the_disk(suffix, killed):
-    home, kills = killed[0] / suffix, killed[1][suffix]
+    folder, kills = killed
+    home = folder / suffix
     whole, recovered = motion(), []
-    for point in range(kills + 1):
+    for point in range(kills[suffix] + 1):
         folder, path = home / str(point), home / str(point) / f"take{suffix}"
         noted = [0, *map(int, (home / f"{point}.noted").read_text().split())][-1]
         if (folder / f"take{suffix}.part").exists():

@@ -1,8 +1,4 @@
 import json
-import os
-import subprocess
-import sys
-from pathlib import Path
 
 import pytest
 import torch
@@ -11,20 +7,14 @@ from moveset.training import checkpoint
 from tests.training.tiny_task import train
 from tests.training.two_processes import Regression
 
-REPOSITORY = Path(__file__).resolve().parents[2]
 pytestmark = pytest.mark.timeout(600)  # two processes that wait for each other are slow on a busy machine
 
 
 @pytest.fixture(scope="module")
-def both(tmp_path_factory):
+def both(forks, tmp_path_factory):
     """Folder of the two processes, and what each of them said."""
     folder = tmp_path_factory.mktemp("two")
-    environment = {**os.environ, "PYTHONPATH": str(REPOSITORY), "OMP_NUM_THREADS": "1"}
-    done = subprocess.run(
-        [sys.executable, "-m", "tests.training.two_processes", str(folder)],
-        env=environment, cwd=REPOSITORY, capture_output=True, text=True, timeout=280,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr[-3000:]
+    assert forks.run("tests.training.two_processes:launch", str(folder)) == 0, forks.said
     return folder, [json.loads((folder / f"rank_{rank}.json").read_text()) for rank in (0, 1)]
 
 

@@ -10,7 +10,6 @@ import warnings
 from contextlib import suppress
 from pathlib import Path
 
-import lightning_fabric  # noqa: F401 (imported here so that the forked processes start at once)
 import torch
 from torch import nn
 
@@ -101,8 +100,8 @@ def main(folder: Path) -> None:
     (folder / f"rank_{said['rank']}.json").write_text(json.dumps(said))
 
 
-def launch(folder: Path) -> int:
-    """Fork the processes with the environment that ``torchrun`` gives, so that everything is imported once.
+def launch(folder: str) -> int:
+    """Fork the processes with the environment that ``torchrun`` gives.
 
     Returns:
         The first exit code that is not 0, whereupon the other process is ended; else 0.
@@ -115,8 +114,8 @@ def launch(folder: Path) -> int:
     for rank in ("0", "1"):
         if (process := os.fork()) == 0:
             os.environ |= {"RANK": rank, "LOCAL_RANK": rank}
-            main(folder)
-            return 0
+            main(Path(folder))
+            sys.exit()
         running.add(process)
     while running:
         process, status = os.wait()
@@ -127,7 +126,3 @@ def launch(folder: Path) -> int:
                     os.kill(other, signal.SIGKILL)
             return code
     return 0
-
-
-if __name__ == "__main__":
-    sys.exit(launch(Path(sys.argv[1])))
