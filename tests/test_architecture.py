@@ -5,7 +5,6 @@ import sys
 from pathlib import Path
 
 import pytest
-from importlinter.cli import lint_imports
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "src" / "moveset"
@@ -26,10 +25,6 @@ def imports(path):
         for name in names:
             parts = name.split(".")
             yield ".".join(parts[:2]) if parts[0] == "moveset" else parts[0]
-
-
-def test_import_contracts_hold(capsys):
-    assert lint_imports(config_filename=str(ROOT / "pyproject.toml"), no_cache=True) == 0, capsys.readouterr().out
 
 
 @pytest.mark.parametrize("path", sorted((PACKAGE / "motion").glob("*.py")), ids=lambda p: p.name)
