@@ -1,5 +1,7 @@
 """Conditions of made-up text, and segment networks called with all that they are given by name."""
 
+from typing import Any
+
 import torch
 from torch import Tensor
 
@@ -11,6 +13,16 @@ def condition_of(tokens: Tensor, mask: Tensor | None = None, **parts: Tensor | P
     """Of token states (B, L, C), all of them real unless a mask (B, L) says which."""
     mask = torch.ones(tokens.shape[:2], dtype=torch.bool) if mask is None else mask
     return Condition(TextEmbedding(tokens, mask, tokens.mean(1)), **parts)
+
+
+def awake(config: Any) -> Any:
+    """A network whose zero-initialised layers speak."""
+    torch.manual_seed(0)
+    model = config.build().eval()
+    with torch.no_grad():
+        for parameter in model.parameters():
+            parameter.add_(0.2 * torch.randn_like(parameter))
+    return model
 
 
 def call(

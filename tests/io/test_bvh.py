@@ -70,27 +70,16 @@ def test_a_hand_written_file(tmp_path):
     )
 
 
-@pytest.mark.parametrize("newline", [b"\r\n", b"\r"])
-def test_newlines_and_byte_order_mark_of_other_systems(tmp_path, newline):
-    bvh = load(tmp_path, b"\xef\xbb\xbf" + ARM.replace(b"\n", newline))
-    assert np.array_equal(bvh.values, load(tmp_path, ARM).values)
-
-
 @pytest.mark.parametrize("skeleton", [HML22, KIT21])
 @pytest.mark.parametrize("order", ["ZXY", "XYZ", "YZX", "ZYX", "XZY", "YXZ"])
 def test_written_and_read_back(tmp_path, skeleton, order):
     motion = random_motion(skeleton)
     back = bvh_motion(read_bvh(write_bvh(motion, tmp_path / "a.bvh", order=order)))
     assert back.fps == 20.0
+    assert back.skeleton is skeleton
+    assert rotations.angle(rotations.mul(rotations.inv(motion.rotations), back.rotations)).max() < 2e-3
     ours, theirs = by_name(motion), by_name(back)
     assert max((ours[name] - theirs[name]).abs().max().item() for name in ours) < 1e-5
-
-
-def test_hml22_comes_back_as_itself(tmp_path):
-    motion = random_motion(HML22)
-    back = bvh_motion(read_bvh(write_bvh(motion, tmp_path / "a.bvh")))
-    assert back.skeleton is HML22
-    assert rotations.angle(rotations.mul(rotations.inv(motion.rotations), back.rotations)).max() < 2e-3
 
 
 def test_scale_is_units_per_metre(tmp_path):

@@ -38,17 +38,6 @@ def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path, error):
     assert os.listdir(tmp_path) == ["take.bin"]
 
 
-def test_a_full_disk_at_the_very_end_leaves_nothing(tmp_path, monkeypatch):
-    def full(_):
-        raise OSError(errno.ENOSPC, "No space left on device")
-
-    monkeypatch.setattr(os, "fsync", full)
-    with pytest.raises(MovesetError, match="No space left") as caught, atomic_write(tmp_path / "take.bin") as file:
-        file.write(b"abc")
-    assert not isinstance(caught.value, InputError)
-    assert os.listdir(tmp_path) == []
-
-
 def test_a_link_leads_to_what_is_written_and_stays(tmp_path):
     (tmp_path / "deep").mkdir()
     for name, target in (("a", "deep/take.bin"), ("b", "a"), ("c", "deep/new.bin")):

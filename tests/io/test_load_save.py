@@ -28,23 +28,8 @@ def motion():
 @pytest.mark.parametrize("name", ["a.bvh", "a.glb", "a.gltf", "a.npz", "a.amass.npz", "a.npy", "A.GLB"])
 def test_what_is_written_is_read_back(motion, name, tmp_path):
     assert save(motion, tmp_path / name) == tmp_path / name
-    found = load(tmp_path / name)
-    assert (found.joints - motion.joints).abs().max() < 1e-4
-    assert found.fps == pytest.approx(20.0)
+    assert (load(tmp_path / name).joints - motion.joints).abs().max() < 1e-4
     assert motion.save(str(tmp_path / name)) == tmp_path / name
-
-
-@pytest.mark.parametrize("name", ["a.bvh", "a.glb", "a.npz"])
-@pytest.mark.parametrize("rig", RIGS)
-def test_every_rig_in_every_format_with_rotations(motion, name, rig, tmp_path):
-    written = retarget(motion, rig)
-    save(written, tmp_path / name)
-    found = load(tmp_path / name)
-    order = [found.skeleton.joints.index(joint) for joint in written.skeleton.joints]
-    assert (found.joints[:, order] - written.joints).abs().max() < 1e-4
-    assert len(found.skeleton.pairs) == len(written.skeleton.pairs)
-    assert len(found.skeleton.feet) == 4
-    assert (retarget(found, "hml22").joints - retarget(written, "hml22").joints).abs().max() < 2e-4
 
 
 @pytest.mark.parametrize("suffix", WRITABLE)
@@ -124,8 +109,9 @@ def test_nothing_half_written_is_left(motion, suffix, tmp_path, monkeypatch):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(os, "fsync", full)
-    with pytest.raises(MovesetError, match="No space left"):
+    with pytest.raises(MovesetError, match="No space left") as caught:
         save(motion[:3], path)
+    assert not isinstance(caught.value, InputError)
     assert [p.name for p in tmp_path.iterdir()] == [path.name]
     assert path.read_bytes() == b"old"
 
@@ -177,19 +163,7 @@ def test_files_of_one_body_can_be_joined_with_each_other_and_with_what_was_writt
     assert (joined.joints - join([written] * 3).joints).abs().max() < 1e-3
     there = retarget(walk, body)
     assert (there.joints - written.joints).abs().max() < 1e-4
-
-
-def test_files_of_different_bodies_are_not_joined(motion, tmp_path):
-    (tmp_path / "small").mkdir()
-    (tmp_path / "big").mkdir()
-    for folder, size in (("small", 1.1), ("big", 1.6)):
-        body = replace(RIGS["mixamo"], offsets=size * RIGS["mixamo"].offsets)
-        save(retarget(motion, body), tmp_path / folder / "x.bvh")
-    clips = [load(tmp_path / folder / "x.bvh") for folder in ("small", "big")]
-    with pytest.raises(InputError, match="retarget"):
-        join(clips)
-    joined = join([clips[0], retarget(clips[1], clips[0].skeleton)])
-    assert float(joined.joints[12:, 0, 1].mean()) == pytest.approx(float(clips[0].joints[:, 0, 1].mean()), abs=0.05)
+    assert (len(walk.skeleton.pairs), len(walk.skeleton.feet)) == (len(body.pairs), 4)
 
 
 def test_a_file_called_as_a_built_in_skeleton_is_not_taken_for_it(motion, tmp_path):
@@ -200,7 +174,7 @@ def test_a_file_called_as_a_built_in_skeleton_is_not_taken_for_it(motion, tmp_pa
         lock_feet(found)
 
 
-@pytest.mark.parametrize("suffix", [".bvh", ".glb", ".npz"])
+@pytest.mark.parametrize("suffix", [".bvh", ".glb", ".npz", ".html"])
 @pytest.mark.parametrize("size", [0.0, 0.001, 0.1, 30.0])
 def test_own_files_keep_the_size_of_what_is_no_human(size, suffix, tmp_path):
     tree = Skeleton("crane", ("the base", "arm", "a hook"), (-1, 0, 1), size * torch.eye(3))
@@ -209,12 +183,3 @@ def test_own_files_keep_the_size_of_what_is_no_human(size, suffix, tmp_path):
         found = load(save(made, tmp_path / f"a{suffix}"))
         assert (found.joints - made.joints).abs().max() < 1e-4
         assert len(join([made, found])) == 10
-
-
-def test_feet_stand_on_the_floor_in_every_format(tmp_path):
-    walk = gait(20)
-    for name in ("a.bvh", "a.glb", "a.npz", "a.amass.npz", "a.npy", "a.html"):
-        save(walk, tmp_path / name)
-        found = load(tmp_path / name)
-        lowest = found.joints[:, list(found.skeleton.feet), 1].min()
-        assert float(lowest) == pytest.approx(0.0, abs=1e-3), name

@@ -14,7 +14,6 @@ from moveset.pcm.consistency import (
     adversarial_pair,
     draw,
     lcm_prediction,
-    lcm_scalings,
     lcm_target,
     phase_entry,
     phased_prediction,
@@ -186,17 +185,6 @@ def test_a_consistency_student_converges_too():
     torch.testing.assert_close(result, solved(z, w, 999, 0, grid), atol=0.04, rtol=0)
 
 
-def test_scalings_of_the_consistency_model():
-    t = torch.tensor([0, 99, 999])
-    skip, out = lcm_scalings(t)
-    assert (skip[0], out[0]) == (1, 0)
-    torch.testing.assert_close(skip[1:], torch.zeros(2), atol=1e-6, rtol=0)
-    torch.testing.assert_close(out[1:], torch.ones(2), atol=1e-6, rtol=0)
-    z, eps = normal(2, 3, 1, 3)
-    zero = torch.zeros(3, dtype=torch.int64)
-    assert torch.equal(lcm_prediction(SCHEDULE, lambda *_: eps, z, zero), z)
-
-
 @pytest.mark.parametrize("grid", GRIDS, ids=lambda g: f"M={g.phases}")
 def test_at_phase_starts_the_target_is_the_teachers_step(grid):
     z, w = normal(10, 1, 3), torch.full((10,), 3.0)
@@ -279,15 +267,6 @@ def test_a_perfect_students_fakes_are_distributed_like_the_real_ones(grid):
     for s in (d.judged_B < 300, d.judged_B > 600):
         torch.testing.assert_close(fake[s].mean(0), real[s].mean(0), atol=0.03, rtol=0)
         torch.testing.assert_close(fake[s].std(0), real[s].std(0), atol=0.03, rtol=0)
-
-
-def test_prediction_at_the_top_is_what_sampling_uses():
-    grid = PhaseGrid(10, 1)
-    student, z, w = TinyStudent(grid), normal(4, 1, 3), torch.ones(4)
-    jump = phased_prediction(SCHEDULE, grid, bound(student, w), z, torch.full((4,), 9))
-    t = torch.full((4,), 999)
-    eps = student(z, t, w)
-    torch.testing.assert_close(jump, add_noise(SCHEDULE, predict_z0(SCHEDULE, z, eps, t), eps, torch.zeros_like(t)))
 
 
 @pytest.mark.parametrize("grid", GRIDS, ids=lambda g: f"M={g.phases}")

@@ -15,7 +15,7 @@ from moveset.models.registry import build_model, describe
 from moveset.models.segment_denoiser import SegmentDenoiserConfig
 from moveset.models.segment_transformer import SegmentTransformerConfig
 from moveset.models.token_vae import TokenVAEConfig
-from tests.conditions import call
+from tests.conditions import awake, call
 
 TRANSFORMER = SegmentTransformerConfig(features=5, frames=8, text_dim=6, width=16, heads=2, hidden=24, blocks=2)
 VOLUME = SegmentDenoiserConfig(
@@ -48,16 +48,6 @@ def name(request):
     return request.param
 
 
-def awake(name):
-    """A network whose zero-initialised layers speak."""
-    torch.manual_seed(0)
-    model = NETWORKS[name].build().eval()
-    with torch.no_grad():
-        for parameter in model.parameters():
-            parameter.add_(0.2 * torch.randn_like(parameter))
-    return model
-
-
 def inputs(name):
     """All that a network is given, of four rows."""
     g = torch.Generator().manual_seed(1)
@@ -80,7 +70,7 @@ def close(one, other):
 
 
 def test_gradients_reach_every_parameter(name):
-    model, given = awake(name), inputs(name)
+    model, given = awake(NETWORKS[name]), inputs(name)
     call(model, **given).square().mean().backward()
     # A key's bias moves all keys alike, and the softmax over them does not see it.
     silent = [n for n, p in model.named_parameters() if p.grad is None or not p.grad.any()]
@@ -90,7 +80,7 @@ def test_gradients_reach_every_parameter(name):
 def test_taps_are_frames_of_every_block_and_change_nothing(name):
     if name == "dip":
         pytest.skip("nothing is distilled from it")
-    model, given, taps = awake(name), inputs(name), []
+    model, given, taps = awake(NETWORKS[name]), inputs(name), []
     made = call(model, **given, taps=taps)
     assert made.shape == given["x_BnD"].shape
     assert torch.equal(made, call(model, **given))
@@ -100,15 +90,31 @@ def test_taps_are_frames_of_every_block_and_change_nothing(name):
 
 
 def test_rows_do_not_know_of_each_other_and_may_be_prepared(name):
-    model, given = awake(name), inputs(name)
+    model, given = awake(NETWORKS[name]), inputs(name)
     whole = call(model, **given)
     assert torch.equal(call(model, **given, prepare=True), whole)
     for row in range(4):
         close(call(model, **{key: value[row : row + 1] for key, value in given.items()}), whole[row : row + 1])
 
 
+@pytest.mark.parametrize("name", [name for name in NETWORKS if name not in ("volume", "light", "light-mean", "dip")])
+def test_a_first_segment_has_no_past_and_later_ones_read_its_frames_and_its_level(name):
+    model, given = awake(NETWORKS[name]), inputs(name)
+    prev, later = given["prev_BnD"], given["index_B"] > 0
+    expected, transformer = call(model, **given), isinstance(model.config, SegmentTransformerConfig)
+    # A transformer reads the level of whatever it is told, so a first segment's past is told clean.
+    louder = given["prev_t_B"] + 200 * (later if transformer else 1)
+    for changed in ({"prev_BnD": prev + 1}, {"prev_t_B": louder}):
+        made = call(model, **{**given, **changed})
+        assert torch.equal(made[~later], expected[~later])
+        assert ((made - expected)[later].abs().amax(dim=(1, 2)) > 1e-4).all()
+    filler = 1e3 if transformer else float("nan")
+    torn = call(model, **{**given, "prev_BnD": prev.masked_fill(~later[:, None, None], filler)})
+    assert torch.equal(torn, expected)
+
+
 def test_padded_frames_do_not_matter(name):
-    model, given = awake(name), inputs(name)
+    model, given = awake(NETWORKS[name]), inputs(name)
     mask = torch.arange(8) < LENGTHS[:, None]
     expected = call(model, **given, mask_Bn=mask)
     filler = 50.0 if model.config.__class__ is SegmentTransformerConfig else float("nan")
@@ -127,7 +133,7 @@ def test_padded_frames_do_not_matter(name):
 
 
 def test_padded_text_does_not_matter_and_text_does(name):
-    model, given = awake(name), inputs(name)
+    model, given = awake(NETWORKS[name]), inputs(name)
     tokens, mask = given["tokens_BLC"], given["mask_BL"]
     expected = call(model, **given)
     assert not torch.allclose(call(model, **{**given, "tokens_BLC": tokens.roll(1, 0)})[0], expected[0], atol=1e-4)
@@ -146,7 +152,7 @@ def test_padded_text_does_not_matter_and_text_does(name):
 
 
 def test_a_network_is_rebuilt_from_its_description(name):
-    model, given = awake(name), inputs(name)
+    model, given = awake(NETWORKS[name]), inputs(name)
     kind, stored = describe(model.config)
     twin = build_model(kind, json.loads(json.dumps(stored))).eval()
     assert twin.config == model.config
@@ -156,7 +162,7 @@ def test_a_network_is_rebuilt_from_its_description(name):
 
 @pytest.mark.parametrize("name", STUDENTS)
 def test_a_fresh_student_is_its_teacher_whatever_the_guidance(name):
-    teacher, given = awake(name), inputs(name)
+    teacher, given = awake(NETWORKS[name]), inputs(name)
     student, expected = teacher.student(), call(teacher, **given)
     assert student.config == replace(teacher.config, guided=True)
     assert not student.training

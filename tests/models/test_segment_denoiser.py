@@ -11,38 +11,15 @@ from torch.utils.flop_counter import FlopCounterMode
 from moveset.errors import InputError
 from moveset.models.condition import PastSegment
 from moveset.models.segment_denoiser import SegmentDenoiserConfig, linear_attention
-from tests.conditions import call, condition_of
+from tests.conditions import awake, call, condition_of
 
 TINY = SegmentDenoiserConfig(
-    features=5,
-    frames=8,
-    text_dim=6,
-    width=16,
-    layers=2,
-    heads=2,
-    feed_forward=24,
-    conditioning=20,
-    text_width=12,
-    text_layers=1,
-    text_heads=2,
-    text_feed_forward=16,
-    prev_width=10,
-    guidance_waves=8,
-)
+    features=5, frames=8, text_dim=6, width=16, layers=2, heads=2, feed_forward=24, conditioning=20, text_width=12,
+    text_layers=1, text_heads=2, text_feed_forward=16, prev_width=10, guidance_waves=8,
+)  # fmt: skip
 RECURRENT = replace(TINY, prev="xattn", max_index=2, boundary=2)
 WAYS = [RECURRENT, replace(TINY, prev="channel", max_index=2), replace(TINY, prev="token", max_index=2)]
-EVERY = [TINY, *WAYS, replace(RECURRENT, attention="softmax"), replace(RECURRENT, read_padding=True)]
 KIT = SegmentDenoiserConfig(features=251)
-
-
-def awake(config):
-    """A module whose zero-initialised layers speak."""
-    torch.manual_seed(0)
-    model = config.build().eval()
-    with torch.no_grad():
-        for parameter in model.parameters():
-            parameter.add_(0.2 * torch.randn_like(parameter))
-    return model
 
 
 @pytest.fixture
@@ -50,15 +27,8 @@ def inputs():
     g = torch.Generator().manual_seed(1)
     x, prev, tokens = (torch.randn(4, *s, generator=g) for s in ((8, 5), (8, 5), (7, 6)))
     mask = torch.arange(7) < torch.tensor([7, 4, 1, 5])[:, None]
-    return (
-        x,
-        torch.tensor([0, 3, 500, 1000]),
-        prev,
-        torch.tensor([9, 0, 0, 700]),
-        torch.tensor([0, 0, 1, 5]),
-        tokens,
-        mask,
-    )
+    times = torch.tensor([0, 3, 500, 1000])
+    return x, times, prev, torch.tensor([9, 0, 0, 700]), torch.tensor([0, 0, 1, 5]), tokens, mask
 
 
 def parameters(module):
@@ -174,21 +144,6 @@ def test_the_summary_is_the_last_real_token(inputs):
     states = model.prepare(condition_of(tokens, mask))
     for row, last in enumerate([6, 3, 0, 4]):
         torch.testing.assert_close(states.summary[row], model.text_summary(states.states[row, last]))
-
-
-@pytest.mark.parametrize("config", WAYS)
-def test_the_first_segment_has_no_previous_one(config, inputs):
-    x, t, prev, prev_t, index, *text = inputs
-    model = awake(config)
-    expected = call(model, x, t, prev, prev_t, index, *text)
-    other = call(model, x, t, prev + 1, prev_t + 1, index, *text)
-    assert torch.equal(other[:2], expected[:2])
-    assert not torch.allclose(other[2], expected[2], atol=1e-4)
-    torn = call(model, x, t, prev.masked_fill((index == 0)[:, None, None], float("nan")), prev_t, index, *text)
-    assert torch.equal(torn, expected)
-    # Level and content are two inputs.
-    assert not torch.allclose(call(model, x, t, prev, prev_t + 300, index, *text)[3], expected[3], atol=1e-4)
-    assert not torch.allclose(call(model, x, t, prev + 1, prev_t, index, *text)[3], expected[3], atol=1e-4)
 
 
 def test_the_last_frames_reach_the_network_twice(inputs):

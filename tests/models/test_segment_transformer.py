@@ -8,25 +8,15 @@ import torch
 from moveset.diffusion.coloured import colour, dct_matrix
 from moveset.diffusion.schedule import linear
 from moveset.models.segment_transformer import SegmentTransformerConfig
-from tests.conditions import call
+from tests.conditions import awake, call
 
 CONFIG = SegmentTransformerConfig(features=5, frames=6, text_dim=7, width=16, heads=2, hidden=24, blocks=2)
 ROWS = 4
 
 
-def awake(config=CONFIG):
-    """A network whose zero-initialised layers speak."""
-    torch.manual_seed(0)
-    model = config.build().eval()
-    with torch.no_grad():
-        for parameter in model.parameters():
-            parameter.add_(0.2 * torch.randn_like(parameter))
-    return model
-
-
 @pytest.fixture(scope="module")
 def model():
-    return awake()
+    return awake(CONFIG)
 
 
 @pytest.fixture
@@ -46,14 +36,6 @@ def inputs():
 
 def gap(one, other):
     return (one - other).detach().abs().amax(dim=(1, 2))
-
-
-def test_a_first_segment_has_no_previous_one(model, inputs):
-    before = call(model, **inputs)
-    after = call(model, **{**inputs, "prev_BnD": 1e3 * torch.randn(ROWS, 6, 5)})
-    moved = gap(before, after)
-    assert float(moved[0]) == 0
-    assert float(moved[1:].min()) > 1e-3
 
 
 def test_who_is_alone_takes_every_segment_for_a_first_one(model, inputs):
@@ -96,11 +78,6 @@ def test_place_and_turn_are_read_where_they_are_known(model, inputs, reads, weig
     assert float(gap(call(network, **inputs, **{given: other}), heard)[1]) > 1e-3
 
 
-def test_the_level_of_the_previous_segment_is_read(model, inputs):
-    after = call(model, **{**inputs, "prev_t_B": torch.tensor([0, 400, 400, 400])})
-    assert float(gap(call(model, **inputs), after)[1:].min()) > 1e-3
-
-
 def test_the_index_saturates(inputs):
     for largest in (1, 3):
         model = awake(replace(CONFIG, max_index=largest))
@@ -136,7 +113,7 @@ def test_noise_has_the_spectrum_that_the_network_keeps(model):
     noise = torch.randn(3, 6, 5, generator=torch.Generator().manual_seed(2))
     # Flat at first: another standard normal noise, turned within the frames.
     torch.testing.assert_close(model.colour(noise).norm(dim=1), noise.norm(dim=1), rtol=1e-5, atol=1e-5)
-    dyed = awake()
+    dyed = awake(CONFIG)
     dyed.spectrum[:3] = 2.0
     assert torch.equal(dyed.colour(noise), colour(noise, dyed.spectrum))
     again = CONFIG.build()

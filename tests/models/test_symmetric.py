@@ -30,12 +30,11 @@ def network():
     return awake(guided=True)
 
 
-def inputs(rows=3):
+def inputs():
     torch.manual_seed(1)
-    x, prev = torch.randn(2, rows, 8, CODEC.dim)
-    t, index = torch.tensor([999, 500, 10])[:rows], torch.tensor([0, 1, 2])[:rows]
-    said, mirrored = torch.randn(2, rows, 4, 5)
-    return x, t, prev, torch.zeros(rows).long(), index, said, mirrored
+    x, prev = torch.randn(2, 3, 8, CODEC.dim)
+    said, mirrored = torch.randn(2, 3, 4, 5)
+    return x, torch.tensor([999, 500, 10]), prev, torch.zeros(3).long(), torch.tensor([0, 1, 2]), said, mirrored
 
 
 def even_call(even, x, t, prev, prev_t, index, said, mirrored, w=1.0, **more):

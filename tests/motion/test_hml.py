@@ -129,30 +129,6 @@ def test_place_and_heading_do_not_show(degrees):
     torch.testing.assert_close(moved, features, atol=1e-5, rtol=0)
 
 
-def test_rotations_depend_on_the_heading_within_a_clip():
-    """Cropping features is not extracting from a crop: the world-frame shortest arcs see the crop's initial heading."""
-    joints = wander(80, 9, turn=0.6).joints
-    cropped, crop = CODEC.encode_joints(joints)[40:], CODEC.encode_joints(joints[40:])
-    rows = slice(1, None)  # row 0 of any clip has its heading overwritten
-    invariant = columns(CODEC, "positions", "velocities")
-    assert (cropped - crop)[rows, columns(CODEC, "rotations")].abs().max() > 0.5
-    # Not the smoothing at the crop's start, which moves positions far less.
-    assert (cropped - crop)[rows, invariant].abs().max() < 0.25
-
-
-def test_rotations_see_a_yaw_that_nothing_else_sees():
-    joints = wander(40, 10).joints
-    base = CODEC._on_ground(CODEC._uniform(joints.double()))
-    q = CODEC._headings(base)
-    six = rotations.to_6d(CODEC._locals(base, q))
-    yaw = rotations.about("y", torch.tensor(60.0, dtype=torch.float64))
-    rotated = rotations.rotate(yaw, base)
-    six_rotated = rotations.to_6d(CODEC._locals(rotated, CODEC._headings(rotated)))
-    assert (six - six_rotated)[1:, 1:].abs().amax(dim=(0, 2)).min() > 0.1  # all joints
-    around, around_rotated = (rotations.rotate(CODEC._headings(p)[:, None], p - p[:, :1])[1:] for p in (base, rotated))
-    assert (around - around_rotated).abs().max() < 1e-12
-
-
 def test_the_yaw_step_is_a_half_angle():
     """90 degrees a second at 20 fps: 4.5 degrees a frame, written as 2.25 degrees = 0.0393."""
     still = wander(1, 11, bend=0.0)
@@ -208,14 +184,6 @@ def test_contact_columns_are_left_ankle_left_toe_right_ankle_right_toe():
         joints[:, joint, 2] += 0.1 * torch.arange(4)
         contacts = CODEC.encode_joints(joints, uniform=False)[:, -4:]
         assert [c for c in range(4) if (contacts[:, c] == 0).all()] == [column]
-
-
-def test_velocities_are_steps_in_the_frames_own_heading():
-    features = CODEC.encode(wander(50, 16)).double()
-    joints, velocities = CODEC.joints(features), features[:, columns(CODEC, "velocities")].reshape(-1, 22, 3)
-    heading, _ = CODEC._root(features)
-    steps = rotations.rotate(heading[:-1, None], joints[1:] - joints[:-1])
-    assert (steps - velocities[:-1]).abs().max() < 1e-5
 
 
 @pytest.mark.parametrize(("frames", "sigma"), [(1, 20.0), (3, 20.0), (50, 20.0), (300, 20.0), (40, 1.7)])

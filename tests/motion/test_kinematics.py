@@ -41,11 +41,3 @@ def test_every_joint_follows_its_parent():
     for j, p in enumerate(KIT21.parents[1:], start=1):
         torch.testing.assert_close(turned[:, j], rotations.mul(turned[:, p], local[:, j]))
         torch.testing.assert_close(placed[:, j], placed[:, p] + rotations.rotate(turned[:, p], offsets[j]))
-
-
-def test_a_single_joint_is_where_its_root_is():
-    lone = Skeleton("lone", ("a",), (-1,), torch.zeros(1, 3))
-    local, root = pose(4, skeleton=lone)
-    turned, placed = fk(local, root, lone)
-    torch.testing.assert_close(turned, local)
-    torch.testing.assert_close(placed, root[:, None])

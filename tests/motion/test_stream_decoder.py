@@ -11,7 +11,7 @@ from moveset.motion.foot_lock import FootLock
 from moveset.motion.hold_root import hold_root
 from moveset.motion.incremental import IncrementalDecoder
 from moveset.motion.native import NativeCodec
-from moveset.motion.stream_decoder import StreamDecoder, concatenate
+from moveset.motion.stream_decoder import StreamDecoder
 from tests.motions import gait
 
 CODEC, N = NativeCodec(), 28
@@ -36,19 +36,6 @@ def test_it_holds_the_root_then_decodes_then_locks_feet(travelling):
         assert planted.any()
         assert torch.equal(made.planted(piece), planted)
         assert same(made(piece), feet(decoder(hold_root(piece, planted, CODEC, travelling)), planted))
-
-
-def test_unlocked_it_only_decodes():
-    made, decoder = StreamDecoder(CODEC, 0.3, foot_lock=False), IncrementalDecoder(CODEC, 0.3)
-    assert all(same(made(piece), decoder(piece)) for piece in features().split(N))
-
-
-def test_the_whole_is_its_pieces_laid_end_to_end():
-    one, other = StreamDecoder(CODEC, 0.3), StreamDecoder(CODEC, 0.3)
-    whole = concatenate([one(piece) for piece in features().split(N)])
-    pieces = [other(piece) for piece in features().split(N)]
-    assert torch.equal(whole.root, torch.cat([piece.root for piece in pieces]))
-    assert torch.equal(whole.rotations, torch.cat([piece.rotations for piece in pieces]))
 
 
 def test_a_copy_and_a_stored_one_go_on_alike_and_do_not_disturb_it():

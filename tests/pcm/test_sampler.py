@@ -71,14 +71,6 @@ def test_phased_evaluates_once_at_each_training_edge(phases, times, noise):
     assert torch.equal(result, sample_phased(Recorder(), SCHEDULE, grid, noise))
 
 
-def test_the_choice_of_the_last_jump_removes_exactly_the_remaining_noise(noise):
-    model, t, zero = Recorder(), torch.tensor(999), torch.tensor(0)
-    clean = sample_phased(model, SCHEDULE, PhaseGrid(), noise)
-    eps = model(noise, torch.full((3,), 999))
-    edge = ddim_step(SCHEDULE, noise, eps, t, zero)
-    torch.testing.assert_close(edge, SCHEDULE.alpha(zero) * clean + SCHEDULE.sigma(zero) * eps, atol=2e-5, rtol=1e-5)
-
-
 @pytest.mark.parametrize("count", [1, 2, 4, 10])
 def test_lcm_equals_diffusers(count):
     diffusers = pytest.importorskip("diffusers")

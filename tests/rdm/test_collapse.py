@@ -83,7 +83,7 @@ def train(config, steps, batch=256):
 def drawn(net, start, **options):
     """Mean radius of each segment, and how far the turns between them are from 40 degrees."""
     plan = Staircase(T, N, start)
-    made = sample(net, IDENTITY, Settings(solver=SOLVER, staircase=plan, **options), range(150), (2, 1))[..., 0]
+    made = sample(net, IDENTITY, Settings(solver=SOLVER, staircase=plan, **options), range(64), (2, 1))[..., 0]
     angle = torch.atan2(made[..., 1], made[..., 0])
     turn = (angle.diff(dim=1) + math.pi) % (2 * math.pi) - math.pi
     return made.norm(dim=-1).mean(0), (turn.abs() - TURN).abs().mean(0).rad2deg()

@@ -108,22 +108,6 @@ def test_a_student_that_says_the_truth_has_reached_its_target():
         torch.testing.assert_close(target, CLEAN, rtol=1e-2, atol=1e-2)
 
 
-def test_at_the_lowest_point_of_a_phase_the_average_is_not_asked():
-    grid = PhaseGrid(10, 2)
-    lowest = grid.previous(EVERY_POINT) == grid.lower(EVERY_POINT)
-    assert lowest.tolist() == [k in (0, 5) for k in range(B)]
-
-    def nonsense(x, t):
-        return torch.full_like(x, 1e3)
-
-    def teacher(x, t):
-        return CLEAN
-
-    target, _ = clean_target(SCHEDULE, grid, teacher, nonsense, same, same, Z, EVERY_POINT)
-    torch.testing.assert_close(target[lowest], CLEAN[lowest], rtol=1e-3, atol=1e-3)
-    assert (target[~lowest] - CLEAN[~lowest]).abs().amin(dim=(1, 2)).min() > 1
-
-
 def test_no_gradient_reaches_teacher_or_average():
     teacher, ema = Noise(0), Noise(1)
     z = Z.clone().requires_grad_()
@@ -162,19 +146,6 @@ def test_the_whole_way_is_the_teachers_sampling_down_to_the_edge(phases):
         assert not target.requires_grad
         landed = denoise_step(SCHEDULE, Z[k : k + 1], target[k : k + 1], start, edge)
         torch.testing.assert_close(landed, z, rtol=2e-3, atol=2e-3)
-
-
-def test_where_one_step_is_the_whole_way_both_targets_agree():
-    grid, network = PhaseGrid(10, 2), Noise(0)
-
-    def teacher(x, t):
-        return predict_z0(SCHEDULE, x, network(x, t), t)
-
-    lowest = grid.previous(EVERY_POINT) == grid.lower(EVERY_POINT)
-    whole = trajectory_target(SCHEDULE, grid, teacher, same, same, Z, EVERY_POINT)
-    short, _ = clean_target(SCHEDULE, grid, teacher, teacher, same, same, Z, EVERY_POINT)
-    assert torch.equal(whole[lowest], short[lowest])
-    assert (whole[~lowest] - short[~lowest]).abs().max() > 1e-3
 
 
 def test_the_whole_way_of_one_who_knows_the_truth_is_the_truth_in_any_coordinates():

@@ -114,19 +114,6 @@ def test_without_a_flow_nothing_moves():
     assert torch.equal(transport.pull(SEGMENTS, NUMBERS, POOLED), SEGMENTS)
 
 
-def test_a_fresh_flow_moves_nothing():
-    transport = Transport(FlowConfig(features=9, hidden=16, text_dim=6).build(), 3)
-    assert torch.equal(transport.push(SEGMENTS, NUMBERS, POOLED), SEGMENTS)
-
-
-def test_single_precision_whatever_autocast_says(flow):
-    transport = Transport(flow, 3)
-    x = transport.push(SEGMENTS, NUMBERS, POOLED)
-    with torch.autocast("cpu", dtype=torch.bfloat16):
-        assert torch.equal(transport.push(SEGMENTS, NUMBERS, POOLED), x)
-        assert transport.push(SEGMENTS.bfloat16(), NUMBERS, POOLED.bfloat16()).dtype == torch.float32
-
-
 @pytest.mark.parametrize("cap", [1, 3])
 def test_gradients_reach_every_row(flow, cap):
     y = SEGMENTS.clone().requires_grad_()

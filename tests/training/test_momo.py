@@ -175,15 +175,6 @@ def engine(folder: Path, steps: int, resume: bool = False, parts: int = 1) -> nn
     return made[0].net
 
 
-def test_resuming_a_training_is_exact(tmp_path):
-    engine(tmp_path / "straight", 10)
-    engine(tmp_path / "halves", 5)
-    with pytest.warns(UserWarning, match="steps 5 -> 10"):
-        engine(tmp_path / "halves", 10, resume=True)
-    straight = {file.name: file.read_bytes() for file in (tmp_path / "straight" / "step_10").iterdir()}
-    assert straight == {file.name: file.read_bytes() for file in (tmp_path / "halves" / "step_10").iterdir()}
-
-
 def test_losses_of_an_accumulated_gradient_add_up(tmp_path):
     whole, halves = engine(tmp_path / "whole", 8), engine(tmp_path / "halves", 8, parts=2)
     for one, other in zip(whole.parameters(), halves.parameters(), strict=True):
