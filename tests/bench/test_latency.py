@@ -18,9 +18,10 @@ from moveset.bench.interleaved import interleave, summarise
 from moveset.bench.processes import run_process
 from moveset.bench.run import PARTS, Bench, Plan, shortest
 from moveset.errors import FormatError, InputError, MovesetError
-from moveset.models.packed import PackedConv1d, PackedLinear, can_pack
+from moveset.models.packed import PackedConv1d
 from moveset.pipelines.motion_stream import MotionStream
 from moveset.pipelines.text_to_motion import TextToMotion
+from moveset.text.packed_linear import PackedLinear, can_pack
 from tests.bundles import tiny_bundle
 from tests.streams import tiny_stream
 

@@ -8,8 +8,9 @@ import zuko
 from torch import nn
 
 from moveset.models.flow import CouplingFlow, FlowConfig
-from moveset.models.packed import can_pack, pack
+from moveset.models.packed import pack
 from moveset.models.registry import build_model, describe
+from moveset.text.packed_linear import can_pack
 
 TINY = {"features": 5, "hidden": 8, "text_dim": 6, "text_context": 4, "index_context": 3}
 

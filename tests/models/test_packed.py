@@ -6,8 +6,9 @@ from torch import nn
 from torch.nn import functional as fn
 
 from moveset.models.latent_denoiser import LatentDenoiserConfig
-from moveset.models.packed import PackedConv1d, PackedLinear, PackedTimeConv, can_pack, pack
+from moveset.models.packed import PackedConv1d, PackedTimeConv, pack
 from moveset.models.timed_vae import TimedVAEConfig
+from moveset.text.packed_linear import PackedLinear, can_pack
 from tests.conditions import condition_of
 
 pytestmark = pytest.mark.skipif(not can_pack("cpu"), reason="this build of torch has no oneDNN")
@@ -35,7 +36,7 @@ def test_conv(kernel, dilation, stride, groups, time):
 def test_what_follows_a_layer_is_part_of_it():
     layer, x, other = nn.Linear(96, 160), torch.randn(2, 9, 96), torch.randn(2, 9, 160)
     plain = layer(x).detach()
-    for post, function in (("gelu", lambda y: fn.gelu(y, approximate="tanh")), ("silu", fn.silu)):
+    for post, function in (("tanh_gelu", lambda y: fn.gelu(y, approximate="tanh")), ("silu", fn.silu)):
         torch.testing.assert_close(PackedLinear.of(layer, post)(x), function(plain), atol=1e-5, rtol=1e-5)
     torch.testing.assert_close(PackedLinear.of(layer).plus(x, other), plain + other, atol=1e-5, rtol=1e-5)
 

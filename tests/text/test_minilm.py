@@ -25,7 +25,7 @@ def encoder():
 
 @pytest.mark.parametrize("pack", [True, False])
 def test_token_states_equal_transformers(pack, monkeypatch):
-    monkeypatch.setattr(minilm, "_can_pack", lambda device: pack)
+    monkeypatch.setattr(minilm, "can_pack", lambda device: pack)
     transformers = pytest.importorskip("transformers")
     sizes = {"hidden_size": 384, "num_hidden_layers": 6, "num_attention_heads": 12, "intermediate_size": 1536}
     bert = transformers.BertModel(transformers.BertConfig(**sizes), add_pooling_layer=False).eval()

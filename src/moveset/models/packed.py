@@ -8,19 +8,10 @@ Results are those of the plain layers to the last bits of float32. There are no 
 import torch
 from torch import Tensor, nn
 
+from moveset.text.packed_linear import POST, PackedLinear
+
 # Kinds whose modules only call their layers; others read a layer's weights, which cannot be done once they are packed.
 PACKABLE = ("latent_denoiser", "timed_vae", "length_predictor", "segment_transformer")
-
-_TYPICAL_ROWS = 16  # latent tokens of one clip; other sizes work too, this one is laid out best
-
-
-def can_pack(device: torch.device | str) -> bool:
-    """Whether this build of torch holds oneDNN and the device can use it (x86 and most ARM Linux: yes; macOS: no)."""
-    return (
-        torch.device(device).type == "cpu"
-        and torch.backends.mkldnn.is_available()
-        and hasattr(torch.ops.mkldnn, "_linear_pointwise")
-    )
 
 
 def pack(module: nn.Module) -> nn.Module:
@@ -49,39 +40,6 @@ def pack_layers(module: nn.Module) -> nn.Module:
     return module
 
 
-_POST = {"": ("none", [], ""), "gelu": ("gelu", [], "tanh"), "silu": ("swish", [], "")}
-
-
-class PackedLinear(nn.Module):
-    """``nn.Linear`` for inference, with what follows it.
-
-    Args:
-        weight: (out, in).
-        bias: (out,).
-        post: "gelu" (by tanh), "silu" or nothing.
-    """
-
-    def __init__(self, weight: Tensor, bias: Tensor | None, post: str = "") -> None:
-        super().__init__()
-        self.weight = torch.ops.mkldnn._reorder_linear_weight(weight.detach().contiguous(), _TYPICAL_ROWS)
-        self.bias = None if bias is None else bias.detach()
-        self._post = _POST[post]
-
-    @classmethod
-    def of(cls, layer: nn.Linear, post: str = "") -> "PackedLinear":
-        return cls(layer.weight, layer.bias, post)
-
-    def forward(self, x: Tensor) -> Tensor:
-        """x (..., in) to (..., out)."""
-        y: Tensor = torch.ops.mkldnn._linear_pointwise(x, self.weight, self.bias, *self._post)
-        return y
-
-    def plus(self, x: Tensor, other: Tensor) -> Tensor:
-        """The product, without ``post``, plus ``other`` (..., out): one operation."""
-        y: Tensor = torch.ops.mkldnn._linear_pointwise.binary(x, other, self.weight, self.bias, "add")
-        return y
-
-
 class PackedTimeConv(nn.Module):
     """A ``nn.Conv1d`` that keeps its length, on (B, T, C), with the channels last as oneDNN likes it best.
 
@@ -97,7 +55,7 @@ class PackedTimeConv(nn.Module):
         self.geometry = ((0, layer.kernel_size[0] // 2), (1, 1), (1, 1), 1)
         self.weight = torch.ops.mkldnn._reorder_convolution_weight(weight[:, :, None], *self.geometry)
         self.bias = None if layer.bias is None else layer.bias.detach()
-        self._post = _POST[post]
+        self._post = POST[post]
 
     def forward(self, x_BTC: Tensor) -> Tensor:
         """(B, T, C) to (B, T, C')."""

@@ -14,7 +14,7 @@ from torch.nn import functional as fn
 
 from moveset.models.condition import Condition, Denoiser
 from moveset.models.latent_denoiser import Block, LatentDenoiser, carry, frequencies
-from moveset.models.packed import PackedLinear
+from moveset.text.packed_linear import PackedLinear
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +35,7 @@ class PackedDenoiser(Denoiser):
     def __init__(self, denoiser: LatentDenoiser) -> None:
         super().__init__()
         self.config = c = denoiser.config
-        self.text_in = PackedLinear.of(denoiser.text_in[0], "gelu")
+        self.text_in = PackedLinear.of(denoiser.text_in[0], "tanh_gelu")
         self.text_out = PackedLinear.of(denoiser.text_in[2])
         self.text_norm, self.text_position = denoiser.text_norm, denoiser.text_position.detach()
         # A single row is read fastest as it is.
@@ -111,7 +111,7 @@ class PackedBlock(nn.Module):
         super().__init__()
         self.heads = block.heads
         self.qkv, self.attended = PackedLinear.of(block.qkv), PackedLinear.of(block.attended)
-        self.feed, self.fed = PackedLinear.of(block.feed, "gelu"), PackedLinear.of(block.fed)
+        self.feed, self.fed = PackedLinear.of(block.feed, "tanh_gelu"), PackedLinear.of(block.fed)
 
     def forward(self, x: Tensor, parts: tuple[Tensor, ...], text: Tensor, bias: Tensor | None) -> Tensor:
         """x (B, N, W); parts: scale, shift, gate, twice; text (B, L, 2, H, W/H)."""

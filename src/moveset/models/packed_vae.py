@@ -12,8 +12,9 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as fn
 
-from moveset.models.packed import PackedLinear, PackedTimeConv, pack_layers
+from moveset.models.packed import PackedTimeConv, pack_layers
 from moveset.models.timed_vae import PATCH, ConvBlock, TimedVAE, TokenMixer, place, resample
+from moveset.text.packed_linear import PackedLinear
 
 
 class PackedVAE(nn.Module):
@@ -71,7 +72,7 @@ class PackedConvBlock(nn.Module):
         # Dividing by the root of a mean is dividing by a length, times the root of the number of channels.
         width = len(block.gain)
         self.floor = torch.tensor((width * block.EPS) ** 0.5)
-        self.mix = PackedTimeConv(block.mix, block.gain.detach() * width**0.5, "gelu")
+        self.mix = PackedTimeConv(block.mix, block.gain.detach() * width**0.5, "tanh_gelu")
         self.out = PackedTimeConv(block.out)
 
     def forward(self, x: Tensor, mask: Tensor | None) -> Tensor:
@@ -91,7 +92,7 @@ class PackedMixer(nn.Module):
         into, back = block.time[0], block.time[2]
         self.into, self.into_bias = into.weight.detach(), into.bias.detach()[:, None]
         self.back, self.back_bias = back.weight.detach(), back.bias.detach()[:, None]
-        self.up, self.down = PackedLinear.of(block.channels[0], "gelu"), PackedLinear.of(block.channels[2])
+        self.up, self.down = PackedLinear.of(block.channels[0], "tanh_gelu"), PackedLinear.of(block.channels[2])
 
     def forward(self, x: Tensor) -> Tensor:
         """x (B, N, C)."""

@@ -25,7 +25,7 @@ from torch import Tensor, nn
 from moveset.errors import FormatError, InputError
 from moveset.io.manifest import VerifiedFolder, json_bytes, json_object, write_whole
 from moveset.io.quantization import compacted, halved, restored, subtracted
-from moveset.models.packed import PACKABLE, can_pack, pack
+from moveset.models.packed import PACKABLE, pack
 from moveset.models.symmetric import Symmetric
 from moveset.motion.native import NativeCodec
 from moveset.pipelines.model_config import (
@@ -38,6 +38,7 @@ from moveset.pipelines.model_config import (
     ModelSpec,
 )
 from moveset.text.familiarity import KnownPrompts
+from moveset.text.packed_linear import can_pack
 
 _COMMANDS = {TEXT_TO_MOTION: "moveset generate", STREAM: "moveset stream", BASELINE: "moveset evaluate"}
 _LEAN = 1e-3  # of a standard deviation

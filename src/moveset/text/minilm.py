@@ -17,16 +17,17 @@ import torch
 from safetensors import SafetensorError, safe_open
 from tokenizers import Tokenizer
 from torch import Tensor
-from torch.nn.functional import gelu, layer_norm, linear, normalize, scaled_dot_product_attention
+from torch.nn.functional import layer_norm, normalize, scaled_dot_product_attention
 
 from moveset.errors import InputError
 from moveset.io.quantization import ROUNDED, SCALE, restored, unrounded
 from moveset.text.encoder import TextEmbedding, check_sentences
+from moveset.text.packed_linear import PackedLinear, PlainLinear, can_pack
 
+_Linear = PackedLinear | PlainLinear
 PACKAGED = Path(__file__).parents[1] / "weights" / "minilm"
 _WORDS = "embeddings.word_embeddings.weight"
 _LAYERS, _HEADS, _DIM, _EPS = 6, 12, 384, 1e-12
-_TYPICAL_TOKENS = 16
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,43 +37,6 @@ class _Norm:
 
     def __call__(self, x: Tensor) -> Tensor:
         return layer_norm(x, (_DIM,), self.weight, self.bias, _EPS)
-
-
-@dataclass(frozen=True, eq=False)
-class _Linear:
-    """A linear map, optionally followed by GELU.
-
-    One sentence is limited by reading the weights, so ``packed`` keeps them in oneDNN's own blocked layout (once, at
-    loading): half the time of a plain product for a dozen tokens, and never slower.
-    """
-
-    weight: Tensor
-    bias: Tensor
-    packed: bool = False
-
-    def pack(self) -> "_Linear":
-        return _Linear(torch.ops.mkldnn._reorder_linear_weight(self.weight, _TYPICAL_TOKENS), self.bias, packed=True)
-
-    def __call__(self, x: Tensor, *, then_gelu: bool = False) -> Tensor:
-        if self.packed:
-            post = ("gelu", [], "none") if then_gelu else ("none", [], "")
-            return torch.ops.mkldnn._linear_pointwise(x, self.weight, self.bias, *post)
-        y = linear(x, self.weight, self.bias)
-        return gelu(y) if then_gelu else y
-
-    def plus(self, x: Tensor, other: Tensor) -> Tensor:
-        """The linear map of ``x``, plus ``other``: one operation where packed."""
-        if self.packed:
-            y: Tensor = torch.ops.mkldnn._linear_pointwise.binary(x, other, self.weight, self.bias, "add")
-            return y
-        return other + linear(x, self.weight, self.bias)
-
-
-def _can_pack(device: torch.device) -> bool:
-    """Whether this build of torch holds oneDNN and the device can use it (x86 and most ARM Linux: yes; macOS: no)."""
-    return (
-        device.type == "cpu" and torch.backends.mkldnn.is_available() and hasattr(torch.ops.mkldnn, "_linear_pointwise")
-    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,8 +95,8 @@ class MiniLM:
             types = tensors["embeddings.token_type_embeddings.weight"]
             self._positions = tensors["embeddings.position_embeddings.weight"] + types[0]
             self._norm = _Norm(*_pair(tensors, "embeddings.LayerNorm"))
-            pack = _can_pack(self.device)
-            self._layers = [_build_layer(tensors, f"encoder.layer.{n}", pack=pack) for n in range(_LAYERS)]
+            kind = PackedLinear if can_pack(self.device) else PlainLinear
+            self._layers = [_build_layer(tensors, f"encoder.layer.{n}", kind) for n in range(_LAYERS)]
         except (OSError, SafetensorError, KeyError, ValueError) as error:
             raise InputError(f"the text encoder's weights {path} cannot be read ({error}); reinstall moveset") from None
 
@@ -166,7 +130,7 @@ class MiniLM:
             qkv = layer.qkv(x).view(batch, length, 3, _HEADS, _DIM // _HEADS).permute(2, 0, 3, 1, 4)
             y = scaled_dot_product_attention(*qkv.unbind(0), attn_mask=keys)
             x = layer.attention_norm(layer.out.plus(y.transpose(1, 2).reshape(batch, length, _DIM), x))
-            x = layer.output_norm(layer.down.plus(layer.up(x, then_gelu=True), x))
+            x = layer.output_norm(layer.down.plus(layer.up(x), x))
         return x
 
 
@@ -185,18 +149,14 @@ def _pair(tensors: dict[str, Tensor], name: str) -> tuple[Tensor, Tensor]:
     return tensors[f"{name}.weight"], tensors[f"{name}.bias"]
 
 
-def _build_layer(tensors: dict[str, Tensor], prefix: str, *, pack: bool) -> _Layer:
+def _build_layer(tensors: dict[str, Tensor], prefix: str, kind: type[_Linear]) -> _Layer:
     parts = [_pair(tensors, f"{prefix}.attention.self.{name}") for name in ("query", "key", "value")]
-    qkv = _Linear(torch.cat([weight for weight, _ in parts]), torch.cat([bias for _, bias in parts]))
-    out = _Linear(*_pair(tensors, f"{prefix}.attention.output.dense"))
-    up = _Linear(*_pair(tensors, f"{prefix}.intermediate.dense"))
-    down = _Linear(*_pair(tensors, f"{prefix}.output.dense"))
     return _Layer(
-        qkv=qkv.pack() if pack else qkv,
-        out=out.pack() if pack else out,
+        qkv=kind(torch.cat([weight for weight, _ in parts]), torch.cat([bias for _, bias in parts])),
+        out=kind(*_pair(tensors, f"{prefix}.attention.output.dense")),
         attention_norm=_Norm(*_pair(tensors, f"{prefix}.attention.output.LayerNorm")),
-        up=up.pack() if pack else up,
-        down=down.pack() if pack else down,
+        up=kind(*_pair(tensors, f"{prefix}.intermediate.dense"), "gelu"),
+        down=kind(*_pair(tensors, f"{prefix}.output.dense")),
         output_norm=_Norm(*_pair(tensors, f"{prefix}.output.LayerNorm")),
     )
 
