@@ -9,6 +9,7 @@ import torch
 from PIL import Image
 
 from moveset import MotionStream
+from tests.streams import tiny_stream
 
 FOLDER = Path(__file__).resolve().parents[2] / "benchmarks"
 
@@ -33,3 +34,18 @@ def test_strips_lie_below_one_another(monkeypatch):
     joined = sheet([Image.new("RGB", (2 * WIDTH, 100), "red"), Image.new("RGB", (2 * WIDTH, 60), "blue")])
     assert joined.size == (WIDTH, 80)
     assert joined.getpixel((5, 20))[0] > 200 < joined.getpixel((5, 70))[2]
+
+
+def test_a_figure_has_a_strip_for_every_sentence_and_model(tmp_path, monkeypatch, capsys):
+    monkeypatch.syspath_prepend(str(FOLDER))
+    import pictures
+
+    folder = tiny_stream(tmp_path / "rdm-tiny")
+    monkeypatch.setitem(pictures.FIGURES, "one", ("rdm", ("md-7", "rdm-7", "md-4"), ("a person walks", "waves"), 3.0))
+    seen = []
+    monkeypatch.setattr(pictures, "sheet", lambda strips: seen.extend(strips) or strips[0])
+    assert pictures.figure("one", [folder]) is not None
+    assert len(seen) == 4
+    assert "one: MD-4: no weights given" in capsys.readouterr().err
+    monkeypatch.setitem(pictures.FIGURES, "none", ("rdm", ("md-4",), ("a person walks",), 3.0))
+    assert pictures.figure("none", []) is None
