@@ -1,13 +1,15 @@
 """What the recurrent model costs beside its baselines: calls, waves, operations, time and memory; time by length.
 
-    python benchmarks/efficiency.py --size small      # shipped sizes, 17 minutes on a quiet two-core machine
-    python benchmarks/efficiency.py --size paper      # published sizes, about eight
+    python benchmarks/efficiency.py --size small      # shipped sizes, less than an hour on a quiet two-core machine
+    python benchmarks/efficiency.py --size paper      # published sizes, about eight minutes
+    python benchmarks/efficiency.py --size paper --device cuda      # with batches of 128 and lengths, as in the paper
     python benchmarks/efficiency.py --quick --out /tmp/efficiency      # does it run? a minute
 
 Random weights are right here: what a call costs does not depend on them. Nothing is said about quality.
 
 One round runs every sampler, number of steps, batch and length once, in an order that changes, so that a busy moment
-of the machine hits all of them; what is long is run in the first round only, the rest until the time is used up.
+of the machine hits all of them; what is long is run in the first round only, the rest until the time is used up. Time
+against length (the paper's Figures 6, 9 and 10) is compared within each round: with DiP of the same length in it.
 Calls and waves are counted in every run, and operations in one of its own; a run that differs from the closed form of
 its sampler ends the benchmark. Quote minima beside medians, and look at the load that is printed with them.
 
@@ -38,7 +40,8 @@ from arguments import Parser, at_least, positive, report_path
 from efficiency_methods import HORIZON, PARALLELOGRAM, ROWS, SIZES, TRIANGLE, Methods, Row, expected, pieces, staircase
 from efficiency_tally import Meter, Tally
 from moveset.bench.machine import cpu_name, peak_mb
-from moveset.errors import exit_code_of
+from moveset.errors import InputError, exit_code_of
+from moveset.evaluation.intervals import Interval
 from moveset.io.manifest import json_object
 
 LENGTH_ROWS = (
@@ -67,7 +70,7 @@ class Plan:
         once: (K, batch) of those of the first round only.
         columns: K of the tables; those not measured are estimated.
         long: K of the longest column, measured once; None leaves it out.
-        lengths: frames of the sequences that are timed by length, at ``length_steps``.
+        lengths: frames of the sequences that are timed by length in every round, at ``length_steps``.
         rounds: at most.
         minutes: after which no further round begins.
         memory_batch: sequences in the processes whose memory is measured; None measures none.
@@ -78,7 +81,7 @@ class Plan:
     columns: tuple[int, ...] = (10, 50, 100, 200, 1000)
     long: int | None = None
     lengths: tuple[int, ...] = ()
-    length_steps: tuple[int, ...] = (DIP_STEPS, 50)
+    length_steps: tuple[int, ...] = (DIP_STEPS, 50, 100)
     rounds: int = 7
     minutes: float = 4.0
     memory_batch: int | None = 8
@@ -99,14 +102,21 @@ class Plan:
                 for steps in self.length_steps:
                     # DiP repeats one chunk: at steps that it is not made for the ends of its straight line suffice.
                     if row.model != "DiP" or steps == min(self.length_steps) or frames in ends:
-                        first.append(Cell(row, steps, 1, frames))
+                        every.append(Cell(row, steps, 1, frames))
+        every = list(dict.fromkeys(every))
         return every, [cell for cell in dict.fromkeys(first) if cell not in every]
 
 
+LENGTHS = (196, 490, 980, 1470, 1960)
+# Of either size; the paper's batch is 128.
+ON_GPU = Plan(
+    repeated=((10, 1), (50, 1), (10, 128)), once=((50, 128), (100, 1), (200, 1)), long=1000, lengths=LENGTHS,
+    minutes=8.0, rounds=20, memory_batch=None,
+)  # fmt: skip
 PLANS = {
     "small": Plan(
         repeated=((10, 1), (50, 1), (10, 8)), once=((50, 8), (100, 1), (200, 1)), long=1000,
-        lengths=(196, 490, 980, 1470, 1960), minutes=15.0, rounds=5,
+        lengths=LENGTHS, minutes=40.0, rounds=5,
     ),
     "paper": Plan(repeated=((10, 1),), once=((50, 1), (10, 8)), minutes=7.5, rounds=5, memory_batch=1),
     "tiny": Plan(
@@ -224,13 +234,17 @@ def times(tallies: list[Tally], estimated: float | None) -> dict:
 def by_length(plan: Plan, runs: dict[Cell, list[Tally]]) -> list[dict]:
     """Time against length, for JSON."""
     cells = [Cell(row, k, 1, frames) for row in LENGTH_ROWS for k in plan.length_steps for frames in plan.lengths]
-    return [
-        {"label": cell.row.label, "steps": cell.steps, "frames": cell.frames}
-        | {"calls": runs[cell][0].calls, "waves": len(runs[cell][0].marks)}
-        | times(runs[cell], None)
-        for cell in cells
-        if runs.get(cell)
-    ]
+    found = []
+    for cell in (cell for cell in cells if runs.get(cell)):
+        native = runs[Cell(Row("DiP"), min(plan.length_steps), 1, cell.frames)]
+        ratios = [dip.seconds / run.seconds for dip, run in zip(native, runs[cell], strict=True)]
+        found.append(
+            {"label": cell.row.label, "steps": cell.steps, "frames": cell.frames}
+            | {"calls": runs[cell][0].calls, "waves": len(runs[cell][0].marks)}
+            | times(runs[cell], None)
+            | {"times_as_fast": Interval.of(ratios).to_json()}
+        )
+    return found
 
 
 def peak(size: str, number: int, steps: int, batch: int) -> dict:
@@ -252,11 +266,11 @@ def peaks(size: str, steps: int, batch: int, rows: Iterable[int] = range(len(ROW
         return list(pool.map(child, rows))
 
 
-def measure(size: str, plan: Plan, threads: int) -> dict:
+def measure(size: str, plan: Plan, threads: int, device: str) -> dict:
     """Everything at one size, for JSON."""
     start, load = time.perf_counter(), os.getloadavg()[0]
     torch.set_num_threads(threads)
-    methods = Methods(SIZES[size])
+    methods = Methods(SIZES[size], device)
     memory = None if plan.memory_batch is None else peaks(size, plan.fewest, plan.memory_batch)
     units = count(methods, plan.fewest)
     runs, rounds = timed(methods, plan, start + plan.minutes * 60)
@@ -267,7 +281,10 @@ def measure(size: str, plan: Plan, threads: int) -> dict:
         "about": SIZES[size].about, "date": date.today().isoformat(), "threads": threads, "rounds": rounds,
         "seconds": round(time.perf_counter() - start), "frames": HORIZON,
         "load": {"before": round(load, 2), "after": round(os.getloadavg()[0], 2)},
-        "machine": {"cpu": cpu_name(), "cores": os.cpu_count(), "python": platform.python_version()},
+        "machine": {
+            "cpu": cpu_name(), "cores": os.cpu_count(), "python": platform.python_version(),
+            **({"device": torch.cuda.get_device_name()} if device == "cuda" else {}),
+        },
         "torch": torch.__version__, "flow_parameters": sum(p.numel() for p in methods.flow.parameters()),
         "units": {row.label: units[row] for row in ROWS}, "rows": rows, "lengths": by_length(plan, runs),
     }  # fmt: skip
@@ -278,6 +295,7 @@ def main() -> None:
     parser = Parser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--size", choices=SIZES, default="small")
     parser.add_argument("--out", type=report_path, default=Path("docs/streaming/efficiency"))
+    parser.add_argument("--device", choices=("cpu", "cuda"), default="cpu")
     parser.add_argument("--threads", type=at_least(1), default=2)
     parser.add_argument("--minutes", type=positive, help="no further round begins after this")
     parser.add_argument("--quick", action="store_true", help="one round of the shortest runs")
@@ -288,11 +306,15 @@ def main() -> None:
         return
     from efficiency_report import write
 
-    plan = quick(PLANS[given.size]) if given.quick else PLANS[given.size]
+    if given.device == "cuda" and not torch.cuda.is_available():
+        raise InputError("there is no CUDA device here; leave --device out")
+    plan = PLANS[given.size] if given.device == "cpu" else ON_GPU
+    plan = quick(plan) if given.quick else plan
     plan = replace(plan, minutes=given.minutes or plan.minutes)
     path = given.out.with_suffix(".json")
     found = json_object(path.read_bytes(), path, "delete it, or give another --out") if path.is_file() else {}
-    print(write({**found, given.size: measure(given.size, plan, given.threads)}, given.out))
+    name = given.size if given.device == "cpu" else f"{given.size}, {given.device}"
+    print(write({**found, name: measure(given.size, plan, given.threads, given.device)}, given.out))
 
 
 if __name__ == "__main__":

@@ -6,7 +6,6 @@ from the calls that this makes (``efficiency_tally``), and must equal the closed
 Shapes: B samples, N segments, K steps, n frames of a segment, D features, L text tokens, C text width.
 """
 
-import time
 from collections import Counter
 from collections.abc import Callable
 from contextlib import nullcontext
@@ -170,9 +169,10 @@ def expected(size: Size, row: Row, steps: int, frames: int = HORIZON) -> Counter
 class Methods:
     """All rows at one size; networks are made when first used."""
 
-    def __init__(self, size: Size) -> None:
-        self.size = size
-        self._network = cache(_awake)
+    def __init__(self, size: Size, device: str = "cpu") -> None:
+        self.size, self.device = size, device
+        self._network = cache(lambda config: _awake(config).to(device))
+        self._settle = torch.cuda.synchronize if device == "cuda" else bool
 
     def network(self, row: Row) -> nn.Module:
         """The denoiser of a row; MD-N has that of RDM-N."""
@@ -194,12 +194,12 @@ class Methods:
         Raises:
             RuntimeError: other calls or waves than expected.
         """
-        network, tally = self.network(row), Tally(batch, meter)
+        network, tally = self.network(row), Tally(batch, meter, self._settle)
         make = self._recurrent if row.model.startswith("RDM") else getattr(self, f"_{row.model.split('-')[0].lower()}")
         with nullcontext() if meter is None else meter.running(network, self.flow):
-            start = time.perf_counter()
+            start = tally.now()
             made = make(row, network, steps, frames, tally, eta)
-            tally.seconds = time.perf_counter() - start
+            tally.seconds = tally.now() - start
         if made.shape[:2] != (batch, frames) or not bool(made.isfinite().all()):
             raise RuntimeError(f"{row.label} made {tuple(made.shape)} instead of {batch} times {frames} finite frames")
         counted = {"network": tally.calls, "waves": len(tally.marks)} | (dict(meter.rows) if meter else {})
@@ -217,7 +217,8 @@ class Methods:
             _bound(network, *self._text(batch), tally, once=False),
             Transport(_TimedFlow(self.flow, tally) if flow else None),
             Settings(solver=_solver(steps, eta), staircase=plan), range(batch), (row.frames, network.config.features),
-            [_noise(batch, self.flow.config.text_dim)] * segments if flow else None,
+            [_noise(batch, self.flow.config.text_dim).to(self.device)] * segments if flow else None,
+            device=self.device,
         )  # fmt: skip
         return made.flatten(1, 2)[:, :frames]
 
@@ -230,15 +231,15 @@ class Methods:
         denoiser = _bound(network, *self._text(tally.batch), tally, once=True)
         plan = Staircase(steps, pieces(row, frames), steps, lag=steps)
         settings = Settings(solver=_solver(steps, eta), staircase=plan)
-        made = sample(denoiser, Transport(None), settings, range(tally.batch), shape)
+        made = sample(denoiser, Transport(None), settings, range(tally.batch), shape, device=self.device)
         return made.flatten(1, 2)[:, :frames]
 
     def _dip(self, row: Row, network: nn.Module, steps: int, frames: int, tally: Tally, eta: float) -> Tensor:
         copies = 1 if row.variant == UNGUIDED else 2
         (length, width), rows = self.size.dip_text, copies * tally.batch
         # The second half is the empty prompt.
-        mask = (torch.arange(rows) < tally.batch)[:, None].expand(rows, length)
-        tokens = _noise(rows, length, width)
+        mask = (torch.arange(rows, device=self.device) < tally.batch)[:, None].expand(rows, length)
+        tokens = _noise(rows, length, width).to(self.device)
 
         def denoiser(x_BnD: Tensor, t_B: Tensor, prefix_BPD: Tensor, number: int) -> Tensor:
             tally.wave(rows)
@@ -246,12 +247,14 @@ class Methods:
             made = network(x, t_B.repeat(copies), Condition(_embedding(tokens, mask), past=PastSegment.clean(prefix)))
             return made if copies == 1 else cfg(*made.chunk(2), 6.5)
 
-        prefix = idle_prefix(torch.zeros(network.config.features), tally.batch)
+        prefix = idle_prefix(torch.zeros(network.config.features, device=self.device), tally.batch)
         return rollout_chunks(denoiser, cosine(steps), prefix, frames, range(tally.batch))
 
     def _text(self, batch: int) -> tuple[Tensor, Tensor]:
         length, width = self.size.text
-        return _noise(batch, length, width), torch.ones(batch, length, dtype=torch.bool)
+        return _noise(batch, length, width).to(self.device), torch.ones(
+            batch, length, dtype=torch.bool, device=self.device
+        )
 
 
 class _TimedFlow:
@@ -269,9 +272,9 @@ class _TimedFlow:
     @staticmethod
     def _timed(of: Callable[..., Tensor], tally: Tally) -> Callable[..., Tensor]:
         def timed(*inputs: Tensor) -> Tensor:
-            start = time.perf_counter()
+            start = tally.now()
             made = of(*inputs)
-            tally.flow_seconds += time.perf_counter() - start
+            tally.flow_seconds += tally.now() - start
             return made
 
         return timed

@@ -6,6 +6,8 @@ from pathlib import Path
 
 import matplotlib
 
+from moveset.evaluation.intervals import Interval
+
 matplotlib.use("Agg")
 from matplotlib import pyplot as plt
 
@@ -79,9 +81,10 @@ def write(data: dict, out: Path) -> str:
 def section(name: str, found: dict) -> str:
     """The tables of one size."""
     load, machine = found["load"], found["machine"]
+    title = TITLES[name.partition(",")[0]] + (f", on {machine['device']}" if "device" in machine else "")
     busy = max(load.values()) > found["threads"] + 0.5
     parts = [
-        f"## {TITLES[name]}\n\n{found['about'][:1].upper()}{found['about'][1:]}; {found['frames']} frames.\n",
+        f"## {title}\n\n{found['about'][:1].upper()}{found['about'][1:]}; {found['frames']} frames.\n",
         f"{machine['cpu']}, {found['threads']} of {machine['cores']} cores, torch {found['torch']}, {found['date']}; "
         f"rounds: {found['rounds']}, in {found['seconds']} s; load {load['before']} before, {load['after']} after"
         + (": **the machine was busy, read the minima only**.\n" if busy else ".\n"),
@@ -190,16 +193,18 @@ def lengths(found: dict) -> str:
     if not found["lengths"]:
         return ""
     frames = sorted({item["frames"] for item in found["lengths"]})
-    lines, native = curves(found["lengths"]), dip(found["lengths"])
-    rows = []
+    lines, rows = curves(found["lengths"]), []
     for (label, steps), points in lines.items():
         cells = []
         for k in frames:
             item = points.get(k)
-            faster = "" if item is None or label == "DiP" else f", {native[k]['min_ms'] / item['min_ms']:.2f} ×"
+            faster = f", {_faster(item).format(2)} ×" if item and "times_as_fast" in item else ""
             cells.append("–" if item is None else f"{_ms(item['median_ms'])} ({_ms(item['min_ms'])}{faster})")
         rows.append([f"{label}, K = {steps}", *cells])
-    title = f"Time against length, ms: median (minimum, times as fast as DiP at K = {min(k for _, k in lines)})"
+    title = (
+        f"Time against length, ms: median (minimum, times as fast as DiP at K = {min(k for _, k in lines)} in the same "
+        "round, with its 95 % interval)"
+    )
     return table(title, ["frames", *map(str, frames)], rows)
 
 
@@ -211,26 +216,23 @@ def curves(items: list[dict]) -> dict[tuple[str, int], dict[int, dict]]:
     return out
 
 
-def dip(items: list[dict]) -> dict[int, dict]:
-    """DiP at the fewest steps, which are its own, by frames."""
-    return curves(items)["DiP", min(item["steps"] for item in items)]
-
-
 def plot(items: list[dict], path: Path) -> None:
-    """The paper's Figure 6 with DiP at its own number of steps too: time, and times as fast as that."""
-    lines, native = curves(items), dip(items)
+    """The paper's Figures 6, 9 and 10 in one, with DiP at its own number of steps: time, and times as fast as that."""
+    lines = curves(items)
     steps = sorted({k for _, k in lines}, reverse=True)
     figure, axes = plt.subplots(1, 2, figsize=(11, 5.2))
     for (label, k), points in lines.items():
         frames, model = sorted(points), label.split(",")[0]
         default = "parallelogram" in label
         style = {
-            "color": COLOURS[model], "lw": 2.2 if default else 1.3, "ls": "-" if k == steps[0] else "--",
+            "color": COLOURS[model], "lw": 2.2 if default else 1.3, "ls": ("-", "--", ":")[steps.index(k) % 3],
             "marker": "s" if default else "o", "ms": 4, "label": f"{label}, K = {k}",
         }  # fmt: skip
         axes[0].plot(frames, [points[n]["min_ms"] / 1e3 for n in frames], **style)
         if (label, k) != ("DiP", steps[-1]):
-            axes[1].plot(frames, [native[n]["min_ms"] / points[n]["min_ms"] for n in frames], **style)
+            ratios = [_faster(points[n]) for n in frames]
+            halves = [ratio.half_width if ratio.half_width < float("inf") else 0.0 for ratio in ratios]
+            axes[1].errorbar(frames, [ratio.mean for ratio in ratios], halves, capsize=2, **style)
     axes[1].axhline(1.0, color=COLOURS["DiP"], lw=0.8)
     axes[0].set_ylabel("s (minimum)")
     axes[1].set_ylabel(f"times as fast as DiP, K = {steps[-1]}")
@@ -242,6 +244,11 @@ def plot(items: list[dict], path: Path) -> None:
     figure.legend(*axes[0].get_legend_handles_labels(), loc="lower center", ncol=len(steps) * 2, fontsize=8)
     figure.savefig(path, dpi=110)
     plt.close(figure)
+
+
+def _faster(item: dict) -> Interval:
+    """How many times as fast as DiP of the same length and round; of runs before rounds were compared, unknown."""
+    return Interval.from_json(item.get("times_as_fast", {"mean": float("nan"), "interval": None}))
 
 
 def _parameters(row: dict, found: dict) -> int:

@@ -9,7 +9,7 @@ flow      applications of the flow or its inverse to one segment; flow text: its
 
 import time
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, nullcontext
 from dataclasses import dataclass, field
 from itertools import pairwise
@@ -23,17 +23,26 @@ from moveset.models.flow import CouplingFlow
 
 @dataclass
 class Tally:
-    """What one run did. With a ``meter`` operations are counted too, which takes time: never time such a run."""
+    """What one run did. With a ``meter`` operations are counted too, which takes time: never time such a run.
+
+    Before a clock is read, ``settle`` waits for a device that works behind the program's back.
+    """
 
     batch: int
     meter: "Meter | None" = None
+    settle: Callable[[], object] = bool
     seconds: float = 0.0
     flow_seconds: float = 0.0
     marks: list[tuple[int, float]] = field(default_factory=list)
 
     def wave(self, rows: int) -> None:
         """A network is about to be called on this many rows."""
-        self.marks.append((rows // self.batch, time.perf_counter()))
+        self.marks.append((rows // self.batch, self.now()))
+
+    def now(self) -> float:
+        """Seconds of a clock, when all that was asked for is done."""
+        self.settle()
+        return time.perf_counter()
 
     def part(self, name: str, rows: int):
         """Books operations to a part."""

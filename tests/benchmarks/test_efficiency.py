@@ -84,6 +84,18 @@ def test_counts_and_operations_do_not_depend_on_the_plan(methods, tiny, label):
     assert set(units[0]) >= {"network", "text"}
 
 
+def test_lengths_are_run_in_every_round(methods):
+    import efficiency
+
+    for plan in (efficiency.PLANS["small"], efficiency.ON_GPU):
+        every, first = plan.cells()
+        asked = {(cell.row.label, cell.steps, cell.frames) for cell in every if cell.batch == 1}
+        rows = [row.label for row in efficiency.LENGTH_ROWS if row.model != "DiP"]
+        assert asked >= {(label, k, frames) for label in rows for k in (10, 50, 100) for frames in plan.lengths}
+        assert asked >= {("DiP", 10, frames) for frames in plan.lengths}
+        assert not set(every) & set(first)
+
+
 def test_a_count_that_is_off_ends_the_run(methods, tiny, monkeypatch):
     honest = methods.expected
     monkeypatch.setattr(methods, "expected", lambda *a: honest(*a) + Counter(network=1))
@@ -160,6 +172,12 @@ def test_the_report_is_whole_and_keeps_the_published_numbers_apart(tmp_path, mon
         if "triangle" not in line["label"] and "parallelogram" not in line["label"]:
             costs = [sum(entry["operations"].values()) for entry in (two, three, four)]
             assert costs[2] - costs[1] == costs[1] - costs[0] > 0
+    for item in found["lengths"]:
+        # One round: the ratio is that of its two runs, and has no interval.
+        own = next(dip for dip in found["lengths"] if (dip["label"], dip["steps"]) == ("DiP", 2)
+                   and dip["frames"] == item["frames"])  # fmt: skip
+        ratio = own["median_ms"] / item["median_ms"]
+        assert item["times_as_fast"] == {"mean": pytest.approx(ratio, rel=0.05), "interval": None}
     ends = {(item["label"], item["steps"], item["frames"]) for item in found["lengths"]}
     assert ends >= {("DiP", 3, 240), ("RDM-14, triangle R = N", 2, 196)}
     text = out.with_suffix(".md").read_text()
