@@ -13,7 +13,7 @@ intervals and every seed's values, ``curves-fid.svg`` and ``curves-r3.svg`` are 
 import argparse
 import json
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -119,8 +119,8 @@ class Point:
         return {"start": self.start, "lag": 1 if overlaps else self.steps, "shape": self.shape, **fresh}
 
 
-def points(variant: Variant, steps: tuple[int, ...]) -> Iterator[Point]:
-    """Those of a variant at these K; a student has one of its own."""
+def points(variant: Variant, steps: Sequence[int], late: Sequence[int] = LATE) -> Iterator[Point]:
+    """Those of a variant at these K, and R of K = 1000; a student has one of its own."""
     if variant.teacher:
         count = int(variant.network.removeprefix("pcm-"))
         yield Point(count, count)
@@ -130,7 +130,7 @@ def points(variant: Variant, steps: tuple[int, ...]) -> Iterator[Point]:
         if not variant.overlaps:
             yield from (Point(k, k, variance=variance) for variance in variances)
             continue
-        starts = sorted(set(LATE if k == 1000 else (min(N, k), max(1, k // 2), k)))
+        starts = sorted(set(late if k == 1000 else (min(N, k), max(1, k // 2), k)))
         yield from (Point(k, r, "triangle", variance) for variance in variances for r in starts)
         yield from (Point(k, r, "parallelogram", variances[0]) for r in starts)
 
@@ -158,7 +158,8 @@ def trained(name: str, seed: int, given: argparse.Namespace) -> Path:
     if run(task_maker(variant.what, config, sources), engine, runs / folder.name, True).stopped_by:
         raise KeyboardInterrupt
     networks = {"rdm": teacher.name, variant.network: folder.name} if variant.teacher else {"rdm": folder.name}
-    what = StreamExport(name=folder.name, runs=networks, sampler_steps=10, start=10, lag=10)
+    sampling = {"sampler_steps": 10, "start": 10, "lag": 10}
+    what = StreamExport(name=folder.name, runs=networks, sampling=sampling)
     return export(what, open_for_training(given.corpus), runs, out / "cache", folder)
 
 
@@ -283,6 +284,7 @@ def main() -> None:
     parser.add_argument("--train-steps", type=at_least(1), help="of each training; by default the recipe's")
     parser.add_argument("--set", action="append", default=[], help="a setting of all variants but students")
     parser.add_argument("--steps", type=at_least(1), nargs="+", default=list(STEPS), help="K; 1000 is DDPM")
+    parser.add_argument("--late", type=at_least(1), nargs="+", default=list(LATE), help="R of K = 1000")
     parser.add_argument("--items", type=at_least(1), help="at most so many of val; by default all")
     parser.add_argument("--repeats", type=at_least(1), default=1, help="of each point and seed, in processes")
     parser.add_argument("--evaluator", default=DEFAULT_EVALUATOR)
@@ -295,7 +297,7 @@ def main() -> None:
         for seed in range(given.seeds):  # a whole grid of one seed is worth more than half of one of three
             for name in given.variants:
                 trained(name, seed, given)
-                for point in points(VARIANTS[name], tuple(given.steps)):
+                for point in points(VARIANTS[name], given.steps, given.late):
                     measure(name, seed, point, given)
     found = gather(given.out)
     write_report(given.out / "curves.json", found)

@@ -3,7 +3,9 @@
 import json
 import shutil
 import sys
+from argparse import Namespace
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -65,6 +67,24 @@ def test_every_point_of_the_paper_is_there_once(grid):
         "K10-R10-parallelogram", "K1000-R1000-parallelogram-posterior", "K1000-R1000-parallelogram-beta"
     ]  # fmt: skip
     assert [p.steps for p in grid.points(grid.VARIANTS["entangled-pcm-4"], grid.STEPS)] == [4]
+
+
+def test_a_student_is_trained_after_its_teacher_and_exported_with_it(grid, tmp_path, monkeypatch):
+    ran, exported = [], []
+    monkeypatch.setattr(grid, "run", lambda make, engine, folder, resume: (ran.append((folder.name, engine)), Ran)[1])
+    monkeypatch.setattr(grid, "export", lambda what, *_: exported.append(what))
+    monkeypatch.setattr(grid, "open_for_training", lambda path: None)
+    Ran = SimpleNamespace(stopped_by=None)
+    given = Namespace(out=tmp_path, recipe="tiny", set=["root=2"], train_steps=3, device="cpu", corpus=tmp_path)
+    grid.trained("entangled-pcm-2", 5, given)
+    assert [name for name, _ in ran] == ["entangled.5", "entangled-pcm-2.5"]
+    assert {(engine.seed, engine.steps) for _, engine in ran} == {(5, 3)}
+    assert [what.runs for what in exported] == [
+        {"rdm": "entangled.5"}, {"rdm": "entangled.5", "pcm-2": "entangled-pcm-2.5"}
+    ]  # fmt: skip
+    Ran.stopped_by = "SIGINT"
+    with pytest.raises(KeyboardInterrupt):
+        grid.trained("md", 0, given)
 
 
 def test_points_that_are_there_are_kept_and_curves_have_intervals(grid, tiny_streams, tmp_path, monkeypatch, capsys):

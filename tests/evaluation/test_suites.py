@@ -48,14 +48,14 @@ def test_staircases_are_those_that_the_sampler_knows():
         calls[row.key] = Staircase(row.steps, 7, **row.settings).calls
     assert calls["disentangled"] == 10
     assert calls["triangle-7"] == 10 + 6 * 9 // 2
-    assert calls["rdm-7"] == calls["rdm-7-alike"] == 70
+    assert calls["rdm-7"] == 70
 
 
 def test_rows_have_their_shipped_folders_or_no_weights():
     chosen = {row.key: (folder, missing) for row, folder, missing in chosen_rows("motionpcm")}
     assert list(chosen) == [row.key for row in get_suite("motionpcm").rows]
     assert {key for key, (_, missing) in chosen.items() if missing} == {
-        "mld", "reference", "k20", "no-ema", "no-discriminator"
+        "mld", "k20", "no-ema", "no-discriminator"
     }  # fmt: skip
     assert chosen["real"] == (None, "")
     assert chosen["pcm-1"] == (shipped()[CLIPS], "")
@@ -63,7 +63,7 @@ def test_rows_have_their_shipped_folders_or_no_weights():
 
 
 def test_given_folders_fill_rows_by_their_name(tmp_path: Path):
-    trained = folder(tmp_path / "a", f"{CLIPS}-k20", ("vae", "pcm-1"))
+    trained = folder(tmp_path / "a", "motionpcm-k20-paper", ("vae", "pcm-1"))
     found = chosen_rows("motionpcm", (trained,), ("k20", "no-ema"))
     assert [(row.key, path, missing) for row, path, missing in found] == [
         ("k20", trained, ""), ("no-ema", None, "no weights given")

@@ -6,7 +6,8 @@ from pathlib import Path
 import pytest
 
 from moveset.errors import InputError
-from moveset.training.tasks import TASKS, Sources, load_recipe, task_maker, with_settings
+from moveset.evaluation.suites import get_suite
+from moveset.training.tasks import ABLATIONS, TASKS, Sources, load_exports, load_recipe, task_maker, with_settings
 
 
 @dataclass(frozen=True)
@@ -72,3 +73,27 @@ def test_unknown_names_are_refused():
             task_maker("vae", with_settings(load_recipe("tiny", "vae").task, [setting]), nowhere)
     with pytest.raises(InputError, match="no recipe 'huge'"):
         load_recipe("huge", "vae")
+
+
+@pytest.mark.parametrize("recipe", ["small", "paper"])
+def test_ablations_differ_from_pcm_in_one_setting_and_have_a_row_each(recipe):
+    one, exports = load_recipe(recipe, "pcm-1"), {model.name: model for model in load_exports(recipe)}
+    rows = {row.model for row in get_suite("motionpcm").rows if "pcm-1" in row.against}
+    for name, setting in ABLATIONS.items():
+        other = load_recipe(recipe, f"pcm-1-{name}")
+        changed = {k for k, v in vars(other.task).items() if v != getattr(one.task, k)}
+        assert changed == {setting.partition("=")[0]}
+        assert other.engine == one.engine
+        assert exports[f"motionpcm-{name}-{recipe}"].runs["pcm-1"] == f"pcm-1-{name}"
+        assert f"motionpcm-{name}-small" in rows
+
+
+def test_what_is_compared_with_streams_is_shown_as_many_frames():
+    recipes = {name: load_recipe("small", name) for name in (*(f"rdm-{n}" for n in (1, 4, 7, 14)), "md-4", "md-7",
+               "light-rdm-1", "motiondiffuse", "dip")}  # fmt: skip
+    seen = {}
+    for name, recipe in recipes.items():
+        frames = recipe.task.model.frames if name == "dip" else recipe.task.grid.frames
+        seen[name] = recipe.engine.steps * recipe.task.batch * frames
+    assert max(seen.values()) == seen["rdm-7"] == seen["md-7"] == 6000 * 64 * 28
+    assert min(seen.values()) > 0.999 * seen["rdm-7"]

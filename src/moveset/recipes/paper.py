@@ -33,7 +33,7 @@ from moveset.training.evaluator import EvaluatorTrainingConfig, MovementTraining
 from moveset.training.export import BaselineExport, ClipExport, EvaluatorExport, Export, StreamExport
 from moveset.training.length import LengthConfig
 from moveset.training.rdm import RDMConfig
-from moveset.training.tasks import Recipe
+from moveset.training.tasks import ABLATIONS, Recipe, ablations
 from moveset.training.teacher import TeacherConfig
 from moveset.training.vae import VAETrainingConfig
 
@@ -193,6 +193,7 @@ TRAINING: dict[str, Callable[[], Recipe]] = {
     "teacher": train_teacher,
     "lcm-1": train_lcm,
     **{f"pcm-{phases}": partial(train_pcm, phases) for phases in (1, 2, 4)},
+    **ablations(train_pcm),
     **{f"rdm-{n}": partial(train_rdm, n) for n in SEGMENT_FRAMES},
     **{f"md-{n}": partial(train_md, n) for n in (4, 7)},
     "light-rdm-1": train_light_rdm,
@@ -209,6 +210,15 @@ EXPORTS: tuple[Export, ...] = (
         # w = s - 1 for the scales s that MotionLCM-V2 prints, for the same number of steps; MotionPCM prints none.
         guidance={"teacher": 6.5, "lcm-1": 7.0, "pcm-1": 7.0, "pcm-2": 11.5, "pcm-4": 12.5},
         last=True,
+    ),
+    *(
+        ClipExport(
+            name=f"motionpcm-{name}-paper",
+            runs={"vae": "vae", "teacher": "teacher", "length": "length", "pcm-1": f"pcm-1-{name}"},
+            guidance={"teacher": 6.5, "pcm-1": 7.0},
+            last=True,
+        )
+        for name in ABLATIONS
     ),
     *(
         StreamExport(

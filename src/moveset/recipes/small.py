@@ -23,7 +23,7 @@ from moveset.training.export import BaselineExport, ClipExport, EvaluatorExport,
 from moveset.training.length import LengthConfig
 from moveset.training.rdm import RDMConfig
 from moveset.training.rdm_distillation import RDMStudentConfig
-from moveset.training.tasks import Recipe
+from moveset.training.tasks import ABLATIONS, Recipe, ablations
 from moveset.training.teacher import TeacherConfig
 from moveset.training.vae import VAETrainingConfig
 
@@ -79,7 +79,7 @@ def rdm(segments: int = 7) -> Recipe:
             cutting=STREAMED,
             augmentation=AUGMENTATION,
         ),
-        engine=_engine(6000),
+        engine=_engine(_alike(64, SEGMENT_FRAMES[segments])),
     )
 
 
@@ -114,7 +114,7 @@ def dip() -> Recipe:
     model = DipDecoderConfig(text_dim=384, width=256, layers=4)
     return Recipe(
         task=DiPConfig(model=model, lr=3e-4, ema=0.999, root=5.0, standing=0.2, augmentation=AUGMENTATION),
-        engine=_engine(4600),
+        engine=_engine(_alike(64, model.frames)),
     )
 
 
@@ -176,6 +176,7 @@ def _engine(steps: int, grad_clip: float = 1.0) -> EngineConfig:
 # The published range [5, 15] is far too strong here: above 2 motion only trembles more.
 GUIDANCE = (1.0, 4.0)
 STUDENTS = 1000  # steps, the same for all: they are compared
+STREAMS = 6000  # of RDM-7
 # No words go missing: "left" and "right" are words too, and sentences of people are many.
 AUGMENTATION = TextAugmentation(embedding_noise=0.05)
 _VAE = TimedVAEConfig(token_dim=64)
@@ -190,7 +191,13 @@ def _volume(task: RDMConfig) -> Recipe:
     """One segment as long as the longest clip: whole clips, and no flow."""
     cutting = CuttingConfig(aligned=True, whole_caption=1.0)
     grid = GridConfig(frames=SEGMENT_FRAMES[1])
-    return Recipe(task=replace(task, flow=None, grid=grid, cutting=cutting, batch=16), engine=_engine(4600))
+    task = replace(task, flow=None, grid=grid, cutting=cutting, batch=16)
+    return Recipe(task=task, engine=_engine(_alike(task.batch, grid.frames)))
+
+
+def _alike(batch: int, frames: int) -> int:
+    """Steps in which as many frames of motion are shown as to RDM-7: what is compared has one budget."""
+    return STREAMS * 64 * SEGMENT_FRAMES[7] // (batch * frames)
 
 
 TRAINING: dict[str, Callable[[], Recipe]] = {
@@ -202,6 +209,7 @@ TRAINING: dict[str, Callable[[], Recipe]] = {
     "teacher": teacher,
     "lcm-1": lcm,
     **{f"pcm-{phases}": partial(pcm, phases) for phases in (1, 2, 4)},
+    **ablations(pcm),
     **{f"rdm-{n}": partial(rdm, n) for n in SEGMENT_FRAMES},
     **{f"md-{n}": partial(md, n) for n in (4, 7)},
     "rdm-student": rdm_student,
@@ -219,6 +227,15 @@ EXPORTS: tuple[Export, ...] = (
         },
         guidance={"teacher": 2.0, "lcm-1": 1.0, "pcm-1": 1.5, "pcm-2": 1.5, "pcm-4": 2.0},
         compact=("teacher",),
+    ),
+    *(
+        ClipExport(
+            name=f"motionpcm-{name}-small",
+            runs={run: run for run in ("vae", "decoder", "teacher", "length")} | {"pcm-1": f"pcm-1-{name}"},
+            guidance={"teacher": 2.0, "pcm-1": 1.5},
+            compact=("teacher",),
+        )
+        for name in ABLATIONS
     ),
     StreamExport(
         name="rdm-small",
@@ -249,6 +266,6 @@ EXPORTS: tuple[Export, ...] = (
 # What trainings took on one shared core: by these and by how it goes, `moveset train all` says how much is left.
 HOURS = {
     "movement": 0.3, "evaluator": 0.35, "length": 0.05, "vae": 0.4, "decoder": 0.6, "teacher": 0.7, "lcm-1": 0.5,
-    "pcm-1": 0.9, "pcm-2": 1.0, "pcm-4": 1.0, "rdm-7": 1.7, "md-7": 1.7, "rdm-4": 1.7, "rdm-14": 1.7, "md-4": 1.7,
-    "rdm-student": 0.5,
+    "pcm-1": 0.9, "pcm-2": 1.0, "pcm-4": 1.0, **{f"pcm-1-{name}": 0.9 for name in ABLATIONS}, "rdm-7": 1.7, "md-7": 1.7,
+    "rdm-4": 1.7, "rdm-14": 1.7, "md-4": 1.7, "rdm-student": 0.5,
 }  # fmt: skip

@@ -7,6 +7,7 @@ import json
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, get_args
 
@@ -39,6 +40,8 @@ class Trainable:
 
 _RDM = Trainable("moveset.training.rdm:RDMTask")
 _PCM = Trainable("moveset.training.distillation:PCMTask", vae=True, teacher="teacher")
+#: Trainings like pcm-1 but for one setting: MotionPCM's Table 2.
+ABLATIONS = {"k20": "points=50", "no-ema": "ema=0", "no-discriminator": "adversarial=0"}
 TASKS = {
     "movement": Trainable("moveset.training.evaluator:MovementTask"),
     "evaluator": Trainable("moveset.training.evaluator:EvaluatorTask", teacher="movement"),
@@ -47,7 +50,7 @@ TASKS = {
     "decoder": Trainable("moveset.training.vae:DecoderTask", vae=True),
     "teacher": Trainable("moveset.training.teacher:TeacherTask", vae=True),
     "lcm-1": Trainable("moveset.training.distillation:LCMTask", vae=True, teacher="teacher"),
-    **dict.fromkeys(("pcm-1", "pcm-2", "pcm-4"), _PCM),
+    **dict.fromkeys(("pcm-1", "pcm-2", "pcm-4", *(f"pcm-1-{name}" for name in ABLATIONS)), _PCM),
     **dict.fromkeys(("rdm-1", "rdm-4", "rdm-7", "rdm-14", "light-rdm-1", "md-4", "md-7", "motiondiffuse"), _RDM),
     "rdm-student": Trainable("moveset.training.rdm_distillation:RDMStudentTask", teacher="rdm-7"),
     "dip": Trainable("moveset.training.dip:DiPTask"),
@@ -86,6 +89,16 @@ class Recipe:
     task: Any
     engine: "EngineConfig"
     hours: float = 0.0
+
+
+def ablations(make: Callable[[], Recipe]) -> dict[str, Callable[[], Recipe]]:
+    """The trainings of ``ABLATIONS``, from what makes pcm-1: the same start, steps, seed and everything else."""
+
+    def changed(setting: str) -> Recipe:
+        chosen = make()
+        return dataclasses.replace(chosen, task=with_settings(chosen.task, [setting]))
+
+    return {f"pcm-1-{name}": partial(changed, setting) for name, setting in ABLATIONS.items()}
 
 
 def load_recipes(name: str) -> dict[str, Recipe]:
