@@ -24,13 +24,13 @@ from moveset.io.quantization import halved
 from moveset.models.evaluator import FRAMES_PER_TOKEN, MatchingEvaluator
 from moveset.models.registry import build_model, describe
 from moveset.motion.features import get_codec
+from moveset.pipelines.model_folder import find_folder, shipped
 from moveset.text.encoder import get_text_encoder
 from moveset.text.glove import GloveWords
 from moveset.text.words import TokenWords, Words
 
 FORMAT = 1
 DEFAULT_EVALUATOR = "t2m-small"
-_SHIPPED = Path(__file__).parents[1] / "weights" / "evaluators"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,7 +83,7 @@ class Evaluator:
             InputError: neither.
             FormatError: a damaged folder, or one of something else.
         """
-        folder = VerifiedFolder(_find(name_or_path))
+        folder = VerifiedFolder(find_folder(name_or_path, "evaluator", shipped("evaluators")))
         where = folder.path / "config.json"
         raw = json_object(folder.read("config.json"), where)
         if raw.pop("task", None) != "evaluator" or raw.pop("format", None) != FORMAT:
@@ -184,17 +184,6 @@ class Evaluator:
                 )
             if not torch.isfinite(x).all():
                 raise InputError(f"motion {k} has features that are not finite; leave it out or generate it again")
-
-
-def _find(name_or_path: str | Path) -> Path:
-    known = {path.parent.name: path.parent for path in sorted(_SHIPPED.glob("*/manifest.json"))}
-    if str(name_or_path) in known:
-        return known[str(name_or_path)]
-    path = Path(name_or_path)
-    if path.is_dir():
-        return path
-    names = ", ".join(known) or "none"
-    raise InputError(f"unknown evaluator {str(name_or_path)!r}; shipped: {names}; or give an evaluator's folder")
 
 
 def _read_words(card: EvaluatorCard, folder: VerifiedFolder) -> Words:

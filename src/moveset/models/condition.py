@@ -3,9 +3,10 @@
 Shapes: B rows, L text tokens, C text width, n frames of a segment or N latent tokens, D features.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, replace
-from typing import Any
+from types import MappingProxyType
+from typing import Any, Self
 
 import torch
 from torch import Tensor, nn
@@ -92,6 +93,14 @@ class Denoiser(nn.Module):
     """
 
     config: Any
+    #: Settings in which students differ.
+    of_students: Mapping[str, Any] = MappingProxyType({})
+
+    def student(self) -> Self:
+        """A copy with a guidance embedding that changes nothing yet: the start of distillation."""
+        made = replace(self.config, guided=True, **self.of_students).build().to(next(self.parameters()))
+        made.load_state_dict({**made.state_dict(), **self.state_dict()})
+        return made.train(self.training)
 
     @property
     def takes_scale(self) -> bool:

@@ -8,7 +8,8 @@ adaLN, arXiv 2310.00426) instead of being tokens; blocks are pre-norm.
 Shapes: B batch, N latent tokens, d latent width, L text tokens, C text width, W model width, H heads.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from types import MappingProxyType
 
 import torch
 from torch import Tensor, nn
@@ -68,6 +69,8 @@ class LatentDenoiser(Denoiser):
     It reads text, clip length (without one, 120 frames are assumed) and, as a student, the guidance scale; ``taps``
     collect every block's output (B, N, W).
     """
+
+    of_students = MappingProxyType({"dropout": 0.0})
 
     def __init__(self, config: LatentDenoiserConfig) -> None:
         super().__init__()
@@ -142,12 +145,6 @@ class LatentDenoiser(Denoiser):
         with torch.autocast(x.device.type, enabled=False):
             said = self.out(self.norm_out(x.float()) * (1 + scale.float()) + shift.float())
             return said if self.schedule is None else carry(said, z_BND.float(), t_B, self.schedule)
-
-    def student(self) -> "LatentDenoiser":
-        """A copy with a guidance embedding that changes nothing yet, and without dropout: the start of distillation."""
-        out = replace(self.config, guided=True, dropout=0.0).build().to(self.position)
-        out.load_state_dict({**out.state_dict(), **self.state_dict()})
-        return out.train(self.training)
 
 
 class Block(nn.Module):

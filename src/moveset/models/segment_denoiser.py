@@ -11,7 +11,7 @@ Source: MotionDiffuse (arXiv 2208.15001), efficient attention (arXiv 1812.01243)
 the previous segment is not published; one more cross-attention a layer is what its operation counts point to.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor, nn
@@ -185,12 +185,6 @@ class SegmentDenoiser(Denoiser):
             if taps is not None:
                 taps.append(x[:, -n:])
         return self.out(x[:, -n:])
-
-    def student(self) -> "SegmentDenoiser":
-        """A copy with a guidance embedding that changes nothing yet: the start of distillation."""
-        out = replace(self.config, guided=True).build().to(self.position)
-        out.load_state_dict({**out.state_dict(), **self.state_dict()})
-        return out.train(self.training)
 
 
 class Previous(nn.Module):

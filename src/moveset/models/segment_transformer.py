@@ -15,7 +15,7 @@ training, and learned on from there), as far as that segment is clean: going on 
 Shapes: B rows, n frames, D features, L text tokens, C text width, W model width.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import cast
 
 import torch
@@ -218,12 +218,6 @@ class SegmentTransformer(Denoiser):
         keep = spectrum / (spectrum.square() + limit_k1.square()).sqrt()
         dct = dct_matrix(frames, x_BnD.device)
         return dct.T @ (keep * (dct @ x_BnD))
-
-    def student(self) -> "SegmentTransformer":
-        """A copy with a guidance embedding that changes nothing yet: the start of distillation."""
-        out = replace(self.config, guided=True).build().to(self.position)
-        out.load_state_dict({**out.state_dict(), **self.state_dict()})
-        return out.train(self.training)
 
     @staticmethod
     def _bias(context: Context, x: Tensor) -> Tensor | None:

@@ -4,7 +4,8 @@ Shapes: B batch, L sequence, M memory, C width.
 Source: U-ViT (Bao et al. 2022, arXiv 2209.12152), as used by MLD (arXiv 2212.04048) and MotionLCM (arXiv 2404.19759).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -23,6 +24,11 @@ class SkipTransformerConfig:
     heads: int = 4
     feed_forward: int = 1024
     dropout: float = 0.1
+
+    @classmethod
+    def of(cls, config: Any) -> "SkipTransformerConfig":
+        """The part of a larger configuration."""
+        return cls(**{field.name: getattr(config, field.name) for field in fields(cls)})
 
     def __post_init__(self) -> None:
         require_sizes(self, heads=(1, self.width))

@@ -4,7 +4,7 @@ Shapes: B batch, N latent tokens, D latent channels, L text tokens, C text chann
 Source: MLD (arXiv 2212.04048), MotionLCM-V2 (arXiv 2404.19759); MotionPCM's student adds the guidance scale.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor, nn
@@ -34,16 +34,7 @@ class TokenDenoiserConfig:
 
     def __post_init__(self) -> None:
         require_sizes(self, time_waves=(2, 4096))
-        self.stack()
-
-    def stack(self) -> SkipTransformerConfig:
-        return SkipTransformerConfig(
-            width=self.width,
-            layers=self.layers,
-            heads=self.heads,
-            feed_forward=self.feed_forward,
-            dropout=self.dropout,
-        )
+        SkipTransformerConfig.of(self)
 
     def build(self) -> "TokenDenoiser":
         """The module with fresh weights."""
@@ -64,7 +55,7 @@ class TokenDenoiser(Denoiser):
         self.time = TimeEmbedding(config.width, config.time_waves, config.guidance_waves if config.guided else None)
         self.text_in = nn.Linear(config.text_dim, config.width)
         self.positions = Positions(config.positions, config.width)
-        self.stack = SkipTransformer(config.stack(), cross=False)
+        self.stack = SkipTransformer(SkipTransformerConfig.of(config), cross=False)
         self.latent_out = nn.Linear(config.width, config.token_dim)
 
     def denoise(self, z_BND: Tensor, t_B: Tensor, condition: Condition, taps: list[Tensor] | None) -> Tensor:
@@ -86,14 +77,6 @@ class TokenDenoiser(Denoiser):
         if taps is not None and blocks is not None:
             taps.extend(block[:, :count] for block in blocks)
         return eps
-
-    def student(self) -> "TokenDenoiser":
-        """A copy with a guidance embedding that changes nothing yet: the start of distillation."""
-        out = replace(self.config, guided=True).build().to(self.latent_in.weight)
-        missing, unexpected = out.load_state_dict(self.state_dict(), strict=False)
-        if unexpected or any(not name.startswith("time.guidance.") for name in missing):
-            raise RuntimeError(f"a student must share all weights of its teacher, but {missing} {unexpected} differ")
-        return out.train(self.training)
 
 
 register("token_denoiser", TokenDenoiserConfig, renamed={"guidance": "guided"})

@@ -33,16 +33,7 @@ class TokenVAEConfig:
         require_sizes(self, tokens=(1, 1024))
         if self.positions <= 2 * self.tokens:
             raise InputError(f"{self.positions} positions leave no frame beside 2 x {self.tokens} tokens; give more")
-        self.stack()
-
-    def stack(self) -> SkipTransformerConfig:
-        return SkipTransformerConfig(
-            width=self.width,
-            layers=self.layers,
-            heads=self.heads,
-            feed_forward=self.feed_forward,
-            dropout=self.dropout,
-        )
+        SkipTransformerConfig.of(self)
 
     def build(self) -> "TokenVAE":
         """The module with fresh weights."""
@@ -59,12 +50,12 @@ class TokenVAE(nn.Module):
         self.frame_in = nn.Linear(c.features, c.width)
         self.tokens = nn.Parameter(torch.randn(2 * c.tokens, c.width))  # N for the means, N for the log-variances
         self.encoder_positions = Positions(c.positions, c.width)
-        self.encoder = SkipTransformer(c.stack(), cross=False)
+        self.encoder = SkipTransformer(SkipTransformerConfig.of(c), cross=False)
         self.to_latent = nn.Linear(c.width, c.token_dim)
 
         self.from_latent = nn.Linear(c.token_dim, c.width)
         self.decoder_positions = Positions(c.positions, c.width)
-        self.decoder = SkipTransformer(c.stack(), cross=True)
+        self.decoder = SkipTransformer(SkipTransformerConfig.of(c), cross=True)
         self.frame_out = nn.Linear(c.width, c.features)
 
     def encode(self, x_BFD: Tensor, lengths_B: Tensor) -> tuple[Tensor, Tensor]:

@@ -178,26 +178,26 @@ class ModelFolder(VerifiedFolder, Generic[Config]):
         return KnownPrompts(tuple(captions), pooled, frozenset(words))
 
 
-def shipped() -> dict[str, Path]:
-    """Folders of the models that come with the package, by name."""
-    root = Path(__file__).parents[1] / "weights"
+def shipped(below: str = "") -> dict[str, Path]:
+    """Folders of the models that come with the package, or of the "evaluators", by name."""
+    root = Path(__file__).parents[1] / "weights" / below
     return {p.parent.name: p.parent for p in sorted(root.glob("*/manifest.json"))}
 
 
-def find_folder(name_or_path: str | Path) -> Path:
-    """Folder of a shipped model, or the folder given.
+def find_folder(name_or_path: str | Path, what: str = "model", known: Mapping[str, Path] | None = None) -> Path:
+    """Folder of a shipped model, or of another of what is ``known``, or the folder given.
 
     Raises:
         InputError: neither.
     """
-    known = shipped()
+    known = shipped() if known is None else known
     if str(name_or_path) in known:
         return known[str(name_or_path)]
     path = Path(name_or_path)
     if path.is_dir():
         return path
     names = ", ".join(known) or "none"
-    raise InputError(f"unknown model {str(name_or_path)!r}; shipped models: {names}; or give a model folder")
+    raise InputError(f"unknown {what} {str(name_or_path)!r}; shipped {what}s: {names}; or give the folder of one")
 
 
 def save_model(

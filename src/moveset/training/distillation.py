@@ -102,6 +102,7 @@ class _DistillationTask(SingleNetworkTask):
     """What LCM and PCM share: frozen teacher, student with its averaged target, one update from their distance."""
 
     network = "student"
+    judge: LatentDiscriminator | None = None
 
     def __init__(self, config: DistillationConfig, sources: Sources, loop: Loop) -> None:
         # Not a check of the configuration: settings come one by one, in any order.
@@ -118,6 +119,30 @@ class _DistillationTask(SingleNetworkTask):
         self.draws = loop.generator("draws")
         self.optimizer = torch.optim.AdamW(self.student.parameters(), config.lr, betas=(0.9, 0.999), weight_decay=0.0)
         self._reference: Tensor | None = None
+
+    def training_step(self, step: int, loop: Loop) -> dict[str, Tensor]:
+        config = self.config
+        batch = self.data.batch(config.batch, step)
+        text = self.data.read(batch.captions, self.draws)
+        shares = (config.inference_points, config.discriminator_max_noise)
+        draws = draw(self.grid, batch.z0, config.guidance, self.draws, *shares)
+        z = add_noise(self.schedule, batch.z0, draws.noise_BND, self.grid.time(draws.point_B))
+        teacher, ema, student = (
+            self._guided(network, text, batch.frames, draws.w_B)
+            for network in (self.teacher, self.ema.module, self.student)
+        )
+        target = self.target(teacher, ema, z, draws.point_B)
+        made = self.predict(student, z, draws.point_B)
+        loss = pseudo_huber(made, target, config.huber)
+        report = {"consistency": loss.detach()}
+        loss = loss + self._trajectory(batch, draws, report)
+        if self.judge is not None and config.adversarial:
+            fooled = hinge_generator(self.judge.heads(self._judged(self.judge, batch, text, draws, made, report, loop)))
+            report["generator"] = fooled.detach()
+            loss = loss + config.adversarial * fooled
+        report["gradient_norm"] = loop.minimise(loss, "student")
+        self.ema.update(self.student)
+        return report | {"loss": loss.detach()}
 
     def validate(self, step: int, loop: Loop) -> dict[str, float]:
         """Mean squared distance in the latent to the teacher's 50 guided steps from the same noise, captions of val."""
@@ -142,6 +167,10 @@ class _DistillationTask(SingleNetworkTask):
         """Where this student lands from a solver point."""
         raise NotImplementedError
 
+    def target(self, teacher: Prediction, ema: Prediction, z: Tensor, point_B: Tensor) -> Tensor:
+        """Where it should land."""
+        raise NotImplementedError
+
     def _trajectory(self, batch: LatentBatch, draws: Draws, report: dict[str, Tensor]) -> Tensor | float:
         """Distance to where the teacher's whole way through a phase leads, for the first rows of a batch; reported."""
         if not (count := self.config.trajectory_rows):
@@ -159,6 +188,23 @@ class _DistillationTask(SingleNetworkTask):
         loss = pseudo_huber(made, target, self.config.huber)
         report["trajectory"] = loss.detach()
         return loss
+
+    def _judged(
+        self, judge: LatentDiscriminator, batch: LatentBatch, text: TextEmbedding, draws: Draws, made: Tensor,
+        report: dict[str, Tensor], loop: Loop,
+    ) -> list[Tensor]:  # fmt: skip
+        """One step of the discriminator, reported; returns the features of what the student made, for its own step."""
+        fake, real = adversarial_pair(self.schedule, self.grid, draws, made, batch.z0)
+        condition, s_B = Condition(text, length=batch.frames), draws.judged_B
+        seen = judge.features(fake, s_B, condition)
+        with torch.no_grad():
+            real_seen = judge.features(real, s_B, condition)
+            others_seen = None
+            if self.config.mismatched_text:
+                others = replace(condition, text=text[torch.arange(len(text), device=real.device).roll(1)])
+                others_seen = judge.features(real, s_B, others)
+        report |= discriminator_step(judge.heads, real_seen, seen, others_seen, self.config.mismatched_text, loop)
+        return seen
 
     def _guided(self, network: nn.Module, text: TextEmbedding, frames: Tensor, w: Tensor | float) -> Prediction:
         """The teacher, or a student, with captions, lengths and guidance bound."""
@@ -179,24 +225,8 @@ class LCMTask(_DistillationTask):
             raise InputError(f"phases={config.phases} is for pcm; an lcm student has one phase, so leave it out")
         super().__init__(config, sources, loop)
 
-    def training_step(self, step: int, loop: Loop) -> dict[str, Tensor]:
-        batch = self.data.batch(self.config.batch, step)
-        text = self.data.read(batch.captions, self.draws)
-        draws = draw(self.grid, batch.z0, self.config.guidance, self.draws, self.config.inference_points)
-        t = self.grid.time(draws.point_B)
-        z = add_noise(self.schedule, batch.z0, draws.noise_BND, t)
-        teacher, ema, student = (
-            self._guided(network, text, batch.frames, draws.w_B)
-            for network in (self.teacher, self.ema.module, self.student)
-        )
-        target = lcm_target(self.schedule, self.grid, teacher, ema, z, draws.point_B)
-        made = self.predict(student, z, draws.point_B)
-        loss = pseudo_huber(made, target, self.config.huber)
-        report = {"consistency": loss.detach()}
-        loss = loss + self._trajectory(batch, draws, report)
-        report["gradient_norm"] = loop.minimise(loss, "student")
-        self.ema.update(self.student)
-        return report | {"loss": loss.detach()}
+    def target(self, teacher: Prediction, ema: Prediction, z: Tensor, point_B: Tensor) -> Tensor:
+        return lcm_target(self.schedule, self.grid, teacher, ema, z, point_B)
 
     def predict(self, student: Prediction, z: Tensor, point_B: Tensor) -> Tensor:
         return lcm_prediction(self.schedule, student, z, self.grid.time(point_B))
@@ -230,48 +260,11 @@ class PCMTask(_DistillationTask):
     def optimizers(self) -> dict[str, torch.optim.Optimizer]:
         return super().optimizers() | {"discriminator": self.judge_optimizer}
 
-    def training_step(self, step: int, loop: Loop) -> dict[str, Tensor]:
-        config = self.config
-        batch = self.data.batch(config.batch, step)
-        text = self.data.read(batch.captions, self.draws)
-        shares = (config.inference_points, config.discriminator_max_noise)
-        draws = draw(self.grid, batch.z0, config.guidance, self.draws, *shares)
-        z = add_noise(self.schedule, batch.z0, draws.noise_BND, self.grid.time(draws.point_B))
-        teacher, ema, student = (
-            self._guided(network, text, batch.frames, draws.w_B)
-            for network in (self.teacher, self.ema.module, self.student)
-        )
-        target = phased_target(self.schedule, self.grid, teacher, ema, z, draws.point_B)
-        made = self.predict(student, z, draws.point_B)
-        loss = pseudo_huber(made, target, config.huber)
-        report = {"consistency": loss.detach()}
-        loss = loss + self._trajectory(batch, draws, report)
-        if config.adversarial:
-            fooled = hinge_generator(self.judge.heads(self._judged(batch, text, draws, made, report, loop)))
-            report["generator"] = fooled.detach()
-            loss = loss + config.adversarial * fooled
-        report["gradient_norm"] = loop.minimise(loss, "student")
-        self.ema.update(self.student)
-        return report | {"loss": loss.detach()}
+    def target(self, teacher: Prediction, ema: Prediction, z: Tensor, point_B: Tensor) -> Tensor:
+        return phased_target(self.schedule, self.grid, teacher, ema, z, point_B)
 
     def sample(self, model: Prediction, noise: Tensor) -> Tensor:
         return sample_phased(model, self.schedule, self.grid, noise)
 
     def predict(self, student: Prediction, z: Tensor, point_B: Tensor) -> Tensor:
         return phased_prediction(self.schedule, self.grid, student, z, point_B)
-
-    def _judged(
-        self, batch: LatentBatch, text: TextEmbedding, draws: Draws, made: Tensor, report: dict[str, Tensor], loop: Loop
-    ) -> list[Tensor]:
-        """One step of the discriminator, reported; returns the features of what the student made, for its own step."""
-        fake, real = adversarial_pair(self.schedule, self.grid, draws, made, batch.z0)
-        condition, s_B = Condition(text, length=batch.frames), draws.judged_B
-        seen = self.judge.features(fake, s_B, condition)
-        with torch.no_grad():
-            real_seen = self.judge.features(real, s_B, condition)
-            others_seen = None
-            if self.config.mismatched_text:
-                others = replace(condition, text=text[torch.arange(len(text), device=real.device).roll(1)])
-                others_seen = self.judge.features(real, s_B, others)
-        report |= discriminator_step(self.judge.heads, real_seen, seen, others_seen, self.config.mismatched_text, loop)
-        return seen
