@@ -6,11 +6,11 @@ from torch import nn
 
 from moveset.errors import FormatError, InputError
 from moveset.models import registry
-from moveset.models.registry import build_model, describe, parse_config, register, require_range
+from moveset.models.registry import ModelConfig, build_model, describe, parse_config, register, require_range
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, slots=True)
-class ToyConfig:
+class ToyConfig(ModelConfig):
     size: int
     rate: float = 0.5
     names: tuple[str, ...] = ()
@@ -20,16 +20,17 @@ class ToyConfig:
     def __post_init__(self) -> None:
         require_range("size", self.size, 1, 64)
 
-    def build(self) -> nn.Module:
-        module = nn.Linear(self.size, 1)
-        module.config = self
-        return module
+
+def toy(config: ToyConfig) -> nn.Module:
+    module = nn.Linear(config.size, 1)
+    module.config = config
+    return module
 
 
 @pytest.fixture(autouse=True)
 def _toy(monkeypatch):
     monkeypatch.setattr(registry, "_KINDS", dict(registry._KINDS))
-    register("toy", ToyConfig)
+    register("toy", ToyConfig, toy)
 
 
 def test_a_configuration_survives_json():
@@ -72,4 +73,4 @@ def test_nan_is_out_of_range():
 
 def test_kinds_are_unique():
     with pytest.raises(ValueError, match="already"):
-        register("toy", ToyConfig)
+        register("toy", ToyConfig, toy)

@@ -16,12 +16,12 @@ from torch.nn import functional as fn
 from moveset.errors import InputError
 from moveset.models.condition import Condition, Denoiser
 from moveset.models.layers import Attention
-from moveset.models.registry import register, require_range, require_sizes
+from moveset.models.registry import ModelConfig, register, require_range, require_sizes
 from moveset.models.sinusoids import sinusoids
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class DipDecoderConfig:
+class DipDecoderConfig(ModelConfig):
     """Sizes of a ``DipDecoder``; the defaults are the published ones on HumanML3D.
 
     Args:
@@ -45,10 +45,6 @@ class DipDecoderConfig:
         require_sizes(self, prefix=(0, 4096), frames=(1, 4096), width=(2, 4096), heads=(1, self.width))
         require_range("width modulo 2", self.width % 2, 0, 0)
         require_range("width modulo heads", self.width % self.heads, 0, 0)
-
-    def build(self) -> "DipDecoder":
-        """The module with fresh weights."""
-        return DipDecoder(self)
 
 
 class DipDecoder(Denoiser):
@@ -118,4 +114,4 @@ class Layer(nn.Module):
         return self.norm(x + self.dropout(fed))
 
 
-register("dip_decoder", DipDecoderConfig)
+register("dip_decoder", DipDecoderConfig, DipDecoder)

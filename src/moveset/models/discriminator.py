@@ -12,11 +12,11 @@ from torch.nn import functional as F
 
 from moveset.errors import InputError
 from moveset.models.condition import Condition, Denoiser
-from moveset.models.registry import register, require_sizes
+from moveset.models.registry import ModelConfig, register, require_sizes
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class DiscriminatorConfig:
+class DiscriminatorConfig(ModelConfig):
     """Sizes of the trained part: one head per tapped block of the backbone."""
 
     width: int = 256
@@ -27,9 +27,6 @@ class DiscriminatorConfig:
         require_sizes(self, taps=(1, 256), groups=(1, self.width))
         if self.width % self.groups:
             raise InputError(f"discriminator width {self.width} is not a multiple of its {self.groups} groups")
-
-    def build(self) -> "DiscriminatorHeads":
-        return DiscriminatorHeads(self)
 
 
 class _Head(nn.Module):
@@ -106,4 +103,4 @@ class LatentDiscriminator(nn.Module):
         return self.heads(self.features(z_BND, s_B, condition))
 
 
-register("latent_discriminator", DiscriminatorConfig)
+register("latent_discriminator", DiscriminatorConfig, DiscriminatorHeads)

@@ -17,7 +17,7 @@ from torch.nn import functional as F
 from torch.nn.utils.rnn import pack_padded_sequence
 
 from moveset.errors import InputError
-from moveset.models.registry import register, require_sizes
+from moveset.models.registry import ModelConfig, register, require_sizes
 
 FRAMES_PER_TOKEN = 4
 MAX_FRAMES = 196
@@ -26,7 +26,7 @@ CONTACTS = 4
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class MovementConfig:
+class MovementConfig(ModelConfig):
     """Sizes of a movement autoencoder; ``features`` counts a frame's contacts too, which only the decoder knows."""
 
     features: int = 263
@@ -37,13 +37,9 @@ class MovementConfig:
     def __post_init__(self) -> None:
         require_sizes(self, features=(CONTACTS + 1, 10_000))
 
-    def build(self) -> "MovementAutoencoder":
-        """The module with fresh weights."""
-        return MovementAutoencoder(self)
-
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class EvaluatorConfig:
+class EvaluatorConfig(ModelConfig):
     """Sizes of a ``MatchingEvaluator``.
 
     Args:
@@ -77,10 +73,6 @@ class EvaluatorConfig:
         return MovementConfig(
             features=self.features, width=self.movement_width, latent=self.movement_latent, dropout=self.dropout
         )
-
-    def build(self) -> "MatchingEvaluator":
-        """The module with fresh weights."""
-        return MatchingEvaluator(self)
 
 
 class MovementEncoder(nn.Module):
@@ -223,5 +215,5 @@ def _xavier(layer: nn.Module) -> None:
             nn.init.zeros_(layer.bias)
 
 
-register("movement_autoencoder", MovementConfig)
-register("t2m_evaluator", EvaluatorConfig)
+register("movement_autoencoder", MovementConfig, MovementAutoencoder)
+register("t2m_evaluator", EvaluatorConfig, MatchingEvaluator)

@@ -28,13 +28,13 @@ import torch
 from torch import Generator, Tensor, nn
 
 from moveset.errors import InputError
-from moveset.models.registry import register, require_sizes
+from moveset.models.registry import ModelConfig, register, require_sizes
 
 BOUNDS = ("tanh", "hardtanh")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class FlowConfig:
+class FlowConfig(ModelConfig):
     """Sizes of a ``CouplingFlow``.
 
     Attributes:
@@ -65,10 +65,6 @@ class FlowConfig:
         require_sizes(self, features=(2, 4096), log_scale=(1e-4, 2.0), seed=(0, 2**31 - 1))
         if self.bound not in BOUNDS:
             raise InputError(f"unknown bound {self.bound!r} of a flow's log-scales; choose from {', '.join(BOUNDS)}")
-
-    def build(self) -> "CouplingFlow":
-        """The flow with fresh weights: the identity."""
-        return CouplingFlow(self)
 
 
 class _Coupling(nn.Module):
@@ -166,4 +162,4 @@ class CouplingFlow(nn.Module):
             return x_BnD, torch.cat(log_scales, dim=-1)
 
 
-register("coupling_flow", FlowConfig)
+register("coupling_flow", FlowConfig, CouplingFlow)

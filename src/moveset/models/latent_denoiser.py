@@ -17,11 +17,11 @@ from torch.nn import functional as fn
 
 from moveset.diffusion.schedule import Schedule, scaled_linear
 from moveset.models.condition import Condition, Denoiser
-from moveset.models.registry import register, require_range, require_sizes
+from moveset.models.registry import ModelConfig, register, require_range, require_sizes
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class LatentDenoiserConfig:
+class LatentDenoiserConfig(ModelConfig):
     """Sizes of a ``LatentDenoiser``.
 
     Args:
@@ -45,10 +45,6 @@ class LatentDenoiserConfig:
     def __post_init__(self) -> None:
         require_sizes(self)
         require_range("width modulo heads", self.width % self.heads, 0, 0)
-
-    def build(self) -> "LatentDenoiser":
-        """The module with fresh weights."""
-        return LatentDenoiser(self)
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,4 +214,4 @@ def frequencies(device: torch.device) -> Tensor:
     return torch.exp(torch.arange(half, device=device) * (-9.210340371976184 / half))
 
 
-register("latent_denoiser", LatentDenoiserConfig)
+register("latent_denoiser", LatentDenoiserConfig, LatentDenoiser)

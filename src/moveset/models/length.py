@@ -11,11 +11,11 @@ from dataclasses import dataclass
 import torch
 from torch import Generator, Tensor, nn
 
-from moveset.models.registry import register, require_sizes
+from moveset.models.registry import ModelConfig, register, require_sizes
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class LengthPredictorConfig:
+class LengthPredictorConfig(ModelConfig):
     """Sizes of a ``LengthPredictor``: class k stands for ``k * frames_per_class`` frames."""
 
     text_dim: int = 384
@@ -26,13 +26,6 @@ class LengthPredictorConfig:
 
     def __post_init__(self) -> None:
         require_sizes(self, classes=(2, 10_000))
-
-    def build(self) -> "LengthPredictor":
-        """The module with fresh weights."""
-        return LengthPredictor(self)
-
-
-register("length_predictor", LengthPredictorConfig)
 
 
 class LengthPredictor(nn.Module):
@@ -69,3 +62,6 @@ class LengthPredictor(nn.Module):
         else:
             classes_B = torch.multinomial(share_BK.cpu(), 1, generator=generator)[:, 0].to(share_BK.device)
         return classes_B * self.config.frames_per_class
+
+
+register("length_predictor", LengthPredictorConfig, LengthPredictor)

@@ -17,7 +17,7 @@ from torch.nn import functional as fn
 from moveset.errors import InputError
 from moveset.models.condition import Condition, Denoiser
 from moveset.models.layers import time_embedding
-from moveset.models.registry import register, require_range, require_sizes
+from moveset.models.registry import ModelConfig, register, require_range, require_sizes
 from moveset.models.selective_scan import Mamba
 from moveset.models.sinusoids import sinusoids
 
@@ -25,7 +25,7 @@ POOLS = ("last", "mean")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class LightT2MConfig:
+class LightT2MConfig(ModelConfig):
     """Sizes of a ``LightT2M``; the defaults are the published ones on HumanML3D (KIT-ML: ``features=251``).
 
     Args:
@@ -62,10 +62,6 @@ class LightT2MConfig:
         require_range("width modulo groups", self.width % self.groups, 0, 0)
         if self.pool not in POOLS:
             raise InputError(f"pool = {self.pool!r} is not known; choose one of {', '.join(POOLS)}")
-
-    def build(self) -> "LightT2M":
-        """The module with fresh weights."""
-        return LightT2M(self)
 
 
 class LightT2M(Denoiser):
@@ -206,4 +202,4 @@ class MaskedGroupNorm(nn.Module):
         return normal * self.weight[:, None] + self.bias[:, None]
 
 
-register("light_t2m", LightT2MConfig)
+register("light_t2m", LightT2MConfig, LightT2M)

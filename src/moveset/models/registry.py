@@ -7,28 +7,33 @@ unpickled: an unknown kind, an unknown key, a wrong type or an absurd size is a 
 import dataclasses
 import types
 import typing
-from collections.abc import Mapping
-from typing import Any, Protocol
+from collections.abc import Callable, Mapping
+from typing import Any
 
 from torch import nn
 
 from moveset.errors import FormatError, InputError
 
 
-class ModelConfig(Protocol):
-    """A frozen dataclass of plain numbers, strings and tuples that knows how to build its module."""
+class ModelConfig:
+    """What configurations have in common, frozen dataclasses of plain numbers, strings and tuples."""
 
-    def build(self) -> nn.Module:
+    __slots__ = ()
+
+    def build(self) -> Any:
         """A freshly initialised module; it keeps this configuration as ``module.config``."""
-        ...
+        return _MODULES[type(self)](self)
 
 
 _KINDS: dict[str, type] = {}
+_MODULES: dict[type, Callable[[Any], nn.Module]] = {}
 _RENAMED: dict[str, Mapping[str, str]] = {}
 
 
-def register(kind: str, config: type, renamed: Mapping[str, str] | None = None) -> None:
-    """Make a configuration class known under a name. Each kind and each class is registered once.
+def register(
+    kind: str, config: type, module: Callable[[Any], nn.Module], renamed: Mapping[str, str] | None = None
+) -> None:
+    """Make a configuration class and its module known under a name. Each kind and each class is registered once.
 
     Args:
         renamed: today's names of settings by those that older checkpoints have.
@@ -38,6 +43,7 @@ def register(kind: str, config: type, renamed: Mapping[str, str] | None = None) 
     if not dataclasses.is_dataclass(config):
         raise ValueError(f"{config.__name__} is not a dataclass")
     _KINDS[kind] = config
+    _MODULES[config] = module
     _RENAMED[kind] = renamed or {}
 
 

@@ -21,14 +21,14 @@ from moveset.diffusion.guidance import guidance_embedding
 from moveset.errors import InputError
 from moveset.models.condition import Condition, Denoiser
 from moveset.models.layers import Block, TimeEmbedding
-from moveset.models.registry import register, require_range, require_sizes
+from moveset.models.registry import ModelConfig, register, require_range, require_sizes
 
 PREVIOUS = ("none", "xattn", "channel", "token")
 ATTENTION = ("linear", "softmax")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class SegmentDenoiserConfig:
+class SegmentDenoiserConfig(ModelConfig):
     """Sizes of a ``SegmentDenoiser``; the defaults are MotionDiffuse on HumanML3D (KIT-ML: ``features=251``).
 
     Args:
@@ -82,10 +82,6 @@ class SegmentDenoiserConfig:
             raise InputError(f"prev = {self.prev!r} needs max_index >= 1: segment 0 has no previous segment")
         if self.boundary and self.prev != "xattn":
             raise InputError(f"boundary = {self.boundary} needs prev = 'xattn', but prev is {self.prev!r}")
-
-    def build(self) -> "SegmentDenoiser":
-        """The module with fresh weights."""
-        return SegmentDenoiser(self)
 
 
 @dataclass(frozen=True, eq=False)
@@ -311,4 +307,4 @@ def require_length(what: str, frames: int, limit: int) -> None:
         raise InputError(f"a {what} of {frames} frames exceeds the model's {limit} positions; shorten it")
 
 
-register("segment_denoiser", SegmentDenoiserConfig)
+register("segment_denoiser", SegmentDenoiserConfig, SegmentDenoiser)

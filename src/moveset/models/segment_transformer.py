@@ -27,7 +27,7 @@ from moveset.diffusion.schedule import linear
 from moveset.errors import InputError
 from moveset.models.condition import Condition, Denoiser
 from moveset.models.latent_denoiser import Block, waves
-from moveset.models.registry import register, require_range, require_sizes
+from moveset.models.registry import ModelConfig, register, require_range, require_sizes
 
 _WAVES = 256
 _SCHEDULE = linear()
@@ -38,7 +38,7 @@ UNKNOWN = -1
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class SegmentTransformerConfig:
+class SegmentTransformerConfig(ModelConfig):
     """Sizes of a ``SegmentTransformer``; ``guided`` adds the guidance-scale embedding of the few-step students.
 
     ``max_index`` is where the segment index saturates: 1 tells a first segment from a later one, and nothing more.
@@ -69,10 +69,6 @@ class SegmentTransformerConfig:
     def __post_init__(self) -> None:
         require_sizes(self, frames=(2, 4096), smoothing=(0.0, 100.0), tremor=(0.0, 100.0))
         require_range("width modulo heads", self.width % self.heads, 0, 0)
-
-    def build(self) -> "SegmentTransformer":
-        """The module with fresh weights."""
-        return SegmentTransformer(self)
 
 
 @dataclass(frozen=True, eq=False)
@@ -247,4 +243,5 @@ def course_waves(turned_B: Tensor) -> Tensor:
     return waves(turned_B.masked_fill(~known_B, 0.0).rad2deg() / 10.0) * known_B[:, None]
 
 
-register("segment_transformer", SegmentTransformerConfig, renamed={"placed": "timing", "coursed": "heading_change"})
+_OLDER = {"placed": "timing", "coursed": "heading_change"}
+register("segment_transformer", SegmentTransformerConfig, SegmentTransformer, _OLDER)

@@ -14,13 +14,13 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as fn
 
-from moveset.models.registry import register, require_sizes
+from moveset.models.registry import ModelConfig, register, require_sizes
 
 PATCH = 4
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class TimedVAEConfig:
+class TimedVAEConfig(ModelConfig):
     """Sizes of a ``TimedVAE``; ``slots`` is how many places in time, evenly spread, a token is made of."""
 
     features: int = 269
@@ -37,10 +37,6 @@ class TimedVAEConfig:
     def __post_init__(self) -> None:
         blocks = ("encoder_blocks", "decoder_blocks", "token_blocks", "frame_blocks")
         require_sizes(self, **dict.fromkeys(blocks, (0, 64)))
-
-    def build(self) -> "TimedVAE":
-        """The module with fresh weights."""
-        return TimedVAE(self)
 
 
 class TimedVAE(nn.Module):
@@ -188,4 +184,4 @@ def resample(x: Tensor, from_B: Tensor, to_B: Tensor, size: int | None = None) -
     return x.gather(1, low[..., None].expand(take)) * (1 - part) + x.gather(1, high[..., None].expand(take)) * part
 
 
-register("timed_vae", TimedVAEConfig)
+register("timed_vae", TimedVAEConfig, TimedVAE)

@@ -12,12 +12,12 @@ from torch import Tensor, nn
 from moveset.diffusion.guidance import guidance_embedding
 from moveset.models.condition import Condition, Denoiser
 from moveset.models.layers import Positions, TimeEmbedding
-from moveset.models.registry import register, require_sizes
+from moveset.models.registry import ModelConfig, register, require_sizes
 from moveset.models.skip_transformer import SkipTransformer, SkipTransformerConfig
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class TokenDenoiserConfig:
+class TokenDenoiserConfig(ModelConfig):
     """Sizes of a ``TokenDenoiser``; the defaults are the published teacher, ``guided=True`` the student."""
 
     token_dim: int = 32
@@ -35,10 +35,6 @@ class TokenDenoiserConfig:
     def __post_init__(self) -> None:
         require_sizes(self, time_waves=(2, 4096))
         SkipTransformerConfig.of(self)
-
-    def build(self) -> "TokenDenoiser":
-        """The module with fresh weights."""
-        return TokenDenoiser(self)
 
 
 class TokenDenoiser(Denoiser):
@@ -79,4 +75,4 @@ class TokenDenoiser(Denoiser):
         return eps
 
 
-register("token_denoiser", TokenDenoiserConfig, renamed={"guidance": "guided"})
+register("token_denoiser", TokenDenoiserConfig, TokenDenoiser, renamed={"guidance": "guided"})

@@ -11,12 +11,12 @@ from torch import Tensor, nn
 
 from moveset.errors import InputError
 from moveset.models.layers import Positions
-from moveset.models.registry import register, require_sizes
+from moveset.models.registry import ModelConfig, register, require_sizes
 from moveset.models.skip_transformer import SkipTransformer, SkipTransformerConfig
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class TokenVAEConfig:
+class TokenVAEConfig(ModelConfig):
     """Sizes of a ``TokenVAE``; the defaults are the published ones for HumanML3D's 263 features."""
 
     features: int = 263
@@ -34,10 +34,6 @@ class TokenVAEConfig:
         if self.positions <= 2 * self.tokens:
             raise InputError(f"{self.positions} positions leave no frame beside 2 x {self.tokens} tokens; give more")
         SkipTransformerConfig.of(self)
-
-    def build(self) -> "TokenVAE":
-        """The module with fresh weights."""
-        return TokenVAE(self)
 
 
 class TokenVAE(nn.Module):
@@ -103,4 +99,4 @@ def frame_mask(lengths_B: Tensor, frames: int) -> Tensor:
     return torch.arange(frames, device=lengths_B.device) < lengths_B[:, None]
 
 
-register("token_vae", TokenVAEConfig)
+register("token_vae", TokenVAEConfig, TokenVAE)
