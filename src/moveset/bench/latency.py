@@ -171,7 +171,6 @@ def sentences(start: int = 0) -> Iterator[str]:
 
 
 def stream_row(stream: MotionStream) -> dict[str, Any]:
-    """How a stream makes its segments, for JSON."""
     s = stream.settings
     told = {name: getattr(s, name) for name in ("start", "lag", "past_lag", "eta", "guidance", "foot_lock", "stages")}
     return {"network": s.network, "steps": s.steps, "settings": {**told, "shape": "parallelogram"}}

@@ -89,7 +89,6 @@ text, sampling and decoding.
 
 
 def streams(report: Report) -> str:
-    """First and later segments."""
     model, counts = report["models"]["streams"], report.get("operations", {}).get("streams", {})
     seconds = model["frames"] / model["fps"]
     body = []
@@ -140,7 +139,6 @@ Milliseconds a clip, and × that of a batch of one; every clip has a sentence of
 
 
 def processes(report: Report) -> str:
-    """Cold starts and memory."""
     body = []
     for name, row in report["processes"].items():
         first = row.get("first_segment_seconds")
@@ -172,7 +170,6 @@ def operations(report: Report) -> str:
 
 
 def endless(report: Report) -> str:
-    """The beginning and the end of a long stream."""
     rows = report["endless"]
     body = [
         [f"{row['segments']}", f"{row['median_ms']:.1f} ({row['min_ms']:.1f})", f"{row['memory_mb']:.0f}"]

@@ -192,7 +192,6 @@ class Bench:
         return curves
 
     def _operations(self) -> dict[str, Any]:
-        """Of a clip by stage, of a segment and its prompt."""
         tick = self._progress("operations", len(self.methods) + len(self.networks))
         found: dict[str, Any] = {"clips": {}, "streams": {}}
         for name, method in self.methods.items():

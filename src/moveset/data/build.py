@@ -140,7 +140,6 @@ def _frames(span: Span) -> tuple[int, int]:
 
 
 def _pieces(ref: TakeRef, runs: Sequence[_Run], spans: _Spans) -> Iterator[tuple[int, _Piece]]:
-    """The clips of a take, each with the number of its run."""
     whole = _said_of_all(ref) if ref.name not in spans.spans else ()
     default: Split = "train" if spans.spans else split_of(ref.name if ref.source.startswith("bandai") else ref.group)
     told = spans.told(ref)

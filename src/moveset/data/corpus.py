@@ -286,7 +286,6 @@ class CorpusWriter:
         return len(self.records) - 1
 
     def sentences(self, record: ClipRecord) -> tuple[str, ...]:
-        """The captions of a stored clip."""
         return tuple(self._told[k] for k in record.captions)
 
     @property
@@ -294,7 +293,6 @@ class CorpusWriter:
         return sum(run.frames for run in self._runs)
 
     def motion(self, record: ClipRecord) -> Motion:
-        """The motion of a stored clip that is no composition."""
         assert record.run is not None
         start = record.first_frame - self._runs[record.run].first_frame
         return self._motions[record.run][start : start + record.frames].canonical()

@@ -37,7 +37,6 @@ class CropSampler:
         self._pool: tuple[int, list[Crop], list[int]] = (-1, [], [])
 
     def crops(self, step: int) -> list[Crop]:
-        """The batch of a step."""
         number = step // self.pool
         if self._pool[0] != number:
             self._pool = (number, *self._drawn(number))

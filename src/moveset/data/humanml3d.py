@@ -141,7 +141,6 @@ class HumanML3D:
 
     @cached_property
     def names(self) -> tuple[str, ...]:
-        """Motions of all splits."""
         return tuple(dict.fromkeys(n for names in self.splits.values() for n in names))
 
     def features(self, name: str) -> Tensor:

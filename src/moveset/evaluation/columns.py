@@ -42,7 +42,6 @@ class Column:
         return f"{self.label}{', ' if self.unit else ''}{self.unit} {ARROWS[self.better]}"
 
     def printed(self, value: float) -> float:
-        """A result's number as printed."""
         return round(value * self.scale, self.digits)
 
     def format(self, value: Interval) -> tuple[str, str]:

@@ -107,7 +107,6 @@ def comparisons(table: Table) -> str:
 
 
 def settings(table: Table) -> str:
-    """Which weights and which sampler made a row."""
     body = []
     for row in table.rows:
         weights = _short(table.measured[row.key].weights) if row.key in table.measured else MISSING

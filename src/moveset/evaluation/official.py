@@ -188,7 +188,6 @@ def biased(std: Tensor, bias: float | None) -> Tensor:
 
 
 def _home(folder: Path, dataset: str | None) -> tuple[Path, Layout]:
-    """The folder of one data set's checkpoints."""
     if dataset is not None and dataset not in _FOLDERS:
         raise InputError(f"unknown data set {dataset!r}; choose one of {', '.join(_FOLDERS)}")
     names = [dataset] if dataset else list(_FOLDERS)

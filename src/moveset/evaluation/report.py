@@ -49,7 +49,6 @@ def write_report(folder: Path) -> Path:
 
 
 def to_json(table: Table) -> dict[str, Any]:
-    """Numbers, places and differences of a table."""
     return {
         "suite": table.suite.name,
         "state": asdict(table.state()) if table.measured else None,

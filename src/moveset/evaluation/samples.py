@@ -122,7 +122,6 @@ class TestSet:
 
     @cached_property
     def texts(self) -> int:
-        """Number of distinct sentences."""
         return len({text_of(caption) for item in self.items for caption in item.captions})
 
     def limited(self, count: int, seed: int = 0) -> "TestSet":
@@ -135,7 +134,6 @@ class TestSet:
         return TestSet(kept, self.name, self.sha256, self.codec, dropped)
 
     def draw(self, generator: torch.Generator) -> list[Sample]:
-        """Caption and crop of every item for one repeat."""
         return [_draw(item, generator) for item in self.items]
 
 

@@ -71,7 +71,6 @@ class SanityReport:
         return found[name]
 
     def to_json(self) -> dict[str, object]:
-        """Everything, and the verdict."""
         return {**asdict(self), "checks": [asdict(check) for check in self.checks], "passed": self.passed}
 
     def to_markdown(self) -> str:

@@ -124,7 +124,6 @@ class Table:
         return self.measured[key].metrics.get(metric) if key in self.measured else None
 
     def columns(self, of: Sequence[Column]) -> list[Column]:
-        """Those that at least one row has."""
         return [column for column in of if any(column.name in row.metrics for row in self.measured.values())]
 
     def places(self, column: Column) -> dict[str, Place]:
@@ -133,7 +132,6 @@ class Table:
         return places(column, {k: v for k, v in found.items() if v is not None}, self.value(REAL, column.name))
 
     def comparisons(self) -> list[Comparison]:
-        """Of every row with those it is compared with."""
         values = {key: found.values for key, found in self.measured.items()}
         return compare(values, {row.key: row.against for row in self.rows})
 

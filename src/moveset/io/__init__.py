@@ -263,7 +263,6 @@ def check_name(path: Path) -> None:
 
 
 def _has_beside(path: Path) -> bool:
-    """Whether metadata has no place in the file itself."""
     return path.suffix.lower() in (".bvh", ".npy") or _is_amass(path)
 
 

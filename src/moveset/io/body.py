@@ -109,7 +109,6 @@ def _turn(u: np.ndarray, v: np.ndarray) -> np.ndarray:
 
 
 def _side(side: str, found: dict[str, int], place: dict[str, np.ndarray], size: float) -> list[Part]:
-    """Arm and leg of one side."""
     out = 1.0 if side == "left" else -1.0
     parts: list[Part] = []
 

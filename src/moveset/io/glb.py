@@ -92,7 +92,6 @@ class Glb:
         return found
 
     def entry(self, key: str, index: object) -> dict[str, Any]:
-        """The object at an index of a top-level list."""
         found = self.items(self.tree, key, 1_000_000)
         at = self.index(index, len(found), key)
         if not isinstance(found[at], dict):

@@ -201,7 +201,6 @@ def _document(
 
 
 def _skinned(out: _Builder, skeleton: Skeleton, rest: np.ndarray, stand: np.ndarray) -> dict[str, Any]:
-    """Mesh, skin and materials of the body."""
     bind = np.tile(np.eye(4, dtype=np.float32), (len(skeleton), 1, 1))
     bind[:, 3, :3] = -(rest + stand)  # column-major, so the translation is the last row here
     skin = {

@@ -79,7 +79,6 @@ class GrowingFile:
         os.fsync(self.handle)
 
     def close(self) -> None:
-        """Let go of the file and its lock."""
         if self.handle >= 0:
             handle, self.handle = self.handle, -1
             os.close(handle)

@@ -136,7 +136,6 @@ def frame_lines(motion: Motion, first_frame: int = 0) -> list[bytes]:
 
 
 def close_page() -> bytes:
-    """What ends a page of one motion."""
     return b"]}]}]}" + _TAIL.encode()
 
 

@@ -46,7 +46,6 @@ class _Head:
 
     @property
     def row(self) -> int:
-        """Bytes of a frame."""
         return 4 * (3 + 4 * len(self.skeleton))
 
 

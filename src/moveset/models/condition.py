@@ -46,7 +46,6 @@ class PastSegment:
         return cls(frames, zeros, zeros + 1)
 
     def joined(self, other: "PastSegment") -> "PastSegment":
-        """The rows of both, in order."""
         return PastSegment(**{f.name: _joined(getattr(self, f.name), getattr(other, f.name)) for f in fields(self)})
 
 

@@ -82,7 +82,6 @@ class LatentDiscriminator(nn.Module):
 
     @property
     def backbone(self) -> Denoiser:
-        """The frozen denoiser."""
         return self._outside[0]
 
     def features(self, z_BND: Tensor, s_B: Tensor, condition: Condition) -> list[Tensor]:

@@ -68,8 +68,6 @@ class FlowConfig(ModelConfig):
 
 
 class _Coupling(nn.Module):
-    """One affine coupling layer."""
-
     order: Tensor
 
     def __init__(self, config: FlowConfig, order_D: Tensor, passed: int) -> None:

@@ -103,7 +103,6 @@ class LatentDenoiser(Denoiser):
         self.schedule = scaled_linear() if c.carried else None
 
     def prepare(self, condition: Condition) -> TextKeys:
-        """The text's keys and values for every block."""
         tokens_BLC, mask_BL = condition.text.tokens, condition.text.mask
         length = tokens_BLC.shape[1]
         text = self.text_norm(self.text_in(tokens_BLC) + self.text_position[:length])

@@ -56,7 +56,6 @@ class PackedDenoiser(Denoiser):
         self.schedule = denoiser.schedule
 
     def prepare(self, condition: Condition) -> PackedText:
-        """The text's keys and values for every block."""
         tokens_BLC, mask_BL = condition.text.tokens, condition.text.mask
         batch, length, _ = tokens_BLC.shape
         text = self.text_norm(self.text_out(self.text_in(tokens_BLC)) + self.text_position[:length])

@@ -48,7 +48,6 @@ def register(
 
 
 def kinds() -> tuple[str, ...]:
-    """Names of everything registered."""
     return tuple(sorted(_KINDS))
 
 

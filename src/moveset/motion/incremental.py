@@ -58,7 +58,6 @@ class IncrementalDecoder:
 
     @property
     def frames(self) -> int:
-        """How many frames have been decoded."""
         return self._frames
 
     def __call__(self, features: Tensor) -> Motion:

@@ -30,7 +30,6 @@ class Physical:
     root_drift: Tensor
 
     def mean(self) -> dict[str, float]:
-        """The mean over clips, by name."""
         return {name: float(getattr(self, name).mean()) for name in self.__dataclass_fields__}
 
 

@@ -42,7 +42,6 @@ def mul(a: Tensor, b: Tensor) -> Tensor:
 
 
 def inv(q: Tensor) -> Tensor:
-    """Inverse of unit quaternions."""
     return q * q.new_tensor((-1.0, -1.0, -1.0, 1.0))
 
 

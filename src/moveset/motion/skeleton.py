@@ -101,7 +101,6 @@ class Skeleton:
 
     @cached_property
     def mirror_order(self) -> tuple[int, ...]:
-        """Joint order with left and right exchanged."""
         order = list(range(len(self)))
         for left, right in self.pairs:
             order[left], order[right] = right, left

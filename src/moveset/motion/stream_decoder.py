@@ -76,6 +76,5 @@ class StreamDecoder:
 
 
 def concatenate(pieces: Sequence[Motion]) -> Motion:
-    """Pieces that go on from each other, end to end."""
     turned, root = (torch.cat([getattr(piece, name) for piece in pieces]) for name in ("rotations", "root"))
     return Motion(turned, root, pieces[0].fps, pieces[0].skeleton)

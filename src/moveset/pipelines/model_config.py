@@ -234,7 +234,6 @@ class StreamConfig(FolderConfig):
 
     @property
     def denoisers(self) -> tuple[str, ...]:
-        """Names of the networks that a stream can be made with."""
         return tuple(name for name in self.models if name != FLOW)
 
     def check(self) -> None:

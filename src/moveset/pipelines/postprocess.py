@@ -55,7 +55,6 @@ class Postprocess:
         return cls(fps, skeleton, in_place, loop)
 
     def __call__(self, motion: "Motion") -> "Motion":
-        """The motion as it is written."""
         if self.loop:
             from moveset.motion.join import make_loop
 

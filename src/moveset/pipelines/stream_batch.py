@@ -91,7 +91,6 @@ class Stream:
     reading_ms: float = 0.0
 
     def copy(self) -> "Stream":
-        """An independent copy, to go back to."""
         return replace(self, decoder=self.decoder.copy())
 
     def back_at(self, earlier: "Stream") -> "Stream":

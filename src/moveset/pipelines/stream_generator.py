@@ -72,7 +72,6 @@ class StreamGenerator:
     def generate(
         self, requests: Sequence[Request], progress: Callable[[int], object] = lambda count: None
     ) -> list[Motion]:
-        """A motion for each request, of whole segments."""
         made: dict[int, Motion] = {}
         by_count: dict[int, list[int]] = {}
         for k, request in enumerate(requests):

@@ -77,11 +77,9 @@ class StreamSettings:
         return self.one_by_one and self.past_lag is None
 
     def decoder(self, config: StreamConfig, codec: FeatureCodec) -> StreamDecoder:
-        """What makes motion of segments."""
         return StreamDecoder(codec, self.blend_seconds, foot_lock=self.foot_lock, travelling=config.travelling)
 
     def staircase(self) -> Staircase:
-        """The plan, without end."""
         return Staircase(self.steps, None, self.start, lag=self.lag)
 
     def levels(self, config: StreamConfig) -> tuple[int, ...]:
@@ -114,7 +112,6 @@ class StreamRequest:
 
     @property
     def seconds(self) -> float:
-        """Duration of the timeline as it was asked for."""
         return sum(self.durations)
 
 

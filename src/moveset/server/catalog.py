@@ -119,13 +119,11 @@ class Catalog:
         return self._batches[key]
 
     def encoder(self, name: str) -> TextEncoder:
-        """A text encoder, shared by the models that use it."""
         if name not in self._encoders:
             self._encoders[name] = get_text_encoder(name, device=self.device)
         return self._encoders[name]
 
     def ready(self, t2m: TextToMotion) -> TextToMotion:
-        """The model with the shared text encoder."""
         t2m.encoder = self.encoder(t2m.bundle.config.text_encoder)
         return t2m
 

@@ -37,10 +37,8 @@ def sayable(message: str) -> str:
 
 
 def busy(what: str, limit: int) -> RequestError:
-    """There is no room for more of it."""
     return RequestError(503, "busy", f"{limit} {what} are in work, which is the limit; try again in a moment", 2)
 
 
 def stopping() -> RequestError:
-    """The server takes nothing more."""
     return RequestError(503, "stopping", "the server is stopping; try again when it is back", 5)

@@ -139,7 +139,6 @@ class Guard:
             self._uploads -= large
 
     def _answering(self, scope: Scope, headers: Headers, send: Send) -> Send:
-        """Sends with the headers that every answer has."""
         host, origin = headers.get("host", ""), headers.get("origin")
         known = host if _HOST.fullmatch(host) else ""
 

@@ -58,7 +58,6 @@ class Limits:
     stopping: float = 10.0
 
     def public(self) -> dict[str, object]:
-        """What clients are told."""
         names = (
             "prompt", "prompts", "variants", "seconds", "streams", "message", "messages_per_second", "idle", "buffer",
             "export", "picture_seconds",

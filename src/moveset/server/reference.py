@@ -13,7 +13,6 @@ with JSON texts and binary packets of frames. <code>docs/server.md</code> of the
 
 
 def reference_page(description: dict[str, Any]) -> str:
-    """A page of an OpenAPI description."""
     title = escape(f"{description['info']['title']} {description['info']['version']}")
     parts = [
         "<!doctype html><html lang='en'><head><meta charset='utf-8'>",

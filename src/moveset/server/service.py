@@ -87,7 +87,6 @@ class Service:
         self._writer.shutdown(wait=False, cancel_futures=True)
 
     def health(self) -> dict[str, Any]:
-        """Whether it runs, and how much it has to do."""
         return {
             "status": "stopping" if self.stopping else "ok" if self.worker.alive else "failed",
             "ready": self.worker.ready,
@@ -154,7 +153,6 @@ class Service:
         return job
 
     def cancel(self, job: Job) -> None:
-        """Give a job up."""
         if self.worker.cancel(job):
             job.end("cancelled", error=RequestError(409, "cancelled", "this job was cancelled; send it again"))
 

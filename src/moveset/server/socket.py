@@ -62,7 +62,6 @@ class _Connection:
         self._rate = _Rate(the.limits.messages_per_second, _BURST)
 
     async def run(self) -> None:
-        """Until either side hangs up."""
         sender = asyncio.create_task(self._send())
         reader = asyncio.create_task(self._read())
         try:

@@ -131,7 +131,6 @@ class Worker:
             self._work.notify()
 
     def leave(self, session: Session) -> None:
-        """A stream is over."""
         with self.lock:
             session.over = True
             if session in self._sessions:
@@ -139,7 +138,6 @@ class Worker:
             self._metrics.streams.set(len(self._sessions))
 
     def tell(self, change: Callable[[], Any]) -> None:
-        """Change what a session wants, and have another look at it."""
         with self.lock:
             change()
             self._work.notify()
@@ -311,7 +309,6 @@ class Worker:
         session.deliver([_effect(session, text)])
 
     def _clip(self) -> None:
-        """One variant of the job that is next."""
         with self.lock:
             job = self._current = self._jobs[0] if self._jobs else None
         if job is None:

@@ -62,7 +62,6 @@ class Export:
         return [run for network in self.runs for run in self.of(network)]
 
     def of(self, network: str) -> tuple[str, ...]:
-        """Names of the runs of a network."""
         chosen = self.runs[network]
         return (chosen,) if isinstance(chosen, str) else chosen
 
@@ -278,7 +277,6 @@ def known_captions(dataset: Dataset) -> list[str]:
 
 
 def trained_words(dataset: Dataset) -> set[str]:
-    """Words of all captions that networks are told in training on a dataset."""
     captions = {caption for item in dataset.split("train") for caption in dataset.clip(item).captions}
     return {word for caption in captions for word in words_of(caption)}
 

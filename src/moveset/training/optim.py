@@ -25,7 +25,6 @@ def cosine_lr(step: int, base: float, warmup: int, total: int, floor: float = 0.
 
 
 def set_lr(optimizer: torch.optim.Optimizer, rate: float) -> None:
-    """Sets the learning rate of every parameter group."""
     for group in optimizer.param_groups:
         group["lr"] = rate
 
