@@ -29,13 +29,8 @@ def scipy_of(q):
     return Rotation.from_quat(q.reshape(-1, 4).numpy())
 
 
-def test_product_inverse_and_action_equal_scipy():
-    a, b, v = quaternions(50), quaternions(50, seed=2), vectors(50)
-    same(rotations.mul(a, b), torch.from_numpy((scipy_of(a) * scipy_of(b)).as_quat()))
-    same(rotations.inv(a), torch.from_numpy(scipy_of(a).inv().as_quat()))
-    np.testing.assert_allclose(rotations.rotate(a, v).numpy(), scipy_of(a).apply(v.numpy()), atol=1e-12)
-    np.testing.assert_allclose(rotations.to_matrix(a).numpy(), scipy_of(a).as_matrix(), atol=1e-12)
-    same(rotations.from_matrix(rotations.to_matrix(a)), a)
+def test_angles_equal_scipys():
+    a = quaternions(50)
     np.testing.assert_allclose(rotations.angle(a).numpy(), scipy_of(a).magnitude(), atol=1e-12)
 
 
