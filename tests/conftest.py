@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 settings.register_profile("moveset", deadline=None)
 settings.load_profile("moveset")
 
-# Fixtures that cost seconds or a browser: all tests that use one run in the same process, so that it is made once.
-COSTLY = ("tiny_run", "browser", "forks")
+# Fixtures that cost seconds or a browser: tests that use those of a group run in one process, which makes each once.
+COSTLY = {"tiny_run": "trainings", "forks": "trainings", "browser": "pages"}
 # Files that take longest besides, so that no process is left alone with one of them in the end.
 LONG = ("test_researcher.py", "test_shipped.py")
 REPOSITORY = Path(__file__).resolve().parents[1]
@@ -62,7 +62,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 def _costly(item: pytest.Item) -> str | None:
-    return next((name for name in COSTLY if name in getattr(item, "fixturenames", ())), None)
+    return next((COSTLY[name] for name in COSTLY if name in getattr(item, "fixturenames", ())), None)
 
 
 @pytest.fixture(scope="session")

@@ -1,14 +1,30 @@
 """Every training and every model folder of the recipe "tiny", made once a process from motions by formulas."""
 
+import pickle
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from multiprocessing import get_context
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
+from moveset.training import pipeline
 from moveset.training.engine import EngineConfig, run
 from moveset.training.pipeline import Place, Report, train_all
 from moveset.training.tasks import load_recipe, task_maker, with_settings
 from tests.synthetic import synthetic_corpus
+
+
+def side_by_side(corpus: str, out: str, only: list[str]) -> None:
+    """Two trainings at once, in processes that are forked and told everything as those that start anew are."""
+    fork = get_context("fork")
+
+    def process(target: Callable[..., None], args: tuple) -> Any:
+        return fork.Process(target=target, args=pickle.loads(pickle.dumps(args)))
+
+    pipeline.get_context = lambda _: SimpleNamespace(Process=process)
+    report = train_all("tiny", Path(corpus), Path(out), only=only, jobs=2, say=lambda line: None)
+    assert sorted(report.trained) == sorted(only)
 
 
 @dataclass(frozen=True)

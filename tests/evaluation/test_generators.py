@@ -40,9 +40,6 @@ def clips(bundle, solver="pcm", steps=None, **options):
     return Generated(ClipGenerator(bundle, check_method(bundle.config, solver, steps), device="cpu", **options))
 
 
-# ------------------------------------------------------------------------------------------------------------ clips
-
-
 @pytest.mark.parametrize(("solver", "steps"), [("pcm", 1), ("pcm", 4), ("lcm", 1), ("teacher", 3)])
 def test_clips_are_as_long_as_asked_for(bundle, solver, steps):
     asked = [Wanted(((WALK, frames),), seed) for seed, frames in enumerate((50, 24, 37, 50))]
@@ -128,9 +125,6 @@ def test_weights_name_all_that_takes_part(bundle):
     assert Given("real").weights() == {}
 
 
-# --------------------------------------------------------------------------------------------------- reconstruction
-
-
 def test_reconstructions_keep_their_items(bundle, items):
     draws = items.draw(torch.Generator().manual_seed(0))[:5]
     made = Reconstruction(bundle, device="cpu", batch=2).generate(
@@ -159,9 +153,6 @@ def test_real_motion_is_itself(items):
     draws = items.draw(torch.Generator().manual_seed(0))[:3]
     made = Given("real").generate([Wanted(((d.prompt, d.frames),), 0, d) for d in draws], 20.0)
     assert all(torch.equal(joints, d.item.motion().joints) for joints, d in zip(made, draws, strict=True))
-
-
-# ---------------------------------------------------------------------------------------------------------- streams
 
 
 @pytest.mark.parametrize(
@@ -229,9 +220,6 @@ def test_stages_share_the_frames_of_their_prompt():
     assert [said.at(k) for k in range(5)] == ["a person walks"] * 2 + ["a person bows"] * 2 + [WALK]
     whole = timeline(Request((both, WALK), (112, 28), 0), 28, 20.0, stages=False)
     assert [whole.at(k) for k in range(5)] == [both] * 4 + [WALK]
-
-
-# --------------------------------------------------------------------------------------------------- folders of others
 
 
 def test_a_folder_of_joints_with_a_list(tmp_path):
@@ -341,9 +329,6 @@ def test_folders_that_are_none(tmp_path):
         folder_motions(tmp_path / "nowhere", None, 20.0)
     with pytest.raises(InputError, match=r"no \.npy files"):
         folder_motions(tmp_path, None, 20.0)
-
-
-# ------------------------------------------------------------------------------------------------------------- jobs
 
 
 def test_jobs_open_what_they_name(bundle, streams):

@@ -21,9 +21,6 @@ def normal(*shape: int, seed: int = 0) -> torch.Tensor:
     return torch.randn(*shape, generator=seeded(seed), dtype=torch.float64)
 
 
-# -------------------------------------------------------------------------------------------------------- groups
-
-
 def test_groups_without_labels_drop_only_what_makes_no_whole_group():
     groups = metrics.group(None, 100, seeded())
     assert [len(g) for g in groups] == [32, 32, 32]
@@ -87,9 +84,6 @@ def test_labels_of_their_own_are_grouped_as_none():
 def test_too_few_items_or_labels_are_counted(labels, count, message):
     with pytest.raises(InputError, match=message):
         metrics.group(labels, count, seeded())
-
-
-# -------------------------------------------------------------------------------------- R-precision and matching
 
 
 def test_shuffled_texts_hit_k_of_32_within_binomial_bounds():
@@ -176,9 +170,6 @@ def test_bad_embeddings_are_refused(text, motion, groups, message):
         metrics.r_precision(text, motion, groups)
 
 
-# -------------------------------------------------------------------------------------- diversity, multimodality
-
-
 def test_diversity_draws_each_list_without_replacement():
     """Distances on a line: two permutations of all of 0 … n - 1 are the only lists there are for n pairs."""
     n = 50
@@ -211,9 +202,6 @@ def test_as_many_pairs_as_motions_at_most():
         metrics.multimodality(normal(5, 9, 4), seeded())
     with pytest.raises(InputError, match="1 of 400 motion"):
         metrics.diversity(normal(400, 4).index_fill(0, torch.tensor(1), math.inf), seeded())
-
-
-# ---------------------------------------------------------------------------------------------------------- joints
 
 
 def test_joint_errors_by_hand():

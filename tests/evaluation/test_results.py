@@ -226,9 +226,6 @@ def test_a_folder_that_cannot_be_written_to(items, oracle, tmp_path, out, monkey
         opened(items, oracle, Path(out))
 
 
-# ----------------------------------------------------------------------------------- real evaluations, processes
-
-
 @pytest.fixture(scope="module")
 def config(tmp_path_factory, corpus, tiny):
     folder = tmp_path_factory.mktemp("config")

@@ -104,9 +104,6 @@ def test_a_damaged_corpus_is_refused(corpus, tmp_path):
         open_test_set(broken, "test")
 
 
-# ---------------------------------------------------------------------------------------------------------- folders
-
-
 @pytest.mark.parametrize("layout", [HUMANML3D, KIT])
 def test_folders_follow_the_sets_own_rules(tmp_path, layout):
     folder = write_folder(tmp_path / "data", layout)

@@ -127,8 +127,6 @@ def test_kinematics_follow_rigid_motion(seed):
     torch.testing.assert_close(motion.transformed(turn, shift).joints, expected, atol=1e-5, rtol=0)
 
 
-# --- Two-bone inverse kinematics -------------------------------------------------------------------------------------
-
 HINGE = torch.tensor([1.0, 0.0, 0.0], dtype=torch.float64)
 DOWN = torch.tensor([0.0, -1.0, 0.0], dtype=torch.float64)
 bone = st.floats(0.05, 1.0)

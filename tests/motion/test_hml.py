@@ -44,8 +44,6 @@ SYNTHETIC = {
     "short": lambda: wander(2, 4),
 }
 
-# --- Tests -----------------------------------------------------------------------------------------------------------
-
 
 def test_widths_and_groups_are_the_published_ones():
     kit = HmlCodec("kit")

@@ -9,7 +9,6 @@ from collections import deque
 import pytest
 import torch
 
-import moveset
 from moveset.errors import FormatError, InputError
 from moveset.models.condition import Condition, PastSegment
 from moveset.motion import rotations
@@ -284,20 +283,6 @@ def test_any_skeleton_and_rate_will_do(opened):
 def test_a_motion_that_cannot_be_gone_on_from(opened, motion, said):
     with pytest.raises(InputError, match=said):
         opened(seed_motion=motion)
-
-
-def test_an_unfamiliar_prompt_is_told(opened):
-    made = opened()
-    assert made.warnings == ()
-    made.prompt("quarterly revenue of a bakery")
-    assert ["unlike anything" in warning for warning in made.warnings] == [True]
-    made.prompt("walk " * 70)
-    assert any("its end has no effect" in warning for warning in made.warnings)
-
-
-def test_it_is_part_of_the_public_api(tiny_streams):
-    made = moveset.MotionStream.from_pretrained(tiny_streams, WALK, seed=1, network="pcm-2", device="cpu")
-    assert next(made).network_evaluations == 2
 
 
 @pytest.mark.parametrize("buffer", [0, 2])

@@ -62,15 +62,6 @@ def test_a_live_sentence_begins_with_its_first_stage(opened):
     assert stream.timeline.starts == (0, 8)
 
 
-def test_a_state_goes_on_within_the_stages(opened):
-    stream = opened(WALK, seed=2)
-    said(stream, 2)
-    stream.prompt(BOTH)
-    said(stream, 2)
-    again = opened(BOW).restore(stream.state())
-    assert said(again, 3) == said(stream, 3) == [WALK, BOW, BOW]
-
-
 def test_a_group_does_what_a_stream_does(bundle, encoder, opened):
     settings = check_stream(bundle.config).settings
     batch = StreamBatch(bundle, settings, device="cpu", encoder=encoder)

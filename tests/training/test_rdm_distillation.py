@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from moveset.errors import InputError
+from moveset.rdm.staircase import levels
 from moveset.training import adversarial, bound_segments, rdm_distillation
 from moveset.training.bound_segments import BoundSegments
 from moveset.training.rdm_distillation import RDMStudentConfig
@@ -80,6 +81,7 @@ def test_validation_is_of_takes_with_finished_pasts(tiny_run, tmp_path, monkeypa
     settings = ("context_noise_rollout=true", "rollout_share=0.5")
     told, init = [], BoundSegments.__init__
     monkeypatch.setattr(BoundSegments, "__init__", lambda *given: told.append(given) or init(*given))
+    monkeypatch.setattr(rdm_distillation, "levels", lambda steps: levels(3))
     _, result = tiny_run.train("rdm-student", tmp_path / "run", *settings, steps=1, validate_every=1)
     assert result.validation["student_gap"] > 0
     assert len(told[-1][1].index) == 64
