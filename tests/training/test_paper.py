@@ -3,6 +3,9 @@
 import pytest
 import torch
 
+from moveset.models.discriminator import DiscriminatorConfig
+from moveset.models.token_denoiser import TokenDenoiserConfig
+from moveset.models.token_vae import TokenVAEConfig
 from moveset.recipes import paper
 from moveset.training.rdm import SCHEDULE
 
@@ -10,10 +13,10 @@ RDM, EXPORTS = paper.train_rdm(7), {export.name: export for export in paper.EXPO
 
 SIZES = {
     # MotionLCM-V2: 18.06 M; MotionPCM's teacher and student are its denoiser
-    "vae": (paper.vae(), 18_056_487),
-    "teacher": (paper.teacher(), 8_237_856),
-    "student": (paper.student(), 8_434_464),
-    "discriminator": (paper.discriminator(), 9 * 132_865),
+    "vae": (TokenVAEConfig(), 18_056_487),
+    "teacher": (TokenDenoiserConfig(), 8_237_856),
+    "student": (TokenDenoiserConfig(guided=True), 8_434_464),
+    "discriminator": (DiscriminatorConfig(), 9 * 132_865),
     # T2M: 21.7 M
     "evaluator": (paper.evaluator().task.model, 1_842_688 + 15_747_584 + 4_100_288),
     # MotionDiffuse: 81.2 M and 5.9 M of text; RDM-1 is it

@@ -12,7 +12,6 @@ Angles are axis times radians, lengths metres, Z up. The body is hml22's whateve
 from pathlib import Path
 
 import numpy as np
-import roma
 import torch
 
 from moveset.io.limits import MAX_FRAMES, atomic_write
@@ -48,7 +47,7 @@ def write_amass(motion: Motion, path: str | Path) -> None:
     local = motion.rotations[:, :22].clone()
     local[:, 0] = rotations.mul(up, local[:, 0])
     poses = np.zeros((len(motion), 156), dtype=np.float64)
-    poses[:, :66] = roma.unitquat_to_rotvec(local).reshape(len(motion), 66).numpy()
+    poses[:, :66] = rotations.to_rotvec(local).reshape(len(motion), 66).numpy()
     with atomic_write(path) as file:
         np.savez(
             file,
@@ -83,7 +82,7 @@ def amass_motion(npz: Npz, fps: float | None = None) -> Motion:
         fps = float(said.reshape(-1)[0]) if said.size == 1 else 0.0
     if not 0 < fps <= 1000:
         npz.fail(f"{fps:g} frames per second are not in (0, 1000]; give the true rate by --source-fps")
-    local = roma.rotvec_to_unitquat(torch.from_numpy(poses))
+    local = rotations.from_rotvec(torch.from_numpy(poses))
     up = rotations.rotate(local[:, 0], torch.tensor((0.0, 1.0, 0.0), dtype=torch.float64)).mean(dim=0)
     # Video trackers write the same arrays with Y up: there bodies stand along Y.
     upright = bool(up[1] > _UPRIGHT and up[1] > up[2])

@@ -10,7 +10,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
-import roma
 import torch
 from torch import Tensor
 
@@ -112,18 +111,18 @@ class IncrementalDecoder:
         tail, jerk = self._tail, _hardest(piece)
         if tail is not None and len(tail.root) > 1 and len(piece) > 1 and not self._fits(tail, piece, jerk):
             # Differences of frames are speeds half a frame inside; at the seam both sides are taken to keep them.
-            spin = _log(rotations.mul(tail.rotations[-1], rotations.inv(tail.rotations[-2])))
-            new_spin = _log(rotations.mul(piece.rotations[1], rotations.inv(piece.rotations[0])))
+            spin = rotations.to_rotvec(rotations.mul(tail.rotations[-1], rotations.inv(tail.rotations[-2])))
+            new_spin = rotations.to_rotvec(rotations.mul(piece.rotations[1], rotations.inv(piece.rotations[0])))
             step, new_step = tail.root[-1] - tail.root[-2], piece.root[1] - piece.root[0]
-            end = rotations.mul(_exp(_SEAM * spin), tail.rotations[-1])
-            start = rotations.mul(_exp(-_SEAM * new_spin), piece.rotations[0])
-            turn = _log(rotations.mul(end, rotations.inv(start)))
+            end = rotations.mul(rotations.from_rotvec(_SEAM * spin), tail.rotations[-1])
+            start = rotations.mul(rotations.from_rotvec(-_SEAM * new_spin), piece.rotations[0])
+            turn = rotations.to_rotvec(rotations.mul(end, rotations.inv(start)))
             shift = (tail.root[-1] + _SEAM * step) - (piece.root[0] - _SEAM * new_step)
             count = min(math.ceil(self.blend_seconds * piece.fps), len(piece))
             at = torch.arange(count, dtype=torch.float64) + _SEAM
             turned, root = piece.rotations.clone(), piece.root.clone()
             offset = decay(turn, spin - new_spin, count + _SEAM, at)
-            turned[:count] = rotations.mul(_exp(offset), turned[:count])
+            turned[:count] = rotations.mul(rotations.from_rotvec(offset), turned[:count])
             root[:count] += decay(shift, step - new_step, count + _SEAM, at)
             piece = Motion(rotations.normalize(turned), root, piece.fps, piece.skeleton)
         turned, root = piece.rotations[-_TAIL:], piece.root[-_TAIL:]
@@ -144,14 +143,3 @@ def _hardest(motion: Motion) -> float:
     if len(motion) < 4:
         return 0.0
     return float(torch.diff(motion.joints, n=3, dim=0).norm(dim=-1).mean(dim=-1).max())
-
-
-def _log(q: Tensor) -> Tensor:
-    """Rotation vectors (..., 3) of the shorter way around."""
-    v: Tensor = roma.unitquat_to_rotvec(q)
-    return v
-
-
-def _exp(v: Tensor) -> Tensor:
-    q: Tensor = roma.rotvec_to_unitquat(v)
-    return q

@@ -9,7 +9,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import roma
 import torch
 from torch import Tensor
 
@@ -112,14 +111,15 @@ class _Edge:
     def of(cls, motion: Motion, last: bool, beyond: float) -> "_Edge":
         """At the end or the start of a motion, ``beyond`` frames outside, where it goes on as it does at its edge."""
         edge = motion[-3:] if last else motion[:3]
-        spins = _log(rotations.mul(edge.rotations[1:], rotations.inv(edge.rotations[:-1])))
+        spins = rotations.to_rotvec(rotations.mul(edge.rotations[1:], rotations.inv(edge.rotations[:-1])))
         steps = torch.diff(edge.root, dim=0)
         # Differences of frames are speeds half a frame inside the edge.
         ahead = (0.5 + beyond) * _TREND
         spin = spins[-1] + ahead * (spins[-1] - spins[0]) if last else spins[0] + ahead * (spins[0] - spins[-1])
         step = steps[-1] + ahead * (steps[-1] - steps[0]) if last else steps[0] + ahead * (steps[0] - steps[-1])
         near, out = (-1, beyond) if last else (0, -beyond)
-        return cls(rotations.mul(_exp(out * spin), edge.rotations[near]), edge.root[near] + out * step, spin, step)
+        turned = rotations.mul(rotations.from_rotvec(out * spin), edge.rotations[near])
+        return cls(turned, edge.root[near] + out * step, spin, step)
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,9 +134,11 @@ class _Gap:
 
     @classmethod
     def between(cls, end: _Edge, start: _Edge, beyond: float) -> "_Gap":
-        turned = _log(rotations.mul(end.turned, rotations.inv(start.turned)))
+        turned = rotations.to_rotvec(rotations.mul(end.turned, rotations.inv(start.turned)))
         # Spins are compared in the pose in the middle, where both sides will meet.
-        spin = rotations.rotate(_exp(-0.5 * turned), end.spin) - rotations.rotate(_exp(0.5 * turned), start.spin)
+        spin = rotations.rotate(rotations.from_rotvec(-0.5 * turned), end.spin) - rotations.rotate(
+            rotations.from_rotvec(0.5 * turned), start.spin
+        )
         return cls(beyond, turned, spin, end.root - start.root, end.step - start.step)
 
     def closed(self, motion: Motion, reach: float, last: bool) -> Motion:
@@ -153,7 +155,7 @@ class _Gap:
             turn, shift = turn.flip(0), shift.flip(0)
         frames = slice(len(motion) - count, None) if last else slice(0, count)
         turned, root = motion.rotations.clone(), motion.root.clone()
-        turned[frames] = rotations.mul(_exp(turn), turned[frames])
+        turned[frames] = rotations.mul(rotations.from_rotvec(turn), turned[frames])
         root[frames] += shift
         return Motion(rotations.normalize(turned), root, motion.fps, motion.skeleton)
 
@@ -194,14 +196,3 @@ def _jerk(joints: Tensor) -> Tensor:
 
 def _doubled(motion: Motion) -> Motion:
     return Motion(motion.rotations.double(), motion.root.double(), motion.fps, motion.skeleton)
-
-
-def _log(q: Tensor) -> Tensor:
-    """Rotation vectors (..., 3) of the shorter way around."""
-    v: Tensor = roma.unitquat_to_rotvec(q)
-    return v
-
-
-def _exp(v: Tensor) -> Tensor:
-    q: Tensor = roma.rotvec_to_unitquat(v)
-    return q

@@ -215,6 +215,17 @@ def from_6d(d: Tensor) -> Tensor:
     return q_4N.T.contiguous().view(*d.shape[:-1], 4)
 
 
+def to_rotvec(q: Tensor) -> Tensor:
+    """Rotation vectors (..., 3) of the shorter way around."""
+    v: Tensor = roma.unitquat_to_rotvec(q)
+    return v
+
+
+def from_rotvec(v: Tensor) -> Tensor:
+    q: Tensor = roma.rotvec_to_unitquat(v)
+    return q
+
+
 def from_euler(degrees: Tensor, order: str) -> Tensor:
     """Intrinsic Euler angles in degrees (..., n) about the axes of ``order`` ("ZXY": R = Rz·Rx·Ry)."""
     q = about(order[0].lower(), degrees[..., 0])

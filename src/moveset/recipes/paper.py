@@ -19,7 +19,6 @@ from functools import partial
 
 from moveset.data.segments import SEGMENT_FRAMES, CuttingConfig
 from moveset.models.dip_decoder import DipDecoderConfig
-from moveset.models.discriminator import DiscriminatorConfig
 from moveset.models.flow import FlowConfig
 from moveset.models.light_t2m import LightT2MConfig
 from moveset.models.segment_denoiser import SegmentDenoiserConfig
@@ -36,26 +35,6 @@ from moveset.training.rdm import RDMConfig
 from moveset.training.tasks import ABLATIONS, Recipe, ablations
 from moveset.training.teacher import TeacherConfig
 from moveset.training.vae import VAETrainingConfig
-
-
-def vae(features: int = 263) -> TokenVAEConfig:
-    """18.06 M parameters at HumanML3D's 263 features; KIT-ML has 251."""
-    return TokenVAEConfig(features=features)
-
-
-def teacher(text_dim: int = 768) -> TokenDenoiserConfig:
-    """8,237,856 parameters with sentence-T5's 768 numbers a sentence."""
-    return TokenDenoiserConfig(text_dim=text_dim)
-
-
-def student(text_dim: int = 768) -> TokenDenoiserConfig:
-    """8,434,464 parameters: the teacher and a guidance embedding."""
-    return TokenDenoiserConfig(text_dim=text_dim, guided=True)
-
-
-def discriminator() -> DiscriminatorConfig:
-    """Heads on all nine blocks of the teacher: 1.2 M trained parameters."""
-    return DiscriminatorConfig(width=256, taps=9)
 
 
 def movement() -> Recipe:
@@ -76,7 +55,7 @@ def train_vae() -> Recipe:
     """MotionLCM-V2's autoencoder: 6000 epochs of about 192 batches of 128."""
     return Recipe(
         task=VAETrainingConfig(
-            model=vae(),
+            model=TokenVAEConfig(),  # 18.06 M parameters
             codec="published",
             loss="published",
             kl=1e-4,
@@ -92,7 +71,7 @@ def train_vae() -> Recipe:
 
 def train_teacher() -> Recipe:
     """MotionLCM-V2's teacher: 3000 epochs, batch 64."""
-    model = teacher(text_dim=768)
+    model = TokenDenoiserConfig()  # 8,237,856 parameters, as a student with its guidance embedding 8,434,464
     task = TeacherConfig(
         model=model, batch=64, lr=1e-4, warmup=1000, beta2=0.999, ema=0.0, normalised_latents=False,
         text_encoder="sentence-t5:sentence-transformers/sentence-t5-large",
