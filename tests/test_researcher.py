@@ -11,6 +11,7 @@ from moveset.cli.__main__ import main
 from moveset.data.humanml3d import HUMANML3D, KIT
 from moveset.motion.features import get_codec
 from tests.synthetic import synthetic_corpus
+from tests.tiny_run import briefly_validated
 
 # A busy machine takes some minutes for all of it.
 pytestmark = pytest.mark.timeout(900)
@@ -40,7 +41,7 @@ def trained(request, corpus, made, tmp_path_factory):
     layout, name, more = request.param
     if name not in made:
         made[name] = tmp_path_factory.mktemp(name)
-        with pytest.MonkeyPatch.context() as patch:
+        with pytest.MonkeyPatch.context() as patch, briefly_validated():
             patch.chdir(made[name])
             assert main(["data", "export", str(corpus), "data", "--format", name]) == 0
             stages = (*STAGES, *more, *(f"export {model}" for model in more))
