@@ -7,7 +7,16 @@ import pytest
 
 from moveset.errors import InputError
 from moveset.evaluation.suites import get_suite
-from moveset.training.tasks import ABLATIONS, TASKS, Sources, load_exports, load_recipe, task_maker, with_settings
+from moveset.training.tasks import (
+    TASKS,
+    VARIANTS,
+    Sources,
+    load_exports,
+    load_recipe,
+    load_recipes,
+    task_maker,
+    with_settings,
+)
 
 
 @dataclass(frozen=True)
@@ -76,16 +85,19 @@ def test_unknown_names_are_refused():
 
 
 @pytest.mark.parametrize("recipe", ["small", "paper"])
-def test_ablations_differ_from_pcm_in_one_setting_and_have_a_row_each(recipe):
-    one, exports = load_recipe(recipe, "pcm-1"), {model.name: model for model in load_exports(recipe)}
-    rows = {row.model for row in get_suite("motionpcm").rows if "pcm-1" in row.against}
-    for name, setting in ABLATIONS.items():
-        other = load_recipe(recipe, f"pcm-1-{name}")
-        changed = {k for k, v in vars(other.task).items() if v != getattr(one.task, k)}
+def test_variants_differ_from_their_originals_in_one_setting(recipe):
+    recipes = load_recipes(recipe)
+    for name in VARIANTS.keys() & recipes.keys():
+        original, setting = VARIANTS[name]
+        changed = {k for k, v in vars(recipes[name].task).items() if v != getattr(recipes[original].task, k)}
         assert changed == {setting.partition("=")[0]}
-        assert other.engine == one.engine
-        assert exports[f"motionpcm-{name}-{recipe}"].runs["pcm-1"] == f"pcm-1-{name}"
-        assert f"motionpcm-{name}-small" in rows
+        assert recipes[name].engine == recipes[original].engine
+
+
+def test_every_row_of_both_papers_has_a_stage():
+    made = {f"{model.name}/{network}" for model in load_exports("small") for network in model.runs}
+    rows = [row for name in ("motionpcm", "rdm") for row in get_suite(name).rows if row.network]
+    assert {row.key for row in rows if f"{row.model}/{row.network}" not in made} == {"mld"}  # one latent token
 
 
 def test_what_is_compared_with_streams_is_shown_as_many_frames():

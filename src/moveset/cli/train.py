@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 What = Literal[
     "all", "movement", "evaluator", "length", "vae", "decoder", "teacher", "lcm-1", "pcm-1", "pcm-2", "pcm-4",
     "pcm-1-k20", "pcm-1-no-ema", "pcm-1-no-discriminator", "rdm-1", "rdm-4", "rdm-7", "rdm-14", "md-4", "md-7",
-    "rdm-student", "light-rdm-1", "motiondiffuse", "dip", "export",
+    "md-7-alone", "rdm-student", "rdm-student-2", "light-rdm-1", "motiondiffuse", "dip", "export",
 ]  # fmt: skip
 
 
@@ -60,9 +60,10 @@ def train(
     Args:
         what: all: every training of the recipe and all of its models, one after the other; what is done is skipped.
             vae: the autoencoder. decoder: more of its decoder, with its latents kept. teacher: the latent diffusion
-            model. lcm-1, pcm-N: students of N steps; pcm-1-…: with one setting changed. rdm-N: the recurrent model, of
-            endless streams, with the longest clip in N segments; rdm-7 ships. light-rdm-1: rdm-1 with Light-T2M's
-            network. rdm-student: a recurrent model with few steps. md-N, motiondiffuse, dip: what it is compared with.
+            model. lcm-1, pcm-N: students of N steps. rdm-N: the recurrent model, of endless streams, with the
+            longest clip in N segments; rdm-7 ships. light-rdm-1: rdm-1 with Light-T2M's network. rdm-student: a
+            recurrent model with few steps. md-N, motiondiffuse, dip: what it is compared with. pcm-1-k20, pcm-1-no-…,
+            md-7-alone, rdm-student-2: another with one setting changed, for the tables.
             movement, evaluator: the judge of them all, in two stages. length: how long a sentence lasts. export: no
             training: model folders of all of the recipe's models whose networks are there.
         recipe: small: what ships. paper: the published sizes. tiny: seconds, to try the machinery.

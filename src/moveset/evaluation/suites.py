@@ -162,7 +162,7 @@ def rdm() -> Suite:
         replace(stream, key="md-7", label="MD-7", group="Autoregressive", network="md", repeats=MORE,
                 against=()),
         replace(stream, key="md-7-alone", label="MD-7, told nothing of the past", group="Autoregressive",
-                model="md-7-alone", network="md", against=("md-7",)),
+                model="md-7-alone-small", network="md", against=("md-7",)),
         replace(stream, key="rdm-7", label="RDM-7", settings=entangled, repeats=MORE,
                 against=("md-7", "md-7-alone")),
         replace(stream, key="rdm-pcm-1", label="RDM-7's student, 1 step", network="pcm-1", steps=1, repeats=None,

@@ -32,7 +32,7 @@ from moveset.training.evaluator import EvaluatorTrainingConfig, MovementTraining
 from moveset.training.export import BaselineExport, ClipExport, EvaluatorExport, Export, StreamExport
 from moveset.training.length import LengthConfig
 from moveset.training.rdm import RDMConfig
-from moveset.training.tasks import ABLATIONS, Recipe, ablations
+from moveset.training.tasks import Recipe, variants
 from moveset.training.teacher import TeacherConfig
 from moveset.training.vae import VAETrainingConfig
 
@@ -172,13 +172,13 @@ TRAINING: dict[str, Callable[[], Recipe]] = {
     "teacher": train_teacher,
     "lcm-1": train_lcm,
     **{f"pcm-{phases}": partial(train_pcm, phases) for phases in (1, 2, 4)},
-    **ablations(train_pcm),
     **{f"rdm-{n}": partial(train_rdm, n) for n in SEGMENT_FRAMES},
     **{f"md-{n}": partial(train_md, n) for n in (4, 7)},
     "light-rdm-1": train_light_rdm,
     "motiondiffuse": train_motiondiffuse,
     "dip": train_dip,
 }
+TRAINING |= variants(TRAINING)
 
 EXPORTS: tuple[Export, ...] = (
     ClipExport(
@@ -197,7 +197,7 @@ EXPORTS: tuple[Export, ...] = (
             guidance={"teacher": 6.5, "pcm-1": 7.0},
             last=True,
         )
-        for name in ABLATIONS
+        for name in ("k20", "no-ema", "no-discriminator")
     ),
     *(
         StreamExport(

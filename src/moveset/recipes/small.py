@@ -23,7 +23,7 @@ from moveset.training.export import BaselineExport, ClipExport, EvaluatorExport,
 from moveset.training.length import LengthConfig
 from moveset.training.rdm import RDMConfig
 from moveset.training.rdm_distillation import RDMStudentConfig
-from moveset.training.tasks import ABLATIONS, Recipe, ablations
+from moveset.training.tasks import Recipe, variants
 from moveset.training.teacher import TeacherConfig
 from moveset.training.vae import VAETrainingConfig
 
@@ -209,7 +209,6 @@ TRAINING: dict[str, Callable[[], Recipe]] = {
     "teacher": teacher,
     "lcm-1": lcm,
     **{f"pcm-{phases}": partial(pcm, phases) for phases in (1, 2, 4)},
-    **ablations(pcm),
     **{f"rdm-{n}": partial(rdm, n) for n in SEGMENT_FRAMES},
     **{f"md-{n}": partial(md, n) for n in (4, 7)},
     "rdm-student": rdm_student,
@@ -217,6 +216,7 @@ TRAINING: dict[str, Callable[[], Recipe]] = {
     "motiondiffuse": motiondiffuse,
     "dip": dip,
 }
+TRAINING |= variants(TRAINING)
 
 EXPORTS: tuple[Export, ...] = (
     ClipExport(
@@ -235,7 +235,7 @@ EXPORTS: tuple[Export, ...] = (
             guidance={"teacher": 2.0, "pcm-1": 1.5},
             compact=("teacher",),
         )
-        for name in ABLATIONS
+        for name in ("k20", "no-ema", "no-discriminator")
     ),
     StreamExport(
         name="rdm-small",
@@ -250,10 +250,15 @@ EXPORTS: tuple[Export, ...] = (
     ),
     *(
         StreamExport(
-            name=f"{run}-small", runs={"rdm": run}, guidance={"rdm": 1.5},
+            name=f"{name}-small", runs=runs, guidance=dict.fromkeys(runs, guidance),
             sampling={"sampler_steps": 10, "start": 10, "lag": 10},
         )
-        for run in ("rdm-4", "rdm-14")
+        for name, runs, guidance in (
+            ("rdm-4", {"rdm": "rdm-4", "md": "md-4"}, 1.5),
+            ("rdm-14", {"rdm": "rdm-14"}, 1.5),
+            ("md-7-alone", {"rdm": "rdm-7", "md": "md-7-alone"}, 1.0),
+            ("rdm-2-steps", {"rdm": "rdm-7", "pcm-2": "rdm-student-2"}, 1.0),
+        )
     ),
     *(
         BaselineExport(name=f"{run}-small", runs={"denoiser": run}, guidance={"denoiser": 1.5}, steps=10)
@@ -266,6 +271,7 @@ EXPORTS: tuple[Export, ...] = (
 # What trainings took on one shared core: by these and by how it goes, `moveset train all` says how much is left.
 HOURS = {
     "movement": 0.3, "evaluator": 0.35, "length": 0.05, "vae": 0.4, "decoder": 0.6, "teacher": 0.7, "lcm-1": 0.5,
-    "pcm-1": 0.9, "pcm-2": 1.0, "pcm-4": 1.0, **{f"pcm-1-{name}": 0.9 for name in ABLATIONS}, "rdm-7": 1.7, "md-7": 1.7,
-    "rdm-4": 1.7, "rdm-14": 1.7, "md-4": 1.7, "rdm-student": 0.5,
+    "pcm-1": 0.9, "pcm-2": 1.0, "pcm-4": 1.0, "pcm-1-k20": 0.9, "pcm-1-no-ema": 0.9, "pcm-1-no-discriminator": 0.9,
+    "rdm-7": 1.7, "md-7": 1.7, "md-7-alone": 1.7, "rdm-4": 1.7, "rdm-14": 1.7, "md-4": 1.7, "rdm-student": 0.5,
+    "rdm-student-2": 0.5,
 }  # fmt: skip

@@ -5,7 +5,7 @@ import difflib
 import importlib
 import json
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -40,8 +40,14 @@ class Trainable:
 
 _RDM = Trainable("moveset.training.rdm:RDMTask")
 _PCM = Trainable("moveset.training.distillation:PCMTask", vae=True, teacher="teacher")
-#: Trainings like pcm-1 but for one setting: MotionPCM's Table 2.
-ABLATIONS = {"k20": "points=50", "no-ema": "ema=0", "no-discriminator": "adversarial=0"}
+#: Trainings like another but for one setting: MotionPCM's Table 2, and rows of RDM's table.
+VARIANTS = {
+    "pcm-1-k20": ("pcm-1", "points=50"),
+    "pcm-1-no-ema": ("pcm-1", "ema=0"),
+    "pcm-1-no-discriminator": ("pcm-1", "adversarial=0"),
+    "md-7-alone": ("md-7", "md_condition=none"),
+    "rdm-student-2": ("rdm-student", "phases=2"),
+}
 TASKS = {
     "movement": Trainable("moveset.training.evaluator:MovementTask"),
     "evaluator": Trainable("moveset.training.evaluator:EvaluatorTask", teacher="movement"),
@@ -50,11 +56,12 @@ TASKS = {
     "decoder": Trainable("moveset.training.vae:DecoderTask", vae=True),
     "teacher": Trainable("moveset.training.teacher:TeacherTask", vae=True),
     "lcm-1": Trainable("moveset.training.distillation:LCMTask", vae=True, teacher="teacher"),
-    **dict.fromkeys(("pcm-1", "pcm-2", "pcm-4", *(f"pcm-1-{name}" for name in ABLATIONS)), _PCM),
+    **dict.fromkeys(("pcm-1", "pcm-2", "pcm-4"), _PCM),
     **dict.fromkeys(("rdm-1", "rdm-4", "rdm-7", "rdm-14", "light-rdm-1", "md-4", "md-7", "motiondiffuse"), _RDM),
     "rdm-student": Trainable("moveset.training.rdm_distillation:RDMStudentTask", teacher="rdm-7"),
     "dip": Trainable("moveset.training.dip:DiPTask"),
 }
+TASKS |= {name: TASKS[original] for name, (original, _) in VARIANTS.items()}
 RECIPES = ("small", "paper", "tiny")
 
 Config = TypeVar("Config")
@@ -91,14 +98,15 @@ class Recipe:
     hours: float = 0.0
 
 
-def ablations(make: Callable[[], Recipe]) -> dict[str, Callable[[], Recipe]]:
-    """The trainings of ``ABLATIONS``, from what makes pcm-1: the same start, steps, seed and everything else."""
+def variants(training: Mapping[str, Callable[[], Recipe]]) -> dict[str, Callable[[], Recipe]]:
+    """The trainings of ``VARIANTS`` whose originals are here: the same start, steps, seed and everything else."""
 
-    def changed(setting: str) -> Recipe:
+    def changed(make: Callable[[], Recipe], setting: str) -> Recipe:
         chosen = make()
         return dataclasses.replace(chosen, task=with_settings(chosen.task, [setting]))
 
-    return {f"pcm-1-{name}": partial(changed, setting) for name, setting in ABLATIONS.items()}
+    there = {name: of for name, of in VARIANTS.items() if of[0] in training}
+    return {name: partial(changed, training[original], setting) for name, (original, setting) in there.items()}
 
 
 def load_recipes(name: str) -> dict[str, Recipe]:
