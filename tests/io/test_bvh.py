@@ -76,8 +76,9 @@ def test_written_and_read_back(tmp_path, skeleton, order):
     motion = random_motion(skeleton)
     back = bvh_motion(read_bvh(write_bvh(motion, tmp_path / "a.bvh", order=order)))
     assert back.fps == 20.0
-    assert back.skeleton is skeleton
-    assert rotations.angle(rotations.mul(rotations.inv(motion.rotations), back.rotations)).max() < 2e-3
+    if skeleton is HML22:  # which lists its joints as files do
+        assert back.skeleton is skeleton
+        assert rotations.angle(rotations.mul(rotations.inv(motion.rotations), back.rotations)).max() < 2e-3
     ours, theirs = by_name(motion), by_name(back)
     assert max((ours[name] - theirs[name]).abs().max().item() for name in ours) < 1e-5
 
