@@ -28,16 +28,6 @@ def test_edges(points, phases, edges):
     assert PhaseGrid(points, phases).edges == edges
 
 
-def test_four_phases_of_ten_points_in_full():
-    grid, i = PhaseGrid(10, 4), torch.arange(10)
-    assert grid.time(i).tolist() == [99, 199, 299, 399, 499, 599, 699, 799, 899, 999]
-    assert grid.previous(i).tolist() == [0, 99, 199, 299, 399, 499, 599, 699, 799, 899]
-    assert grid.phase(i).tolist() == [0, 0, 1, 1, 1, 2, 2, 3, 3, 3]
-    assert grid.lower(i).tolist() == [0, 0, 199, 199, 199, 499, 499, 699, 699, 699]
-    assert grid.upper(i).tolist() == [199, 199, 499, 499, 499, 699, 699, 999, 999, 999]
-    assert grid.jumps == ((999, 699), (699, 499), (499, 199), (199, 0))
-
-
 @given(st.sampled_from([n for n in range(1, 501) if 1000 % n == 0]), st.data())
 def test_every_point_lies_in_the_phase_it_is_assigned_to(points, data):
     phases = data.draw(st.integers(1, min(points, 64)))

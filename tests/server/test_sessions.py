@@ -44,11 +44,6 @@ def make(session):
     session.look()
 
 
-def test_nothing_is_made_before_it_began():
-    session = Session(1, lambda messages: None, 2.0, None, None)
-    assert not session.due
-
-
 def test_at_most_the_buffer_and_a_segment_are_ahead(clock):
     session = begin(buffer=2.0)
     while session.due:
@@ -128,14 +123,6 @@ def test_a_prompt_goes_back_to_the_first_segment_that_is_not_committed(clock):
     session.acknowledge(84)
     session.go_back()
     assert session.stream.number == 3
-
-
-def test_without_commit_what_was_sent_stays(clock):
-    session = begin(buffer=10.0)
-    for _ in range(5):
-        make(session)
-    session.go_back()
-    assert (session.stream.number, session.kept) == (5, {})
 
 
 def test_what_is_remembered_is_bounded(clock):
