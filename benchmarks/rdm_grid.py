@@ -159,7 +159,9 @@ def trained(name: str, seed: int, given: argparse.Namespace) -> Path:
         raise KeyboardInterrupt
     networks = {"rdm": teacher.name, variant.network: folder.name} if variant.teacher else {"rdm": folder.name}
     sampling = {"sampler_steps": 10, "start": 10, "lag": 10}
-    what = StreamExport(name=folder.name, runs=networks, sampling=sampling)
+    # Without guidance, as published: a call is one evaluation.
+    guidance = dict.fromkeys(networks, 0.0)
+    what = StreamExport(name=folder.name, runs=networks, guidance=guidance, sampling=sampling)
     return export(what, open_for_training(given.corpus), runs, out / "cache", folder)
 
 

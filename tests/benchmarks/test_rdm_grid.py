@@ -82,6 +82,7 @@ def test_a_student_is_trained_after_its_teacher_and_exported_with_it(grid, tmp_p
     assert [what.runs for what in exported] == [
         {"rdm": "entangled.5"}, {"rdm": "entangled.5", "pcm-2": "entangled-pcm-2.5"}
     ]  # fmt: skip
+    assert [what.guidance for what in exported] == [{"rdm": 0.0}, {"rdm": 0.0, "pcm-2": 0.0}]
     Ran.stopped_by = "SIGINT"
     with pytest.raises(KeyboardInterrupt):
         grid.trained("md", 0, given)
