@@ -225,35 +225,41 @@ def draw(found: dict[str, Any], metric: str, label: str, path: Path) -> None:
     """One metric against calls of a clip of N segments, a panel a sampler; dashed are parallelograms."""
     import matplotlib
     from matplotlib.figure import Figure
+    from matplotlib.ticker import LogLocator, NullFormatter, ScalarFormatter
 
     panels: dict[str, list[dict[str, Any]]] = {}
     for curve in sorted(found["curves"], key=lambda c: (not VARIANTS[c["variant"]].teacher, c["K"], c["variance"])):
         sampler = f"K = {curve['K']}{', ' if curve['variance'] else ''}{curve['variance']}"
         panels.setdefault("students" if VARIANTS[curve["variant"]].teacher else sampler, []).append(curve)
     names = list(dict.fromkeys(c["variant"] for c in found["curves"]))
+    looks = {
+        name: {"color": COLOURS[k % len(COLOURS)], "marker": "os^"[k // len(COLOURS)]} for k, name in enumerate(names)
+    }
     with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(1 + 3.2 * len(panels), 4.2), layout="constrained")
-        axes = figure.subplots(1, len(panels), sharey=True, squeeze=False)[0]
-        for axis, (title, shown) in zip(axes, panels.items(), strict=True):
+        rows = -(-len(panels) // 3)
+        figure = Figure(figsize=(12, 1.5 + 3 * rows), layout="constrained")
+        axes = figure.subplots(rows, min(3, len(panels)), sharey=True, squeeze=False).flatten()
+        for axis in axes[len(panels) :]:
+            axis.set_visible(False)
+        for axis, (title, shown) in zip(axes, panels.items(), strict=False):
             for name in names:
                 for shape, line in (("triangle", "-"), ("parallelogram", "--")):
                     line_of = [c for c in shown if (c["variant"], c["shape"]) == (name, shape)]
                     values = [Interval.from_json(c["metrics"][metric]) for c in line_of]
                     halves = [value.half_width if value.half_width < float("inf") else 0.0 for value in values]
                     axis.errorbar(
-                        [c["calls"] for c in line_of], [value.mean for value in values], halves, ls=line, marker="o",
-                        ms=4, lw=1.2, capsize=2, color=COLOURS[names.index(name) % len(COLOURS)],
-                        mfc=None if names.index(name) < len(COLOURS) else "none",
+                        [c["calls"] for c in line_of], [value.mean for value in values], halves, ls=line, ms=4, lw=1.2,
+                        capsize=2, **looks[name],
                     )  # fmt: skip
             axis.set(xscale="log", xlabel="network calls", title=title)
+            axis.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+            axis.xaxis.set_major_formatter(ScalarFormatter())
+            axis.xaxis.set_minor_formatter(NullFormatter())
             axis.grid()
         if metric == "fid":
             axes[0].set_yscale("log")
-        axes[0].set_ylabel(label)
-        handles = [
-            axes[0].plot([], [], "o", color=COLOURS[k % len(COLOURS)], mfc=None if k < len(COLOURS) else "none")[0]
-            for k in range(len(names))
-        ]
+        figure.supylabel(label)
+        handles = [axes[0].plot([], [], ls="", **looks[name])[0] for name in names]
         figure.legend(handles, names, loc="outside lower center", ncols=5)
         with atomic_write(path) as file:
             figure.savefig(file, format=path.suffix[1:], transparent=True)
