@@ -59,6 +59,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         name = files.get(item.path) or item.path.relative_to(REPOSITORY)
         item.add_marker(pytest.mark.xdist_group(str(name)))
+        if item.path in files and item.get_closest_marker("timeout") is None:
+            item.add_marker(pytest.mark.timeout(900))  # what is made once takes minutes on a busy machine
 
 
 def _costly(item: pytest.Item) -> str | None:

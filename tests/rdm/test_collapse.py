@@ -91,7 +91,7 @@ def drawn(net, start, **options):
 
 @pytest.fixture(scope="module")
 def printed():
-    return train(PRINTED, steps=400)  # longer changes nothing: there is nothing to tell the two ways apart by
+    return train(PRINTED, steps=250)  # longer changes nothing: there is nothing to tell the two ways apart by
 
 
 @pytest.mark.parametrize("start", [T, T // 3])
