@@ -25,11 +25,9 @@ def motion():
     return wander(12, seed=3, turn=1.0)
 
 
-@pytest.mark.parametrize("name", ["a.bvh", "a.glb", "a.gltf", "a.npz", "a.amass.npz", "a.npy", "A.GLB"])
-def test_what_is_written_is_read_back(motion, name, tmp_path):
-    assert save(motion, tmp_path / name) == tmp_path / name
-    assert (load(tmp_path / name).joints - motion.joints).abs().max() < 1e-4
-    assert motion.save(str(tmp_path / name)) == tmp_path / name
+def test_extensions_are_read_in_any_case(motion, tmp_path):
+    assert motion.save(str(tmp_path / "A.GLB")) == tmp_path / "A.GLB"
+    assert (load(tmp_path / "A.GLB").joints - motion.joints).abs().max() < 1e-4
 
 
 @pytest.mark.parametrize("suffix", WRITABLE)

@@ -31,19 +31,6 @@ def test_one_seed_one_motion(t2m):
     assert torch.isfinite(first.joints).all()
 
 
-def test_an_item_does_not_know_its_neighbours(t2m):
-    eight = t2m(PROMPT, seconds=2.0, seed=7, num=8)
-    for k in (0, 3, 7):
-        assert same(eight.motions[k], t2m(PROMPT, seconds=2.0, seed=7 + k).motion)
-
-
-def test_batches_agree_to_float_tolerance(t2m):
-    alone = t2m(PROMPT, seconds=2.0, num=5, foot_lock=False)
-    together = t2m(PROMPT, seconds=2.0, num=5, foot_lock=False, batch=4)
-    for a, b in zip(alone.motions, together.motions, strict=True):
-        torch.testing.assert_close(a.joints, b.joints, atol=1e-5, rtol=0)
-
-
 def test_batches_of_unlike_prompts_and_lengths(t2m):
     """Padding of text and of frames must not leak into a clip."""
     prompts = ["a person bows", "someone walks forward slowly and then waves with both hands above the head"]
