@@ -18,6 +18,7 @@ from moveset.bench.interleaved import interleave, summarise
 from moveset.bench.processes import run_process
 from moveset.bench.run import PARTS, Bench, Plan, shortest
 from moveset.errors import FormatError, MovesetError
+from moveset.io.process import cores
 from moveset.models.packed import PackedConv1d
 from moveset.pipelines.motion_stream import MotionStream
 from moveset.pipelines.text_to_motion import TextToMotion
@@ -143,7 +144,7 @@ def test_a_report_is_whole(report, plan):
 def test_a_report_says_on_what_and_not_on_whose(report):
     import platform
 
-    assert report["machine"]["cores"] == machine.cores()
+    assert report["machine"]["cores"] == cores()
     assert report["machine"]["threads"] == torch.get_num_threads()
     assert report["machine"]["torch"] == torch.__version__
     assert {"cpu", "python", "system", "waiting"} <= set(report["machine"])

@@ -79,8 +79,8 @@ def bench(
 def _measure(plan: "Plan", threads: int) -> dict[str, Any]:
     import torch
 
-    from moveset.bench.machine import cores
     from moveset.bench.run import Bench
+    from moveset.io.process import cores
 
     if not 1 <= threads <= 4 * cores():
         raise InputError(f"{threads} threads on {cores()} cores; use 1 to {4 * cores()}")

@@ -20,6 +20,7 @@ from moveset.data.humanml3d import Caption, HumanML3D, Item
 from moveset.data.records import in_a_row
 from moveset.data.splits import Split
 from moveset.errors import InputError
+from moveset.io.manifest import sha256
 from moveset.io.numpy_file import array_shape
 from moveset.motion.clip import Motion
 from moveset.motion.features import FeatureCodec, Normalizer, get_codec
@@ -241,8 +242,7 @@ class CorpusDataset:
         return self.corpus.fingerprint
 
     def sha256(self, split: Split) -> str:
-        with self._path.open("rb") as file:
-            return hashlib.file_digest(file, "sha256").hexdigest()
+        return sha256(self._path)
 
     def left_out(self, split: Split) -> dict[str, int]:
         return {}

@@ -10,7 +10,6 @@ twice, so that an evaluator sees these features 25 times as large as its data se
 Shapes: D features.
 """
 
-import hashlib
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -24,6 +23,7 @@ from moveset.data.glove_files import read_glove
 from moveset.data.humanml3d import HUMANML3D, KIT, Layout
 from moveset.errors import FormatError, InputError
 from moveset.evaluation.evaluator import Evaluator, EvaluatorCard
+from moveset.io.manifest import sha256
 from moveset.io.numpy_file import read_array
 from moveset.models.evaluator import CONTACTS, EvaluatorConfig, MatchingEvaluator
 from moveset.text.glove import GloveWords
@@ -93,7 +93,7 @@ def import_official(
         provenance={
             "source": "checkpoints of Guo et al. 2022, Generating Diverse and Natural 3D Human Motions from Text",
             "words": len(words.vocabulary),
-            **{f"{name}_sha256": _sha256(path) for name, path in found.sources.items()},
+            **{f"{name}_sha256": sha256(path) for name, path in found.sources.items()},
         },
     )
     return Evaluator(card, found.module, words)
@@ -272,8 +272,3 @@ def _renamed(found: dict[str, Any], path: Path) -> dict[str, Tensor]:
                 )
             state[f"{ours}.{_NAMES[first]}{dot}{rest}"] = value.float()
     return state
-
-
-def _sha256(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -23,7 +23,7 @@ from moveset.evaluation.results import Results
 from moveset.evaluation.rollout import run_rollout
 from moveset.evaluation.samples import TestSet, open_test_set
 from moveset.evaluation.suites import NEAREST, REAL, TRAINING
-from moveset.io.process import end_with_parent
+from moveset.io.process import cores, end_with_parent
 from moveset.pipelines.device import pick_device
 from moveset.pipelines.generator import Sampler, open_generator
 from moveset.pipelines.model_config import DEFAULT_MODEL, DEFAULT_STREAM, ClipConfig
@@ -218,7 +218,7 @@ def evaluate(
     # Small networks gain little by more threads, and so sums come out the same however the work is shared.
     with _threads(1 if on_cpu else torch.get_num_threads()):
         if world == 1 and (processes or on_cpu):
-            world = max(1, min(processes or cores(), len(results.missing())))
+            world = max(1, min(processes or min(cores(), MAX_PROCESSES), len(results.missing())))
         helpers = [_start(config, out, k, world) for k in range(1, world)] if share[1] == 1 else []
         try:
 
@@ -279,12 +279,6 @@ def _threads(count: int) -> Iterator[None]:
         yield
     finally:
         torch.set_num_threads(before)
-
-
-def cores() -> int:
-    """Cores that this process may use, at most eight: every process holds its own networks."""
-    usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    return min(usable, MAX_PROCESSES)
 
 
 def _start(config: EvaluationConfig, out: Path, rank: int, world: int) -> "SpawnProcess":

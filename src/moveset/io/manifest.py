@@ -87,9 +87,9 @@ class VerifiedFolder:
         Raises:
             FormatError: naming the first file that is damaged or missing.
         """
-        for name, (sha256, size) in self.files.items():
+        for name, (known, size) in self.files.items():
             file = self.path / name
-            if not file.is_file() or file.stat().st_size != size or _sha256(file) != sha256:
+            if not file.is_file() or file.stat().st_size != size or sha256(file) != known:
                 raise self._damaged(name)
         return sum(size for _, size in self.files.values())
 
@@ -196,6 +196,6 @@ def _write(file: Path, content: bytes) -> None:
         os.fsync(stream.fileno())
 
 
-def _sha256(file: Path) -> str:
+def sha256(file: Path) -> str:
     with file.open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()

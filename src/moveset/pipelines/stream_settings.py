@@ -32,20 +32,8 @@ BLEND_SECONDS = 0.3
 class StreamSettings:
     """How segments are made.
 
-    Args:
-        network: the denoiser's name in the folder.
-        steps: K, sampler steps of a segment.
-        start: R, how many of them a segment that follows another takes.
-        lag: steps that a segment stays behind the one before it; K waits for the finished one.
-        eta: share of fresh noise in every step, 0 (DDIM) to 1 (DDPM).
-        guidance: scale w.
-        buffer: segments made ahead of the reader.
-        foot_lock: hold planted feet in place.
-        blend_seconds: within which a jump from one segment to the next dies away; 0 leaves it.
-        stages: take a sentence that says what comes after what apart (``text.stages``).
-        past_lag: steps that a finished segment is told to be ahead, at the level of which it is noised again; None
-            tells it clean.
-        variance: of the fresh noise, as in ``diffusion.steps.denoise_step``.
+    Fields as for ``check_stream``, decided: K steps of which later segments take R, ``past_lag`` None for a finished
+    past that is told clean.
     """
 
     network: str
