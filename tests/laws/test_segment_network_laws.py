@@ -196,7 +196,7 @@ def test_a_fresh_student_is_its_teacher_whatever_the_guidance(name):
             ],
         ),
         (LIGHT, [{"features": 0}, {"width": 13}, {"groups": 5}, {"stages": 0}, {"pool": "max"}, {"patch": 65}]),
-        (DIP, [{"features": 0}, {"width": 13}, {"heads": 5}, {"layers": 0}, {"frames": 0}, {"dropout": 1.0}]),
+        (DIP, [{"features": 0}, {"width": 13}, {"heads": 5}, {"layers": 65}, {"frames": 0}, {"dropout": 1.0}]),
         (FlowConfig(), [{"bound": "relu"}, {"log_scale": 0.0}, {"features": 1}, {"max_index": -1}, {"seed": -1}]),
         (TokenVAEConfig(features=7), [{"layers": 4}, {"heads": 3}]),
     ],

@@ -42,7 +42,8 @@ class DipDecoderConfig(ModelConfig):
     dropout: float = 0.1
 
     def __post_init__(self) -> None:
-        require_sizes(self, prefix=(0, 4096), frames=(1, 4096), width=(2, 4096), heads=(1, self.width))
+        limits = {"prefix": (0, 4096), "frames": (1, 4096), "width": (2, 4096), "heads": (1, self.width)}
+        require_sizes(self, layers=(1, 64), **limits)
         require_range("width modulo 2", self.width % 2, 0, 0)
         require_range("width modulo heads", self.width % self.heads, 0, 0)
 

@@ -71,7 +71,8 @@ class SegmentDenoiserConfig(ModelConfig):
     guidance_waves: int = 256
 
     def __post_init__(self) -> None:
-        require_sizes(self, heads=(1, self.width), text_heads=(1, self.text_width), boundary=(0, self.frames))
+        limits = {"heads": (1, self.width), "text_heads": (1, self.text_width), "boundary": (0, self.frames)}
+        require_sizes(self, layers=(1, 64), **limits)
         require_range("width modulo heads", self.width % self.heads, 0, 0)
         require_range("width modulo 2", self.width % 2, 0, 0)
         require_range("text_width modulo text_heads", self.text_width % self.text_heads, 0, 0)
