@@ -2,6 +2,7 @@
 
 import ast
 import sys
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
@@ -38,6 +39,36 @@ def test_the_core_knows_numpy_torch_and_roma_only(path):
 def test_nobody_imports_the_command_line():
     users = {path for path in SOURCES if "moveset.cli" in imports(path) and path.parent.name != "cli"}
     assert users == set()
+
+
+def module(path):
+    """The dotted name of a file of the package."""
+    return ".".join(path.relative_to(PACKAGE.parent).with_suffix("").parts).removesuffix(".__init__")
+
+
+def read_with(body, known):
+    """Modules of the package that are imported as soon as a file is; not what only types or calls need."""
+    for node in body:
+        if isinstance(node, ast.If | ast.Try | ast.With | ast.ClassDef) and "TYPE_CHECKING" not in ast.unparse(node):
+            yield from read_with(node.body, known)
+        elif isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names if alias.name in known)
+        elif isinstance(node, ast.ImportFrom) and node.module in known:
+            names = (f"{node.module}.{alias.name}" for alias in node.names)
+            yield from (name if name in known else node.module for name in names)
+
+
+def test_no_files_import_each_other_in_a_circle():
+    """Sorting raises for a circle, and names it."""
+    known = {module(path): path for path in SOURCES}
+    graph = {name: {*read_with(ast.parse(path.read_text()).body, known)} - {name} for name, path in known.items()}
+    assert sum(map(len, graph.values())) > 500
+    order = [*TopologicalSorter(graph).static_order()]
+    assert (
+        order.index("moveset.errors")
+        < order.index("moveset.motion.clip")
+        < order.index("moveset.pipelines.text_to_motion")
+    )
 
 
 def unsafe(path):
