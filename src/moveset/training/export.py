@@ -230,7 +230,15 @@ def _baseline(
         sampling |= {"prefix": task["model"]["prefix"], "schedule": "cosine", "eta": 1.0, **every}
     else:
         sampling |= {"predict": task["predict"], "eta": what.eta, "variance": what.variance}
-    return save_model(out, BaselineConfig(**fields, **sampling), {DENOISER: network.module}, statistics, known, pooled)
+    return save_model(
+        out,
+        BaselineConfig(**fields, **sampling),
+        {DENOISER: network.module},
+        statistics,
+        known,
+        pooled,
+        compact=what.compact,
+    )
 
 
 def _evaluator(what: Export, found: TrainedNetwork, out: Path) -> Path:
