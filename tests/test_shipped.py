@@ -146,7 +146,7 @@ def test_a_stream_of_half_a_minute(tmp_path, monkeypatch, capsys):
     assert len(load(tmp_path / "take.bvh")) == 600
 
 
-@pytest.mark.parametrize(("network", "seeds"), [("pcm-1", 5), ("rdm", 3)])
+@pytest.mark.parametrize(("network", "seeds"), [("pcm-1", 5), ("rdm", 5)])
 def test_a_stream_walks_and_then_waves(network, seeds):
     walked, lifted = [], []
     for seed in range(seeds):
