@@ -131,6 +131,7 @@ def test_blind_spots_are_found(items, timeless):
 
 def test_the_same_seed_gives_the_same_report(items, report):
     assert run(Descriptor, items) == report
+    assert run(Descriptor, items, seed=1) != report
 
 
 def test_items_without_labels_are_grouped_freely(items):

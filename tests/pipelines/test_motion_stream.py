@@ -179,7 +179,9 @@ def test_memory_is_constant(opened):
     assert len(json.dumps(made.state().numbers)) < size + 1000
 
 
-@pytest.mark.parametrize("options", [{"network": "pcm-2"}, {"network": "rdm", "eta": 0.7}, ONE_BY_ONE])
+@pytest.mark.parametrize(
+    "options", [{"network": "pcm-2"}, {"network": "rdm"}, {"network": "rdm", "eta": 0.7}, ONE_BY_ONE], ids=str
+)
 @pytest.mark.parametrize("seeded", [False, True])
 def test_a_state_goes_on_to_the_last_bit(opened, tmp_path, options, seeded):
     made = opened(["a", "b"], [4.2, 2.8], seed=9, seed_motion=walking(40) if seeded else None, **options)
