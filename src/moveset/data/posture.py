@@ -14,6 +14,7 @@ from torch import Tensor
 from moveset.data.hml22_calibration import FPS, HIPS, turn
 from moveset.motion import rotations
 from moveset.motion.clip import Motion
+from moveset.motion.contacts import stands_on
 from moveset.motion.kinematics import fk, global_to_local
 from moveset.motion.skeleton import HML22
 
@@ -32,8 +33,8 @@ _LOWER = 0.3  # share of a performer's takes that are on the floor at some time
 _SKIN = 0.04  # metres of the body under a joint that lies on the floor
 
 
-def standing(turned: Tensor, joints: Tensor) -> Tensor:
-    """(F,) bool: straight legs below an upright chest, both feet still and equally high.
+def on_still_feet(turned: Tensor, joints: Tensor) -> Tensor:
+    """(F,) bool: legs, straight or bent, carry an upright chest; both feet still and equally high.
 
     Args:
         turned: (F, 22, 4) world rotations.
@@ -43,15 +44,20 @@ def standing(turned: Tensor, joints: Tensor) -> Tensor:
         return torch.zeros(len(joints), dtype=torch.bool)
     speed = joints[:, _FEET].diff(dim=0).norm(dim=-1).amax(dim=1) * FPS
     still = torch.cat((speed, speed[-1:])) < 0.25
-    shin = joints[:, _SOLES["ankle"]] - joints[:, _KNEES]
-    thigh = joints[:, _KNEES] - joints[:, [1, 2]]
-    straight = (torch.cosine_similarity(shin, thigh, dim=-1) > math.cos(math.radians(20.0))).all(dim=1)
     upright = rotations.rotate(turned[:, _CHEST], joints.new_tensor((0.0, 1.0, 0.0)))[:, 1] > math.cos(
         math.radians(15.0)
     )
-    below = (thigh[..., 1] < -0.9 * thigh.norm(dim=-1)).all(dim=1)
     level = (joints[:, 7, 1] - joints[:, 8, 1]).abs() < 0.05
-    return still & straight & upright & below & level
+    return still & upright & level & stands_on(joints, HML22)
+
+
+def standing(turned: Tensor, joints: Tensor) -> Tensor:
+    """(F,) bool: ``on_still_feet``, with straight legs."""
+    shin = joints[:, _SOLES["ankle"]] - joints[:, _KNEES]
+    thigh = joints[:, _KNEES] - joints[:, [1, 2]]
+    straight = (torch.cosine_similarity(shin, thigh, dim=-1) > math.cos(math.radians(20.0))).all(dim=1)
+    below = (thigh[..., 1] < -0.9 * thigh.norm(dim=-1)).all(dim=1)
+    return on_still_feet(turned, joints) & straight & below
 
 
 def lean(turned: Tensor) -> Tensor:
@@ -101,7 +107,7 @@ def floor_of(local: Tensor, root: Tensor) -> float:
     feet, body = heights[:, _FEET].amin(dim=1), heights[:, _OTHERS].amin(dim=1) - _SKIN
     floor = min(float(torch.quantile(feet, 0.01)), float(torch.quantile(body, 0.01)))
     if float((feet < floor + _FLOOR_SPREAD).float().mean()) < _SELDOM:
-        stands = feet[standing(turned, joints)]
+        stands = feet[on_still_feet(turned, joints)]
         if len(stands) >= FPS / 2:
             floor = max(floor, float(torch.quantile(stands, 0.1)))
     return floor
