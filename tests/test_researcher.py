@@ -16,7 +16,7 @@ from tests.tiny_run import briefly_validated
 # A busy machine takes some minutes for all of it.
 pytestmark = pytest.mark.timeout(900)
 
-MODELS = ("motionpcm-tiny", "rdm-tiny")
+MODELS = ("motionpcm-tiny", "rdm-tiny", "md-7-tiny")
 STAGES = (
     "vae", "decoder", "teacher", "length", "lcm-1", "pcm-", "rdm-7", "md-7", "rdm-student", "movement", "evaluator",
     "export t2m", *(f"export {model}" for model in MODELS),

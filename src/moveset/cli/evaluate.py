@@ -49,7 +49,7 @@ def evaluate(
     """Measure models against real motion: R-precision, FID, MM-Dist, diversity, multimodality, physical plausibility.
 
     Args:
-        models: pcm, lcm, teacher, vae (what motionpcm-small holds), rdm, md, rdm-pcm (rdm-small), real, or the name or
+        models: pcm, lcm, teacher, vae (what motionpcm-small holds), rdm, rdm-pcm (rdm-small), real, or the name or
             folder of a model with --network.
         network: Which network of the model; by default the model's own choice.
         steps: Sampling steps; by default the network's own.
@@ -155,7 +155,7 @@ def _configs(models: Sequence[str], common: "EvaluationConfig") -> "list[Evaluat
             raise InputError("--motions are there already; leave --network, --steps and settings of models out")
         return [common]
     if not models:
-        raise InputError("no model was given; give pcm, lcm, teacher, vae, rdm, md, rdm-pcm, real or a model folder")
+        raise InputError("no model was given; give pcm, lcm, teacher, vae, rdm, rdm-pcm, real or a model folder")
     configs = [replace(common, model=model) for model in models]
     opened = [open_source(config) for config in configs]
     # Beside a model that samples, real motion and an autoencoder may stand with what is meant for the model.

@@ -42,7 +42,6 @@ SHORT = {
     "lcm": (DEFAULT_MODEL, "lcm"),
     "pcm": (DEFAULT_MODEL, "pcm"),
     "rdm": (DEFAULT_STREAM, "rdm"),
-    "md": (DEFAULT_STREAM, "md"),
     "rdm-pcm": (DEFAULT_STREAM, None),
 }
 MAX_PROCESSES, MAX_CORES = 8, 256

@@ -159,8 +159,8 @@ def rdm() -> Suite:
 
     rows = [
         *_REFERENCES,
-        replace(stream, key="md-7", label="MD-7", group="Autoregressive", network="md", repeats=MORE,
-                against=()),
+        replace(stream, key="md-7", label="MD-7", group="Autoregressive", model="md-7-small", network="md",
+                repeats=MORE, against=()),
         replace(stream, key="md-7-alone", label="MD-7, told nothing of the past", group="Autoregressive",
                 model="md-7-alone-small", network="md", against=("md-7",)),
         replace(stream, key="rdm-7", label="RDM-7", settings=entangled, repeats=MORE,
@@ -184,7 +184,7 @@ def rdm() -> Suite:
         replace(volume, key="light-rdm-1", label="Light-RDM-1", model="light-rdm-1-small"),
         replace(volume, key="motiondiffuse", label="MotionDiffuse", model="motiondiffuse-small"),
         replace(volume, key="dip", label="DiP", model="dip-small"),
-        replace(alike, key="md-4", label="MD-4", model="rdm-4-small", network="md"),
+        replace(alike, key="md-4", label="MD-4", model="md-4-small", network="md"),
         replace(alike, key="rdm-4", label="RDM-4", model="rdm-4-small", settings=entangled),
         replace(alike, key="rdm-14", label="RDM-14", model="rdm-14-small", settings=entangled),
     ]  # fmt: skip

@@ -201,10 +201,14 @@ EXPORTS: tuple[Export, ...] = (
     ),
     *(
         StreamExport(
-            name=f"rdm-{n}-paper", runs={"rdm": f"rdm-{n}"} | ({"md": f"md-{n}"} if n in (4, 7) else {}),
+            name=f"{name}-paper", runs=runs,
             sampling={"sampler_steps": 1000, "start": n, "eta": 1.0, "variance": "beta"},
         )
-        for n in (4, 7, 14)
+        for name, n, runs in (
+            ("rdm", 7, {"rdm": "rdm-7"}),
+            *((f"rdm-{n}", n, {"rdm": f"rdm-{n}"}) for n in (4, 14)),
+            *((f"md-{n}", n, {"rdm": f"rdm-{n}", "md": f"md-{n}"}) for n in (4, 7)),
+        )
     ),
     *(
         BaselineExport(name=f"{run}-paper", runs={"denoiser": run}, steps=1000, eta=1.0, variance=variance)

@@ -239,14 +239,13 @@ EXPORTS: tuple[Export, ...] = (
     ),
     StreamExport(
         name="rdm-small",
-        runs={"rdm": "rdm-7", "md": "md-7", "pcm-1": "rdm-student"},
-        guidance={"rdm": 1.0, "md": 1.0, "pcm-1": 1.0},
-        smoothing={"rdm": 0.3, "md": 0.3},
+        runs={"rdm": "rdm-7", "pcm-1": "rdm-student"},
+        guidance={"rdm": 1.0, "pcm-1": 1.0},
+        smoothing={"rdm": 0.3},
         sampling={
             "network": "pcm-1", "sampler_steps": 10, "start": 10, "lag": 10, "past_lag": 1, "travelling": 0.25,
             "symmetric": ("pcm-1",),
         },
-        compact=("md",),
     ),
     *(
         StreamExport(
@@ -254,7 +253,9 @@ EXPORTS: tuple[Export, ...] = (
             sampling={"sampler_steps": 10, "start": 10, "lag": 10},
         )
         for name, runs, guidance in (
-            ("rdm-4", {"rdm": "rdm-4", "md": "md-4"}, 1.5),
+            ("rdm-4", {"rdm": "rdm-4"}, 1.5),
+            ("md-4", {"rdm": "rdm-4", "md": "md-4"}, 1.5),
+            ("md-7", {"rdm": "rdm-7", "md": "md-7"}, 1.0),
             ("rdm-14", {"rdm": "rdm-14"}, 1.5),
             ("md-7-alone", {"rdm": "rdm-7", "md": "md-7-alone"}, 1.0),
             ("rdm-2-steps", {"rdm": "rdm-7", "pcm-2": "rdm-student-2"}, 1.0),

@@ -182,9 +182,13 @@ EXPORTS: tuple[Export, ...] = (
     ),
     StreamExport(
         name="rdm-tiny",
-        runs={"rdm": "rdm-7", "md": "md-7", "pcm-1": "rdm-student"},
-        guidance={"rdm": 1.5, "md": 1.5, "pcm-1": 1.5},
+        runs={"rdm": "rdm-7", "pcm-1": "rdm-student"},
+        guidance={"rdm": 1.5, "pcm-1": 1.5},
         sampling={"network": "pcm-1", "sampler_steps": 4, "start": 4},
+    ),
+    StreamExport(
+        name="md-7-tiny", runs={"rdm": "rdm-7", "md": "md-7"}, guidance={"rdm": 1.5, "md": 1.5},
+        sampling={"sampler_steps": 4, "start": 4},
     ),
     *(
         BaselineExport(name=f"{run}-tiny", runs={"denoiser": run}, steps=4)
