@@ -55,10 +55,6 @@ def runs(tiny_run, tmp_path_factory):
         write_run(runs, "rdm-7", TASK, denoiser=MODEL.build(), denoiser_ema=rdm, flow=FLOW.build(), flow_ema=flow)
         alone = replace(TASK, flow=None, grid=GridConfig(frames=FRAMES, condition="clean"))
         write_run(runs, "md-7", alone, denoiser_ema=md)
-        write_run(runs, "other", TASK, denoiser_ema=MODEL.build(), flow_ema=FLOW.build())
-        shuffled, narrow = replace(FLOW, seed=FLOW.seed + 1), replace(MODEL, hidden=16)
-        write_run(runs, "shuffled", replace(TASK, flow=shuffled), denoiser_ema=rdm, flow_ema=shuffled.build())
-        write_run(runs, "narrow", replace(TASK, model=narrow), denoiser_ema=narrow.build(), flow_ema=flow)
         write_run(runs, "rdm-1", replace(TASK, flow=None), denoiser_ema=rdm)
         write_run(runs, "dip", DIP, denoiser_ema=DIP.model.build())
         for phases, points in ((1, 20), (2, 20), (4, 10)):
@@ -120,23 +116,11 @@ def test_students_can_be_whole_and_their_last_weights(dataset, runs, tmp_path):
     assert all(torch.equal(held[key], value.half()) for key, value in stored(runs, "rdm-pcm-1", "student").items())
 
 
-def test_of_several_runs_the_average_is_exported(dataset, runs, tmp_path):
-    """Of the flow, too: it is part of a run of "rdm"."""
-    bundle = stream(dataset, runs, tmp_path / "made", {"rdm": ("rdm-7", "other")})
-    for network, name in (("rdm", "denoiser_ema"), ("flow", "flow_ema")):
-        parts = [stored(runs, run, name) for run in ("rdm-7", "other")]
-        for key, value in bundle.module(network).state_dict().items():
-            mean = ((parts[0][key] + parts[1][key]) / 2).to(value.dtype)
-            torch.testing.assert_close(value, mean, rtol=1e-3, atol=1e-4)
-
-
 @pytest.mark.parametrize(
     ("networks", "more", "message"),
     [
         ({"md": "md-7"}, {}, "needs the network 'rdm'"),
         ({"rdm": "nowhere"}, {}, "no usable checkpoint"),
-        ({"rdm": ("rdm-7", "shuffled")}, {}, r"'flow' is to be the mean of networks of other .*order"),
-        ({"rdm": ("rdm-7", "narrow")}, {}, "'rdm' is to be the mean of networks of different sizes"),
         ({"rdm": "rdm-7", "pcm-1": "rdm-pcm-2"}, {}, "'pcm-1' would be a student of 2 phases"),
         ({"rdm": "rdm-7", "pcm-2": "rdm-pcm-2", "pcm-4": "rdm-pcm-4"}, {}, r"grids of \[10, 20\] points"),
         ({"rdm": "rdm-7"}, {"smoothing": {"md": 0.4}}, "no network 'md' to smooth"),

@@ -155,7 +155,7 @@ def _export(recipe: str, runs: Path, corpus: Path, folder: Path) -> int:
 
     dataset, made = open_for_training(corpus), 0
     for model in load_exports(recipe):
-        if lacking := [run for run in model.trainings if not (runs / run).is_dir()]:
+        if lacking := [run for run in model.runs.values() if not (runs / run).is_dir()]:
             print(f"{model.name}: not made, for there is no {runs / lacking[0]}", file=sys.stderr)
             continue
         print(export(model, dataset, runs, runs / "cache", folder / model.name))

@@ -30,7 +30,7 @@ from moveset.text.words import TokenWords, Words
 from moveset.training.dip import idle_pose
 from moveset.training.reading import embedded
 from moveset.training.teacher import normalised_latents
-from moveset.training.trained import TrainedNetwork, average_weights, load_trained
+from moveset.training.trained import TrainedNetwork, load_trained
 
 KNOWN_CAPTIONS = 2000
 _JUDGED = 256  # sentences by which it is found how near known ones a sentence of the data lies
@@ -43,7 +43,7 @@ class Export:
     """What every folder is made of.
 
     Args:
-        runs: by name of a network, the run that trained it, or several whose average it is to be.
+        runs: by name of a network, the run that trained it.
         guidance: default guidance scales by name of the network.
         last: take the students' last weights instead of the averaged ones.
         differences: store students as 8-bit differences from what they were started from.
@@ -51,19 +51,11 @@ class Export:
     """
 
     name: str
-    runs: Mapping[str, str | tuple[str, ...]]
+    runs: Mapping[str, str]
     guidance: Mapping[str, float] = field(default_factory=dict)
     last: bool = False
     differences: bool = True
     compact: tuple[str, ...] = ()
-
-    @property
-    def trainings(self) -> list[str]:
-        return [run for network in self.runs for run in self.of(network)]
-
-    def of(self, network: str) -> tuple[str, ...]:
-        chosen = self.runs[network]
-        return (chosen,) if isinstance(chosen, str) else chosen
 
     def __post_init__(self) -> None:
         if unknown := set(self.guidance) - set(self.runs):
@@ -131,7 +123,7 @@ def _load(what: Export, network: str, runs: Path) -> TrainedNetwork:
         chosen = "student" if what.last else "student_ema"
     else:
         chosen = weights.get(network, f"{network}_ema")
-    found = average_weights(network, [load_trained(runs / run, chosen) for run in what.of(network)])
+    found = load_trained(runs / what.runs[network], chosen)
     if is_student(network) and named(network).steps != found.task["phases"]:
         raise InputError(f"{network!r} would be a student of {found.task['phases']} phases; give it its own run folder")
     return found
@@ -144,9 +136,7 @@ def _common(
     encoder, codec = task["text_encoder"], get_codec(task["codec"])
     known = known_captions(dataset)
     pooled = embedded(cache, encoder, known).pooled_of(known)
-    steps = {
-        name: f"{' and '.join(what.of(name))}, {network.path.name.replace('_', ' ')}" for name, network in found.items()
-    }
+    steps = {name: f"{what.runs[name]}, {network.path.name.replace('_', ' ')}" for name, network in found.items()}
     fields = {
         "name": what.name,
         "codec": codec.name,
@@ -196,8 +186,7 @@ def _stream(
     for name, value in what.smoothing.items():
         modules[name].config = replace(modules[name].config, smoothing=value)
     if rdm.task["flow"] is not None:
-        flows = [load_trained(runs / run, "flow_ema", part="coupling_flow") for run in what.of(RDM)]
-        modules[FLOW] = average_weights(FLOW, flows).module
+        modules[FLOW] = load_trained(runs / what.runs[RDM], "flow_ema", part="coupling_flow").module
     points = _one_grid(found[name] for name in students)
     fields, known, pooled, store = _common(what, dataset, rdm.task, found, cache)
     config = StreamConfig(

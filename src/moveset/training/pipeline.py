@@ -88,7 +88,8 @@ def stages(recipe: str, device: str = "auto") -> tuple[Stage, ...]:
         for name, chosen in load_recipes(recipe).items()
     )  # fmt: skip
     models = tuple(
-        Stage(name=f"export {model.name}", needs=tuple(model.trainings), model=model) for model in load_exports(recipe)
+        Stage(name=f"export {model.name}", needs=tuple(model.runs.values()), model=model)
+        for model in load_exports(recipe)
     )
     return trainings + models
 

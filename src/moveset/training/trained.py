@@ -1,15 +1,12 @@
 """Trained networks as the next stage uses them: in evaluation mode, without gradients, known by their weights' hash."""
 
-import hashlib
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import torch
 from torch import nn
 
-from moveset.errors import InputError
 from moveset.models import (  # noqa: F401  (they register their kinds)
     dip_decoder,
     evaluator,
@@ -34,7 +31,7 @@ class TrainedNetwork:
         module: in evaluation mode, parameters without gradient.
         kind: its name in the registry of models.
         task: the configuration of its training.
-        digest: sha256 of its weights file; of an average, of the digests of all.
+        digest: sha256 of its weights file.
         path: the checkpoint it is from.
     """
 
@@ -64,33 +61,3 @@ def load_trained(path: Path, name: str, device: torch.device | str = "cpu", part
     checkpoint.load_module(module, step, name)
     digest = checkpoint.verify(step)["files"][f"{name}.safetensors"]["sha256"]
     return TrainedNetwork(module.eval().requires_grad_(False).to(device), kind, config, task, digest, step)
-
-
-def average_weights(name: str, networks: Sequence[TrainedNetwork]) -> TrainedNetwork:
-    """The first of these networks with the mean of all their weights, which suits runs that began alike.
-
-    Args:
-        name: what it is to be, for the error.
-        networks: one or more; the first one's module is changed.
-
-    Raises:
-        InputError: networks of different sizes, or of different whole numbers, such as the order of a flow's features.
-
-    Source: model soups (arXiv 2203.05482).
-    """
-    first = networks[0]
-    if len(networks) == 1:
-        return first
-    states = [network.module.state_dict() for network in networks]
-    if any({k: v.shape for k, v in one.items()} != {k: v.shape for k, v in states[0].items()} for one in states):
-        raise InputError(f"{name!r} is to be the mean of networks of different sizes; give runs of one architecture")
-    average = {}
-    for key, value in states[0].items():
-        values = torch.stack([one[key] for one in states])
-        if value.is_floating_point():
-            average[key] = values.float().mean(0)
-        elif bool((values != value).any()):
-            raise InputError(f"{name!r} is to be the mean of networks of other {key}; give runs that began alike")
-    first.module.load_state_dict(states[0] | average)
-    digests = "".join(network.digest for network in networks)
-    return replace(first, digest=hashlib.sha256(digests.encode()).hexdigest())
