@@ -6,18 +6,19 @@ import torch
 from moveset.errors import InputError
 from moveset.pipelines.stream_settings import check_stream
 from moveset.server import catalog as catalog_module
-from moveset.server.catalog import Catalog, varied
+from moveset.server.catalog import Catalog, representative
 from moveset.server.failures import RequestError
 from tests.bundles import tiny_bundle
 
 
-def test_suggestions_are_far_from_one_another():
-    around = torch.tensor([[1.0, 0.0], [0.999, 0.04], [0.0, 1.0], [-1.0, 0.0], [-0.999, 0.04]])
-    names = ["east", "nearly east", "north", "west", "nearly west"]
-    assert sorted(varied(names, around, 3)) in (["east", "north", "west"], ["east", "nearly west", "north"])
-    assert sorted(varied(names, around)) == sorted(names)
-    assert varied(["x" * 100, "short"], around[:2], 2) == ["short"]
-    assert varied(["x" * 100], around[:1], 2) == ["x" * 100]
+def test_suggestions_stand_for_all_and_what_is_said_most_comes_first():
+    around = torch.tensor([[1.0, 0.0], [0.96, 0.28], [0.96, -0.28], [0.0, 1.0], [-1.0, 0.0], [-0.8, 0.6]])
+    names = ["east", "north-east", "south-east", "north", "west", "north-west"]
+    assert representative(names, around, 1) == ["north-east"]  # it is near the north, too
+    assert representative(names, around, 2) == ["north-east", "north-west"]
+    assert sorted(representative(names, around)) == sorted(names)
+    assert representative(["x" * 100, "short"], around[:2], 2) == ["short"]
+    assert representative(["x" * 100], around[:1], 2) == ["x" * 100]
 
 
 def test_models_are_known_by_name(models, tmp_path):

@@ -128,7 +128,7 @@ class Catalog:
         return t2m
 
     def suggestions(self, name: str | None) -> list[str]:
-        """Varied sentences that a model knows; None is the default model of clips.
+        """Sentences that stand for what a model knows; None is the default model of clips.
 
         Raises:
             RequestError: no such model.
@@ -137,7 +137,7 @@ class Catalog:
         found = self._found(known, "clip" if self.clips else "stream", name)
         if found.config.name not in self._suggestions:
             captions = found.captions
-            self._suggestions[found.config.name] = varied(captions.sentences, captions.pooled)
+            self._suggestions[found.config.name] = representative(captions.sentences, captions.pooled)
         return self._suggestions[found.config.name]
 
     def _found(self, models: dict[str, Any], kind: str, name: str | None) -> Any:
@@ -149,21 +149,28 @@ class Catalog:
         return models[wanted]
 
 
-def varied(sentences: Sequence[str], pooled: torch.Tensor, count: int = SUGGESTIONS) -> list[str]:
-    """Sentences far from one another, each time the one farthest from all before it, beginning with the most central.
+def representative(sentences: Sequence[str], pooled: torch.Tensor, count: int = SUGGESTIONS) -> list[str]:
+    """Sentences that stand for all, each time the one that brings the others nearest to one that is chosen.
+
+    What is said often comes first, and each thing once; sentences far from all others, slips among them, do not come.
 
     Args:
         sentences: K of them.
         pooled: (K, C) unit vectors.
         count: how many are wanted.
+
+    Source: greedy facility location (Nemhauser, Wolsey and Fisher 1978), by cosines.
     """
     short = [k for k, text in enumerate(sentences) if len(text) <= _LONGEST] or list(range(len(sentences)))
-    rows = pooled[short].float()
-    chosen = [int((rows @ rows.mean(dim=0)).argmax())]
-    nearest = rows @ rows[chosen[0]]
-    while len(chosen) < min(count, len(short)):
-        chosen.append(int(nearest.argmin()))
-        nearest = torch.maximum(nearest, rows @ rows[chosen[-1]])
+    like_KK = (pooled[short].float() @ pooled[short].float().T).clamp_min(0.0)
+    nearest_K = torch.zeros(len(short))
+    left, chosen = set(range(len(short))), list[int]()
+    while left and len(chosen) < count:
+        gained = torch.maximum(like_KK, nearest_K).sum(dim=1)
+        best = max(sorted(left), key=gained.tolist().__getitem__)
+        left.remove(best)
+        chosen.append(best)
+        nearest_K = torch.maximum(nearest_K, like_KK[best])
     return [sentences[short[k]] for k in chosen]
 
 
