@@ -19,13 +19,15 @@ OUT = Path("out")
 FILES, PICTURES = ("bvh", "glb"), ("png", "gif")
 PROMPTS = {
     "walk": "a person walks forward",
-    "wave": "a person waves with the right hand",
-    "run": "a person runs forward",
-    "turn": "an old man walks forward and turns left",
-    "raise": "a woman raises both hands",
-    "walk-wave": "a person walks forward, then waves with the left hand",
+    "sit": "a person sits down on a chair",
+    "jump": "a person jumps forward",
+    "kick": "a person kicks with the right leg",
+    "punch": "a person punches",
+    "crawl": "a person crawls",
+    "cartwheel": "a person does a cartwheel",
+    "pick-up": "a person picks something up from the floor",
 }
-STREAM = ("a person walks forward", "a person waves with both hands", "a person runs", "a person walks forward")
+STREAM = ("a person walks forward", "a person stands still", "a person sits down", "a person stands up")
 SEED = 7
 
 

@@ -34,14 +34,6 @@ def test_a_place_survives_a_restart(opened, network):
         assert torch.equal(next(through).motion.rotations, next(rest).motion.rotations)
 
 
-def test_a_state_from_before_there_were_places_goes_on(opened):
-    stream = opened(WALK, network="md")
-    next(stream)
-    state = stream.state()
-    del state.numbers["places"], state.numbers["timeline"]["timed"], state.numbers["timeline"]["origin"]
-    assert torch.equal(next(opened(BOW, network="md").restore(state)).motion.rotations, next(stream).motion.rotations)
-
-
 def test_a_stream_does_one_after_the_other_and_holds_the_last(opened):
     assert said(opened(BOTH), 8) == [WALK] * 3 + [BOW] * 5
     assert said(opened(BOTH, loop=True), 8) == [WALK] * 3 + [BOW] * 3 + [WALK] * 2

@@ -27,24 +27,16 @@ class ModelConfig:
 
 _KINDS: dict[str, type] = {}
 _MODULES: dict[type, Callable[[Any], nn.Module]] = {}
-_RENAMED: dict[str, Mapping[str, str]] = {}
 
 
-def register(
-    kind: str, config: type, module: Callable[[Any], nn.Module], renamed: Mapping[str, str] | None = None
-) -> None:
-    """Make a configuration class and its module known under a name. Each kind and each class is registered once.
-
-    Args:
-        renamed: today's names of settings by those that older checkpoints have.
-    """
+def register(kind: str, config: type, module: Callable[[Any], nn.Module]) -> None:
+    """Make a configuration class and its module known under a name. Each kind and each class is registered once."""
     if kind in _KINDS or config in _KINDS.values():
         raise ValueError(f"model kind {kind!r} or configuration {config.__name__} is already registered")
     if not dataclasses.is_dataclass(config):
         raise ValueError(f"{config.__name__} is not a dataclass")
     _KINDS[kind] = config
     _MODULES[config] = module
-    _RENAMED[kind] = renamed or {}
 
 
 def kinds() -> tuple[str, ...]:
@@ -70,7 +62,6 @@ def parse_config(kind: str, config: Mapping[str, Any]) -> Any:
     if not isinstance(config, Mapping):
         raise FormatError(f"the configuration of a {kind!r} model must be an object of named values, not {config!r}")
     cls = _KINDS[kind]
-    config = {_RENAMED[kind].get(name, name): value for name, value in config.items()}
     fields = {f.name: f for f in dataclasses.fields(cls)}
     if unknown := sorted(str(key) for key in config if key not in fields):
         raise FormatError(f"unknown setting {unknown[0]!r} for a {kind!r} model; it has {', '.join(fields)}")

@@ -243,5 +243,4 @@ def course_waves(turned_B: Tensor) -> Tensor:
     return waves(turned_B.masked_fill(~known_B, 0.0).rad2deg() / 10.0) * known_B[:, None]
 
 
-_OLDER = {"placed": "timing", "coursed": "heading_change"}
-register("segment_transformer", SegmentTransformerConfig, SegmentTransformer, _OLDER)
+register("segment_transformer", SegmentTransformerConfig, SegmentTransformer)

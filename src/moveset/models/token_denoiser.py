@@ -75,4 +75,4 @@ class TokenDenoiser(Denoiser):
         return eps
 
 
-register("token_denoiser", TokenDenoiserConfig, TokenDenoiser, renamed={"guidance": "guided"})
+register("token_denoiser", TokenDenoiserConfig, TokenDenoiser)

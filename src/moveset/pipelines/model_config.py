@@ -56,8 +56,6 @@ class FolderConfig:
     statistics: ClassVar[tuple[str, ...]]
     #: Guided networks that come with their mirror image.
     symmetric: ClassVar[tuple[str, ...]] = ()
-    #: Fields with a default that folders of earlier versions lack.
-    newer: ClassVar[frozenset[str]] = frozenset()
 
     name: str
     codec: str = "native"
@@ -112,7 +110,7 @@ class FolderConfig:
         """From the bytes of a ``config.json``.
 
         Raises:
-            FormatError: not this format, a newer version of it, or a model of another kind.
+            FormatError: not this format, or a model of another kind.
         """
         raw = json_object(data, where)
         version = raw.pop("format", None)
@@ -121,7 +119,7 @@ class FolderConfig:
         if (task := raw.pop("task", TEXT_TO_MOTION)) != cls.task:
             raise FormatError(f"{where} has the task {task!r}, not {cls.task!r}; give a folder of that kind")
         known = {f.name for f in fields(cls)}
-        if wrong := (set(raw) ^ known) - (cls.newer - set(raw)):
+        if wrong := set(raw) ^ known:
             raise FormatError(f"{where} does not fit this version: {sorted(wrong)[0]!r} is missing or unknown")
         try:
             raw["models"] = {name: ModelSpec(**spec) for name, spec in raw["models"].items()}
@@ -206,7 +204,6 @@ class StreamConfig(FolderConfig):
 
     task: ClassVar[str] = STREAM
     statistics: ClassVar[tuple[str, ...]] = ("feature_mean", "feature_std")
-    newer: ClassVar[frozenset[str]] = frozenset({"past_lag", "travelling", "variance"})
 
     network: str
     segment: int = 28
@@ -287,7 +284,6 @@ class BaselineConfig(FolderConfig):
 
     task: ClassVar[str] = BASELINE
     statistics: ClassVar[tuple[str, ...]] = ("feature_mean", "feature_std")
-    newer: ClassVar[frozenset[str]] = frozenset({"variance"})
 
     frames: int
     prefix: int = 0

@@ -223,8 +223,7 @@ class MotionStream(Iterator[Segment]):
             for k, made in enumerate(numbers["waiting"]):
                 turned, root = (snapshot.tensors[f"waiting.{k}.{part}"] for part in ("rotations", "root"))
                 motion = Motion(turned, root, self.codec.fps, self.codec.skeleton)
-                # States from before segments told which feet they have planted have none.
-                planted = snapshot.tensors.get(f"waiting.{k}.planted", torch.zeros(len(root), 4, dtype=torch.bool))
+                planted = snapshot.tensors[f"waiting.{k}.planted"]
                 self._waiting.append(Segment(motion=motion, planted=planted, **made))
         except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
             raise FormatError(f"this state does not describe a stream: {error}") from error

@@ -11,7 +11,6 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from moveset.models.segment_transformer import UNKNOWN
 from moveset.pipelines.conditioning import SegmentCondition
 from moveset.pipelines.device import one_thread
 from moveset.pipelines.stream_batch import Segment, Stream, StreamModel
@@ -72,12 +71,11 @@ class Overlapping:
     def go_on(self, numbers: Mapping[str, Any], state: StreamState) -> None:
         """A single stream goes on where another was when it gave this state, or from a given motion."""
         self._begin(state)
-        if "course" in numbers:  # states from before streams knew how they turn have none
+        if "course" in numbers:  # a given motion has none
             self._course.restored(numbers["course"])
         [stream] = self._streams
         for segment, prompt in numbers["prompts"].items():
-            # States from before streams were told where in a sentence they are have no place, or no third number.
-            *timing, behind = (*numbers.get("places", {}).get(segment, (UNKNOWN, UNKNOWN)), 0)[:3]
+            *timing, behind = numbers["places"][segment]
             condition = self._model.conditioning.of(held(prompt, stages=False), 0, stream.guidance)
             self._conditions[int(segment)] = [replace(condition, timing=tuple(timing), behind=behind)]
 

@@ -288,7 +288,7 @@ class OneByOne:
     def go_on(self, numbers: Mapping[str, Any], state: StreamState) -> None:
         """The stream goes on where another was when it gave this state, or from a given motion."""
         stream, course = self._stream, self._batch.course(window=1)
-        if "course" in numbers:  # states from before streams knew how they turn have none
+        if "course" in numbers:  # a given motion has none
             course.restored(numbers["course"])
         behind = stream.line.behind(stream.number - stream.given)
         stream.turned = float(course.total(stream.number, torch.tensor([behind])))

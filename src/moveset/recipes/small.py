@@ -121,7 +121,8 @@ def dip() -> Recipe:
 def rdm_student() -> Recipe:
     """RDM-7 in one evaluation a segment; ``--set phases=2`` and ``--set phases=4`` for more."""
     task = RDMStudentConfig(
-        batch=64,
+        batch=32,
+        warmup=50,
         tremor=1.0,
         trajectory_rows=8,
         # What keeps streams alive: rows that go on from what the student made, and a strong judge that looks at them.
@@ -134,17 +135,17 @@ def rdm_student() -> Recipe:
         cutting=STREAMED,
         augmentation=AUGMENTATION,
     )
-    return Recipe(task=task, engine=_engine(1000))
+    return Recipe(task=task, engine=_engine(300))
 
 
 def movement() -> Recipe:
     """Half the published width: 0.6 M parameters of the evaluator."""
     task = MovementTrainingConfig(model=MovementConfig(width=256, latent=256), lr=1e-3, warmup=100)
-    return Recipe(task=task, engine=_judge(3000))
+    return Recipe(task=task, engine=_judge(1500))
 
 
 def evaluator() -> Recipe:
-    """The judge of this corpus, 2.2 M parameters: it has a hundredth of HumanML3D's texts to learn from."""
+    """The judge of this corpus, 2.2 M parameters; noise and dropout keep it from learning its clips by heart."""
     model = EvaluatorConfig(
         movement_width=256,
         movement_latent=256,
@@ -153,9 +154,10 @@ def evaluator() -> Recipe:
         text_hidden=192,
         motion_hidden=256,
         joint=128,
+        hidden_dropout=0.1,
     )
-    task = EvaluatorTrainingConfig(model=model, batch=64, lr=5e-4, warmup=100, negatives="all")
-    return Recipe(task=task, engine=_judge(3000))
+    task = EvaluatorTrainingConfig(model=model, batch=64, lr=1e-3, warmup=100, negatives="all", noise=0.05)
+    return Recipe(task=task, engine=_judge(1500))
 
 
 def length() -> Recipe:
@@ -173,9 +175,9 @@ def _engine(steps: int, grad_clip: float = 1.0) -> EngineConfig:
     return EngineConfig(steps=steps, validate_every=500, grad_clip=grad_clip, threads=1)
 
 
-# The published range [5, 15] is far too strong here: above 2 motion only trembles more.
+# The published range [5, 15] is far too strong here: at 3.5 motion trembles a fifth more than takes do.
 GUIDANCE = (1.0, 4.0)
-STUDENTS = 1000  # steps, the same for all: they are compared
+STUDENTS = 600  # steps, the same for all: they are compared
 STREAMS = 6000  # of RDM-7
 # No words go missing: "left" and "right" are words too, and sentences of people are many.
 AUGMENTATION = TextAugmentation(embedding_noise=0.05)
@@ -225,14 +227,14 @@ EXPORTS: tuple[Export, ...] = (
             "vae": "vae", "decoder": "decoder", "teacher": "teacher", "length": "length", "lcm-1": "lcm-1",
             "pcm-1": "pcm-1", "pcm-2": "pcm-2", "pcm-4": "pcm-4",
         },
-        guidance={"teacher": 2.0, "lcm-1": 1.0, "pcm-1": 1.5, "pcm-2": 1.5, "pcm-4": 2.0},
+        guidance={"teacher": 2.5, "lcm-1": 2.5, "pcm-1": 3.0, "pcm-2": 2.5, "pcm-4": 2.5},
         compact=("teacher",),
     ),
     *(
         ClipExport(
             name=f"motionpcm-{name}-small",
             runs={run: run for run in ("vae", "decoder", "teacher", "length")} | {"pcm-1": f"pcm-1-{name}"},
-            guidance={"teacher": 2.0, "pcm-1": 1.5},
+            guidance={"teacher": 2.5, "pcm-1": 3.0},
             compact=("teacher",),
         )
         for name in ("k20", "no-ema", "no-discriminator")
@@ -240,10 +242,10 @@ EXPORTS: tuple[Export, ...] = (
     StreamExport(
         name="rdm-small",
         runs={"rdm": "rdm-7", "pcm-1": "rdm-student"},
-        guidance={"rdm": 1.0, "pcm-1": 1.0},
+        guidance={"rdm": 2.0, "pcm-1": 2.0},
         smoothing={"rdm": 0.3},
         sampling={
-            "network": "pcm-1", "sampler_steps": 10, "start": 10, "lag": 10, "past_lag": 1, "travelling": 0.25,
+            "network": "rdm", "sampler_steps": 10, "start": 10, "lag": 10, "past_lag": 1, "travelling": 0.25,
             "symmetric": ("pcm-1",),
         },
     ),
@@ -255,10 +257,10 @@ EXPORTS: tuple[Export, ...] = (
         for name, runs, guidance in (
             ("rdm-4", {"rdm": "rdm-4"}, 1.5),
             ("md-4", {"rdm": "rdm-4", "md": "md-4"}, 1.5),
-            ("md-7", {"rdm": "rdm-7", "md": "md-7"}, 1.0),
+            ("md-7", {"rdm": "rdm-7", "md": "md-7"}, 2.0),
             ("rdm-14", {"rdm": "rdm-14"}, 1.5),
-            ("md-7-alone", {"rdm": "rdm-7", "md": "md-7-alone"}, 1.0),
-            ("rdm-2-steps", {"rdm": "rdm-7", "pcm-2": "rdm-student-2"}, 1.0),
+            ("md-7-alone", {"rdm": "rdm-7", "md": "md-7-alone"}, 2.0),
+            ("rdm-2-steps", {"rdm": "rdm-7", "pcm-2": "rdm-student-2"}, 2.0),
         )
     ),
     *(

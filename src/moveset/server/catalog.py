@@ -23,7 +23,7 @@ from moveset.text.encoder import TextEncoder, get_text_encoder
 SUGGESTIONS = 24
 _LONGEST = 60  # characters of a suggestion
 _BATCHES = 32  # of settings that streams are made by: clients choose them
-_SHIPPED_LICENSE = "CC-BY-NC-4.0"  # weights/LICENSE.md
+_SHIPPED_LICENSE = "CC-BY-4.0"  # weights/LICENSE.md
 
 
 class Catalog:
@@ -216,7 +216,7 @@ def _stream_row(bundle: ModelFolder[StreamConfig]) -> dict[str, Any]:
         "name": config.name,
         "task": "stream",
         "fps": config.fps,
-        "steps": list(config.steps("pcm")) or [settings.steps],
+        "steps": list(config.steps("pcm")) if is_student(config.network) else [settings.steps],
         "default_steps": settings.steps,
         "guidance": settings.guidance,
         "max_seconds": None,
