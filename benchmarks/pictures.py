@@ -31,10 +31,10 @@ from moveset.pipelines.model_config import DEFAULT_MODEL, DEFAULT_STREAM
 from moveset.pipelines.request import Request
 
 CLIPS = (
-    "a person walks forward, then waves with the left hand", "an old man walks forward and turns left",
-    "a person runs forward", "a woman raises both hands",
+    "a person walks forward", "a person sits down on a chair", "a person kicks with the right leg", "a person punches",
+    "a person crawls", "a person does a cartwheel", "a person picks something up from the floor", "a person dances",
 )  # fmt: skip
-STREAMS = ("a person walks", "a person waves with both hands", "an old man walks")
+STREAMS = ("a person walks", "a person stands still", "a person runs")
 FIVE = (
     "The rigs walk forward, then turn around, and continue walking before stopping where he started.",
     "A person walks with a limp leg.",

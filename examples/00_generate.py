@@ -3,7 +3,7 @@
 from moveset import TextToMotion
 
 t2m = TextToMotion.from_pretrained()
-motion = t2m("a person walks forward and waves", seconds=4.0, seed=7).motion
+motion = t2m("a person does a cartwheel", seconds=4.0, seed=7).motion
 motion.save("wave.bvh")
 motion.save("wave.glb")
 print(f"{len(motion)} frames; the right wrist at the end: {motion.joints[-1, motion.skeleton.index('right_wrist')]}")

@@ -3,6 +3,10 @@
 from moveset import TextToMotion
 
 t2m = TextToMotion.from_pretrained()
-made = t2m(["a person walks forward", "a person bows", "a person walks backwards"], seconds=[3.0, 2.5, 3.0], seed=3)
+made = t2m(
+    ["a person walks forward", "a person picks something up", "a person walks backwards"],
+    seconds=[3.0, 2.5, 3.0],
+    seed=3,
+)
 made.motion.save("timeline.glb")
 print(f"{made.seconds:g} s from {made.network_evaluations} network evaluations")

@@ -9,7 +9,7 @@ with open_take("stream.bvh", stream.codec.skeleton, stream.codec.fps) as take:
         take.append(segment.motion)
         print(f"frame {segment.first_frame}: {segment.prompt}, made in {segment.latency_ms:.0f} ms")
         if segment.number == 2:
-            print(f"waving from frame {stream.prompt('a person waves with the left hand')} on")
+            print(f"sitting down from frame {stream.prompt('a person sits down')} on")
         if segment.number == 5:
             break
 
