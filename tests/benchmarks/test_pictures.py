@@ -40,11 +40,11 @@ def test_a_figure_has_a_strip_for_every_sentence_and_model(tmp_path, monkeypatch
     monkeypatch.syspath_prepend(str(FOLDER))
     import pictures
 
-    folder = tiny_stream(tmp_path / "rdm-tiny")
+    folders = [tiny_stream(tmp_path / name) for name in ("rdm-tiny", "md-7-tiny")]
     monkeypatch.setitem(pictures.FIGURES, "one", ("rdm", ("md-7", "rdm-7", "md-4"), ("a person walks", "waves"), 3.0))
     seen = []
     monkeypatch.setattr(pictures, "sheet", lambda strips: seen.extend(strips) or strips[0])
-    assert pictures.figure("one", [folder]) is not None
+    assert pictures.figure("one", folders) is not None
     assert len(seen) == 4
     assert "one: MD-4: no weights given" in capsys.readouterr().err
     monkeypatch.setitem(pictures.FIGURES, "none", ("rdm", ("md-4",), ("a person walks",), 3.0))

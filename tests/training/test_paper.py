@@ -60,7 +60,7 @@ def test_sizes(name):
             RDM.task.model,
             {"layers": 8, "width": 512, "heads": 8, "text_layers": 4, "text_width": 256, "text_dim": 512, "frames": 28},
         ),
-        (EXPORTS["rdm-7-paper"], {"sampling": {"sampler_steps": 1000, "start": 7, "eta": 1.0, "variance": "beta"}}),
+        (EXPORTS["rdm-paper"], {"sampling": {"sampler_steps": 1000, "start": 7, "eta": 1.0, "variance": "beta"}}),
         (EXPORTS["motiondiffuse-paper"], {"steps": 1000, "eta": 1.0, "variance": "posterior"}),
     ],
 )  # fmt: skip
