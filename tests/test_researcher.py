@@ -18,8 +18,8 @@ pytestmark = pytest.mark.timeout(900)
 
 MODELS = ("motionpcm-tiny", "rdm-tiny", "md-7-tiny")
 STAGES = (
-    "vae", "decoder", "teacher", "length", "lcm-1", "pcm-", "rdm-7", "md-7", "rdm-student", "movement", "evaluator",
-    "export t2m", *(f"export {model}" for model in MODELS),
+    "vae", "decoder", "teacher", "length", "sides", "lcm-1", "pcm-", "rdm-7", "md-7", "rdm-student", "movement",
+    "evaluator", "export t2m", *(f"export {model}" for model in MODELS),
 )  # fmt: skip
 
 

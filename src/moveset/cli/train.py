@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from moveset.training.engine import TrainResult
 
 What = Literal[
-    "all", "movement", "evaluator", "length", "vae", "decoder", "teacher", "lcm-1", "pcm-1", "pcm-2", "pcm-4",
+    "all", "movement", "evaluator", "length", "sides", "vae", "decoder", "teacher", "lcm-1", "pcm-1", "pcm-2", "pcm-4",
     "pcm-1-k20", "pcm-1-no-ema", "pcm-1-no-discriminator", "rdm-1", "rdm-4", "rdm-7", "rdm-14", "md-4", "md-7",
     "md-7-alone", "rdm-student", "rdm-student-2", "light-rdm-1", "motiondiffuse", "dip", "export",
 ]  # fmt: skip
@@ -64,8 +64,9 @@ def train(
             longest clip in N segments; rdm-7 ships. light-rdm-1: rdm-1 with Light-T2M's network. rdm-student: a
             recurrent model with few steps. md-N, motiondiffuse, dip: what it is compared with. pcm-1-k20, pcm-1-no-…,
             md-7-alone, rdm-student-2: another with one setting changed, for the tables.
-            movement, evaluator: the judge of them all, in two stages. length: how long a sentence lasts. export: no
-            training: model folders of all of the recipe's models whose networks are there.
+            movement, evaluator: the judge of them all, in two stages. length: how long a sentence lasts. sides: which
+            of left and right it names. export: no training: model folders of all of the recipe's models whose networks
+            are there.
         recipe: small: what ships. paper: the published sizes. tiny: seconds, to try the machinery.
         resume: Continue from the latest checkpoint in the folder, or start if there is none.
         init: Checkpoint or run folder whose weights to start with. May be given several times: what the first lacks,

@@ -23,8 +23,9 @@ from moveset.data.loader import in_order
 from moveset.errors import FormatError, InputError, MovesetError
 from moveset.io.process import LOCKS, locked
 from moveset.motion.features import FeatureCodec, Normalizer, get_codec
+from moveset.motion.sides import favoured
 
-_VERSION = 1
+_VERSION = 2
 
 
 @dataclass(frozen=True)
@@ -52,6 +53,8 @@ class FeatureStore:
         if index["version"] != _VERSION or "source" not in index:
             raise FormatError(f"{folder} was written by another version; delete it and it will be made again")
         self.clips = [Row(start, frames) for start, frames in index["clips"]]
+        #: (clips, 3), as ``motion.sides.favoured`` has them.
+        self.sides = torch.tensor(index["sides"], dtype=torch.float32)
         #: ``Dataset.fingerprint`` of what it was made from.
         self.source: str = index["source"]
         self.features = np.load(folder / "features.npy", mmap_mode="r")
@@ -130,18 +133,21 @@ def _make(dataset: Dataset, codec: FeatureCodec, folder: Path, progress: bool, w
     try:
         building.mkdir(parents=True)
         # By way of the disk: the features of a large data set may not fit in memory.
-        frames = []
+        frames, sides = [], []
         with open(building / "raw", "wb") as file:
-            found = in_order(lambda clip: dataset.clip(clip).features(codec).float(), range(len(dataset)), workers)
-            for features in tqdm(found, desc="features", total=len(dataset), disable=None if progress else True):
+            found = in_order(lambda clip: _encoded(dataset, clip, codec), range(len(dataset)), workers)
+            for features, favours in tqdm(
+                found, desc="features", total=len(dataset), disable=None if progress else True
+            ):
                 encoded = features.numpy()
                 file.write(encoded.tobytes())
                 frames.append(len(encoded))
+                sides.append(favours.tolist())
         ends = np.cumsum([0, *frames])
         normalizer = _normalise(dataset, codec, building, ends)
         (building / "raw").unlink()
         rows = [[int(start), count] for start, count in zip(ends, frames, strict=False)]
-        index = {"version": _VERSION, "source": dataset.fingerprint, "clips": rows, **normalizer}
+        index = {"version": _VERSION, "source": dataset.fingerprint, "clips": rows, "sides": sides, **normalizer}
         (building / "index.json").write_text(json.dumps(index))
         building.rename(folder)
     except OSError as error:
@@ -151,6 +157,12 @@ def _make(dataset: Dataset, codec: FeatureCodec, folder: Path, progress: bool, w
         ) from error
     finally:
         shutil.rmtree(building, ignore_errors=True)
+
+
+def _encoded(dataset: Dataset, clip: int, codec: FeatureCodec) -> tuple[Tensor, Tensor]:
+    """Features of a clip, and the sides that it favours."""
+    features = dataset.clip(clip).features(codec).float()
+    return features, favoured(codec.joints(features), codec.skeleton)
 
 
 def _normalise(dataset: Dataset, codec: FeatureCodec, building: Path, ends: np.ndarray) -> dict[str, list[float]]:

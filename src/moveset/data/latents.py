@@ -27,14 +27,15 @@ _SOURCE = "moveset source"
 
 @dataclass(frozen=True, eq=False)
 class LatentBatch:
-    """Latents z_0 (B, N, d), clip lengths (B,) in frames, and a caption for each."""
+    """Latents z_0 (B, N, d), clip lengths (B,) in frames, sides (B, 3) that they favour, and a caption for each."""
 
     z0: Tensor
     frames: Tensor
+    sides: Tensor
     captions: list[str]
 
     def to(self, device: torch.device | str) -> "LatentBatch":
-        return LatentBatch(self.z0.to(device), self.frames.to(device), self.captions)
+        return LatentBatch(self.z0.to(device), self.frames.to(device), self.sides.to(device), self.captions)
 
 
 class LatentSet:
@@ -45,12 +46,14 @@ class LatentSet:
         std: (M, N, d) posterior standard deviations.
         frames: (M,) clip lengths.
         clip: (M,) numbers of clips in the dataset and the feature store.
+        sides: (M, 3) which sides these clips favour (``motion.sides``).
     """
 
-    def __init__(self, dataset: Dataset, split: Split, tensors: dict[str, Tensor]) -> None:
+    def __init__(self, dataset: Dataset, split: Split, tensors: dict[str, Tensor], sides: Tensor) -> None:
         self.mean, self.std = tensors["mean"].float(), tensors["std"].float()
         self.frames, self.clip = tensors["frames"], tensors["clip"]
         self.center, self.scale = tensors["center"], tensors["scale"]
+        self.sides = sides[self.clip]
         clips = dataset.split(split)
         weight = dict(zip(clips, dataset.weights(clips, power=0.25, composed_share=0.4).tolist(), strict=True))
         copies = torch.bincount(self.clip, minlength=len(dataset)).double()
@@ -79,7 +82,7 @@ class LatentSet:
             tensors = _encode(_entries(dataset, dataset.split(split), store, windows), store, vae, batch, device)
             with atomic_write(path) as file:
                 file.write(save(tensors, {_SOURCE: made_of}))
-            return cls(dataset, split, load_file(path))
+            return cls(dataset, split, load_file(path), store.sides)
         with safe_open(path, "pt") as file:
             found = (file.metadata() or {}).get(_SOURCE)
         if found != made_of:
@@ -87,7 +90,7 @@ class LatentSet:
                 f"{path} was made from other clips; delete {path.parent}/latents-*.safetensors, and they will be made "
                 "anew, or train in another folder"
             )
-        return cls(dataset, split, load_file(path))
+        return cls(dataset, split, load_file(path), store.sides)
 
     def as_encoded(self) -> "LatentSet":
         """The same latents, not normalised: as the encoder gives them."""
@@ -115,7 +118,7 @@ class LatentSet:
         for entry, pick in zip(entries.tolist(), torch.rand(size, generator=generator).tolist(), strict=True):
             options = self.captions(entry)
             captions.append(options[int(pick * len(options))])
-        return LatentBatch(z0, self.frames[entries], captions)
+        return LatentBatch(z0, self.frames[entries], self.sides[entries], captions)
 
 
 def _entries(dataset: Dataset, clips: Sequence[int], store: FeatureStore, windows: int) -> list[Crop]:

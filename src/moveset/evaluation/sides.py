@@ -11,13 +11,12 @@ import re
 from dataclasses import dataclass
 from typing import Literal
 
-import torch
 from torch import Tensor
 
+from moveset.motion.sides import LEAST_TURN, turned, way
 from moveset.motion.skeleton import Skeleton
 
 Side = Literal["left", "right"]
-_ENDS = {"arm": "wrist", "leg": "ankle"}
 _LIMBS = {"arm": r"(?:hands?|arms?|fists?|elbows?)", "leg": r"(?:legs?|foot|feet|knees?)"}
 _NAMED = {limb: re.compile(rf"\b(left|right)\s+(?:\w+\s+)?{words}\b", re.IGNORECASE) for limb, words in _LIMBS.items()}
 _TURN = re.compile(
@@ -25,7 +24,6 @@ _TURN = re.compile(
     r"(left|right)\b(?!\s+(?:\w+\s+)?(?:hand|arm|leg|foot|knee|elbow))",
     re.IGNORECASE,
 )
-_LEAST_TURN = 0.35  # radians that are a turn
 
 
 @dataclass(frozen=True)
@@ -52,16 +50,7 @@ def named_side(sentence: str) -> Named | None:
 def on_named_side(named: Named, joints: Tensor, skeleton: Skeleton) -> bool:
     """Whether a motion (F, J, 3), in metres, does what is named on that side."""
     if named.what == "turn":
-        hips = joints[:, skeleton.index("left_hip")] - joints[:, skeleton.index("right_hip")]
-        # Of the way from the right hip to the left one; seen from above with Y up, it grows to the left.
-        heading = torch.atan2(-hips[:, 2], hips[:, 0])
-        turned = float((heading.diff() + torch.pi).remainder(2 * torch.pi).sub(torch.pi).sum())
-        return (turned if named.side == "left" else -turned) > _LEAST_TURN
-    ways = {side: _way(joints, skeleton, side, _ENDS[named.what]) for side in ("left", "right")}
+        turn = turned(joints, skeleton)
+        return (turn if named.side == "left" else -turn) > LEAST_TURN
+    ways = {side: way(joints, skeleton, named.what, side) for side in ("left", "right")}
     return ways[named.side] > ways["right" if named.side == "left" else "left"]
-
-
-def _way(joints: Tensor, skeleton: Skeleton, side: str, end: str) -> float:
-    """Metres that the end of a limb travels, seen from the pelvis."""
-    seen = joints[:, skeleton.index(f"{side}_{end}")] - joints[:, 0]
-    return float(seen.diff(dim=0).norm(dim=-1).sum())

@@ -80,7 +80,7 @@ def clip_method(config: ClipConfig, network: str | None, steps: int | None, guid
         InputError: no such network or steps, or guidance out of range.
     """
     solver, _, count = (network or "pcm").partition("-")
-    names = ", ".join(["vae", *(name for name in config.models if name not in ("vae", "length"))])
+    names = ", ".join(["vae", *(name for name in config.models if name not in ("vae", "length", "sides"))])
     if solver not in SOLVERS:
         raise InputError(f"unknown network {network!r}; model {config.name!r} has {names}")
     if solver == "lcm" and (steps is not None or count.isdigit()):

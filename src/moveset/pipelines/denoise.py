@@ -17,6 +17,7 @@ from moveset.pcm.sampler import lcm_timesteps, sample_ddim, sample_lcm, sample_p
 from moveset.pipelines.model_config import ClipConfig
 from moveset.pipelines.model_folder import ModelFolder
 from moveset.pipelines.request import Method
+from moveset.pipelines.sides import read_sides
 from moveset.text.encoder import TextEmbedding, TextEncoder
 
 
@@ -36,7 +37,7 @@ class Denoise:
         device: torch.device,
         between: Callable[[], None] | None = None,
     ) -> None:
-        self._method, self._between = method, between
+        self._bundle, self._method, self._between = bundle, method, between
         self._device = device
         self._network = cast(Denoiser, bundle.module(method.network, device))
         self._schedule = scaled_linear()
@@ -56,7 +57,8 @@ class Denoise:
         """
         noise_BND = noise_BND.to(self._device)
         steps = self._method.steps
-        condition = Condition(text.to(self._device), length=torch.tensor(frames, device=self._device))
+        text = read_sides(self._bundle, text.to(self._device), self._device)
+        condition = Condition(text, length=torch.tensor(frames, device=self._device))
         predict = guided(self._network, condition, self._method.guidance, self._empty)
 
         def model(z_BND: Tensor, t_B: Tensor) -> Tensor:

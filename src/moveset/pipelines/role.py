@@ -15,6 +15,7 @@ class Role(Enum):
 
     VAE = "vae"
     LENGTH = "length"
+    SIDES = "sides"
     FLOW = "flow"
     DENOISER = "denoiser"
     AUTOREGRESSIVE = "autoregressive"
@@ -33,6 +34,7 @@ class Named:
 _NAMES = {
     "vae": Role.VAE,
     "length": Role.LENGTH,
+    "sides": Role.SIDES,
     "flow": Role.FLOW,
     "teacher": Role.DENOISER,
     "rdm": Role.DENOISER,

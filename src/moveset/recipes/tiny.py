@@ -14,6 +14,7 @@ from moveset.models.length import LengthPredictorConfig
 from moveset.models.light_t2m import LightT2MConfig
 from moveset.models.segment_denoiser import SegmentDenoiserConfig
 from moveset.models.segment_transformer import SegmentTransformerConfig
+from moveset.models.sides import SidePredictorConfig
 from moveset.models.timed_vae import TimedVAEConfig
 from moveset.rdm.grid import GridConfig
 from moveset.training.dip import DiPConfig
@@ -24,6 +25,7 @@ from moveset.training.export import BaselineExport, ClipExport, EvaluatorExport,
 from moveset.training.length import LengthConfig
 from moveset.training.rdm import RDMConfig
 from moveset.training.rdm_distillation import RDMStudentConfig
+from moveset.training.sides import SidesConfig
 from moveset.training.tasks import Recipe
 from moveset.training.teacher import TeacherConfig
 from moveset.training.vae import VAETrainingConfig
@@ -144,6 +146,11 @@ def length() -> Recipe:
     return Recipe(task=LengthConfig(model=model, batch=8), engine=_ENGINE)
 
 
+def sides() -> Recipe:
+    """A width of 8."""
+    return Recipe(task=SidesConfig(model=SidePredictorConfig(width=8), batch=8), engine=_ENGINE)
+
+
 def _volume(task: RDMConfig) -> Recipe:
     cutting = CuttingConfig(aligned=True, whole_caption=1.0)
     grid = GridConfig(frames=SEGMENT_FRAMES[1])
@@ -157,6 +164,7 @@ TRAINING: dict[str, Callable[[], Recipe]] = {
     "movement": movement,
     "evaluator": evaluator,
     "length": length,
+    "sides": sides,
     "vae": vae,
     "decoder": decoder,
     "teacher": teacher,
@@ -174,15 +182,15 @@ EXPORTS: tuple[Export, ...] = (
     ClipExport(
         name="motionpcm-tiny",
         runs={
-            "vae": "vae", "decoder": "decoder", "teacher": "teacher", "length": "length", "lcm-1": "lcm-1",
-            "pcm-1": "pcm-1", "pcm-2": "pcm-2", "pcm-4": "pcm-4",
+            "vae": "vae", "decoder": "decoder", "teacher": "teacher", "length": "length", "sides": "sides",
+            "lcm-1": "lcm-1", "pcm-1": "pcm-1", "pcm-2": "pcm-2", "pcm-4": "pcm-4",
         },
         guidance=dict.fromkeys(("teacher", "lcm-1", "pcm-1", "pcm-2", "pcm-4"), 2.0),
         compact=("teacher",),
     ),
     StreamExport(
         name="rdm-tiny",
-        runs={"rdm": "rdm-7", "pcm-1": "rdm-student"},
+        runs={"rdm": "rdm-7", "pcm-1": "rdm-student", "sides": "sides"},
         guidance={"rdm": 1.5, "pcm-1": 1.5},
         sampling={"network": "pcm-1", "sampler_steps": 4, "start": 4},
     ),

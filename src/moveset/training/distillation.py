@@ -60,6 +60,7 @@ class StudentConfig:
         trajectory_rows: rows of a batch that are asked, besides, for what all of the teacher's steps lead to from where
             sampling enters a phase (``pcm.consistency.phase_entry`` and ``trajectory_target``, and
             ``rdm.distillation.trajectory_target``); 0 as published.
+        sides: share of samples that are told which sides the motion favours, as their teacher's were.
         ema: decay of the target network.
         model: the student's architecture; filled in from the teacher's.
     """
@@ -73,6 +74,7 @@ class StudentConfig:
     mismatched_text: float = 0.0
     discriminator_max_noise: float = 1.0
     trajectory_rows: int = 0
+    sides: float = 0.0
     ema: float = 0.95
     batch: int = 128
     lr: float = 2e-4
@@ -123,7 +125,7 @@ class _DistillationTask(SingleNetworkTask):
     def training_step(self, step: int, loop: Loop) -> dict[str, Tensor]:
         config = self.config
         batch = self.data.batch(config.batch, step)
-        text = self.data.read(batch.captions, self.draws)
+        text = self.data.told(batch, batch.captions, config.sides, self.draws)
         shares = (config.inference_points, config.discriminator_max_noise)
         draws = draw(self.grid, batch.z0, config.guidance, self.draws, *shares)
         z = add_noise(self.schedule, batch.z0, draws.noise_BND, self.grid.time(draws.point_B))

@@ -52,6 +52,7 @@ TASKS = {
     "movement": Trainable("moveset.training.evaluator:MovementTask"),
     "evaluator": Trainable("moveset.training.evaluator:EvaluatorTask", teacher="movement"),
     "length": Trainable("moveset.training.length:LengthTask"),
+    "sides": Trainable("moveset.training.sides:SidesTask"),
     "vae": Trainable("moveset.training.vae:VAETask"),
     "decoder": Trainable("moveset.training.vae:DecoderTask", vae=True),
     "teacher": Trainable("moveset.training.teacher:TeacherTask", vae=True),
