@@ -25,8 +25,7 @@ def takes(step, partial=()):
     captions = [f"take {step} {row}" for row in range(BATCH)]
     index = torch.ones(BATCH, dtype=torch.long)
     place, turned = torch.full((BATCH, 2), -1.0), 10.0 * step + torch.arange(BATCH)
-    sides = torch.full((BATCH, 3), float(step))
-    return SegmentBatch(rows, valid, rows + 0.5, rows, index, place, turned, sides, captions, list(captions))
+    return SegmentBatch(rows, valid, rows + 0.5, rows, index, place, turned, captions, list(captions))
 
 
 def lasting(monkeypatch, segments, staying=0.5):
@@ -49,12 +48,10 @@ def test_a_stream_is_told_what_was_made_of_it_and_takes_are_left_alone(monkeypat
         if row in (0, 3):
             assert torch.equal(batch.previous[row], made[row])
             assert torch.equal(batch.clean[row], first.clean[row])
-            assert torch.equal(batch.sides[row], first.sides[row])
             assert (batch.captions[row], int(batch.index[row])) == (first.captions[row], 2)
         else:
             assert torch.equal(batch.previous[row], plain.previous[row])
             assert torch.equal(batch.clean[row], plain.clean[row])
-            assert torch.equal(batch.sides[row], plain.sides[row])
             assert (batch.captions[row], int(batch.index[row])) == (plain.captions[row], 1)
             assert w[row] == W[row] + 1
     assert torch.equal(w[own.rows], kept)

@@ -18,7 +18,6 @@ from moveset.data.dataset import Dataset
 from moveset.data.feature_store import FeatureStore
 from moveset.data.splits import Split
 from moveset.motion.features import FeatureCodec
-from moveset.motion.sides import favoured
 
 # Frames of a segment by N, the number of segments of the longest clip.
 SEGMENT_FRAMES = {count: MAX_FRAMES // count for count in (1, 4, 7, 14)}
@@ -59,7 +58,6 @@ class SegmentBatch:
         index: (B,) segment number.
         place: (B, 2) frames from where the sentence begins to where the segment does, and from there to its end.
         turned: (B,) radians by which the heading has changed since the sentence began.
-        sides: (B, 3) which sides the clip of the sentence favours (``motion.sides``).
         captions: what is said to the segment, and ``previous_captions`` to the one before.
     """
 
@@ -70,7 +68,6 @@ class SegmentBatch:
     index: Tensor
     place: Tensor
     turned: Tensor
-    sides: Tensor
     captions: list[str]
     previous_captions: list[str]
 
@@ -86,7 +83,6 @@ class SegmentBatch:
             self.index.to(device),
             self.place.to(device),
             self.turned.to(device),
-            self.sides.to(device),
             self.captions,
             self.previous_captions,
         )
@@ -101,14 +97,12 @@ class Row:
         ends: the frames at which its parts end.
         said: the sentences of each part.
         whole: those of all of it, if any.
-        sides: which sides (3,) each part favours, and which all of it does.
     """
 
     pieces: tuple[np.ndarray, ...]
     ends: tuple[int, ...]
     said: tuple[tuple[str, ...], ...]
     whole: tuple[str, ...]
-    sides: tuple[Tensor, ...]
 
     def __len__(self) -> int:
         return sum(map(len, self.pieces))
@@ -138,7 +132,7 @@ class ClipSet:
         self._yaw = (yaw.start, float(store.normalizer.mean[yaw]), float(store.normalizer.std[yaw]))
         clips = dataset.split(split)
         weights = dataset.weights(clips, power=0.25, composed_share=cutting.composed_share)
-        self.rows = [_row(dataset, clip, store, codec) for clip in clips]
+        self.rows = [_row(dataset, clip, store) for clip in clips]
         self.weights = weights / weights.sum()
         if cutting.take_share and (takes := dataset.takes(split)):
             self.rows += [_take(dataset, take, store) for take in takes]
@@ -161,10 +155,6 @@ class ClipSet:
         """A sentence for these frames, chosen by two numbers in [0, 1)."""
         options = clip.whole if self._of_all(clip, chance) else clip.said[_part(clip, start, frames)]
         return options[int(chance[1] * len(options))]
-
-    def sides(self, clip: Row, start: int, frames: int, chance: Sequence[float]) -> Tensor:
-        """(3,) which sides what is told by the sentence favours that the same numbers choose."""
-        return clip.sides[-1 if self._of_all(clip, chance) else _part(clip, start, frames)]
 
     def span(self, clip: Row, start: int, frames: int, chance: Sequence[float]) -> tuple[int, int]:
         """First and last frame, exclusive, of what the sentence is said to that the same numbers choose."""
@@ -203,7 +193,7 @@ class SegmentSet(ClipSet):
         n, width = self.frames, self.rows[0].pieces[0].shape[1]
         clean, previous, first = torch.zeros(3, size, n, width)
         valid, index = torch.zeros(size, n, dtype=torch.bool), torch.zeros(size, dtype=torch.long)
-        place, turned, sides = torch.zeros(size, 2), torch.zeros(size), torch.zeros(size, 3)
+        place, turned = torch.zeros(size, 2), torch.zeros(size)
         captions, before = [], []
         for k, (clip, chance) in enumerate(self.draw(size, seed, step)):
             begin, start, stop, number = self._place(len(clip), chance)
@@ -219,10 +209,9 @@ class SegmentSet(ClipSet):
             # A sentence may begin within its first segment.
             place[k] = torch.tensor([max(start - told, 0), untold - start])
             turned[k] = self.turned(clip, told, start)
-            sides[k] = self.sides(clip, start, len(piece), chance[3:])
             captions.append(self.say(clip, start, len(piece), chance[3:]))
             before.append(self.say(clip, max(start - n, 0), n, chance[3:]) if number else captions[-1])
-        return SegmentBatch(clean, valid, previous, first, index, place, turned, sides, captions, before)
+        return SegmentBatch(clean, valid, previous, first, index, place, turned, captions, before)
 
     def _place(self, total: int, chance: Sequence[float]) -> tuple[int, int, int, int]:
         """Where the sequence begins that a segment of a clip belongs to, first frame, end and index of the segment."""
@@ -251,14 +240,12 @@ def _part(clip: Row, start: int, frames: int) -> int:
     return next((k for k, end in enumerate(clip.ends) if middle < end), len(clip.ends) - 1)
 
 
-def _row(dataset: Dataset, item: int, store: FeatureStore, codec: FeatureCodec) -> Row:
-    clip, features, sides = dataset.clip(item), store.of_clip(item), store.sides[item]
+def _row(dataset: Dataset, item: int, store: FeatureStore) -> Row:
+    clip, features = dataset.clip(item), store.of_clip(item)
     if not clip.parts:
-        return Row((features,), (len(features),), (clip.captions,), clip.captions, (sides,))
+        return Row((features,), (len(features),), (clip.captions,), clip.captions)
     stops = (*(part.stop for part in clip.parts[:-1]), len(features))
-    joints = codec.joints(store.normalizer.denormalize(torch.from_numpy(np.array(features))))
-    each = (favoured(joints[start:stop], codec.skeleton) for start, stop in zip((0, *stops), stops, strict=False))
-    return Row((features,), stops, tuple(part.captions for part in clip.parts), clip.captions, (*each, sides))
+    return Row((features,), stops, tuple(part.captions for part in clip.parts), clip.captions)
 
 
 def _take(dataset: Dataset, take: Sequence[tuple[int, int]], store: FeatureStore) -> Row:
@@ -271,5 +258,4 @@ def _take(dataset: Dataset, take: Sequence[tuple[int, int]], store: FeatureStore
         for (clip, first), seam, until in zip(take, seams, seams[1:], strict=False)
     )
     said = tuple(dataset.clip(clip).captions for clip, _ in take)
-    sides = tuple(store.sides[clip] for clip, _ in take)
-    return Row(pieces, tuple(seam - seams[0] for seam in seams[1:]), said, (), sides)
+    return Row(pieces, tuple(seam - seams[0] for seam in seams[1:]), said, ())

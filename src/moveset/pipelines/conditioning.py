@@ -12,9 +12,6 @@ from torch import Tensor
 from moveset.data.captions import mirror_text
 from moveset.models.condition import Condition, Denoiser, PastSegment, Prediction, guided
 from moveset.models.symmetric import Symmetric
-from moveset.pipelines.model_config import StreamConfig
-from moveset.pipelines.model_folder import ModelFolder
-from moveset.pipelines.sides import read_sides
 from moveset.pipelines.timeline import Timeline
 from moveset.rdm.sequential import Denoise
 from moveset.text.cache import CachedEncoder
@@ -47,16 +44,8 @@ class Conditioning:
         frames: n.
     """
 
-    def __init__(
-        self,
-        bundle: ModelFolder[StreamConfig],
-        network: Denoiser,
-        texts: CachedEncoder,
-        *,
-        frames: int,
-        device: torch.device,
-    ) -> None:
-        self._bundle, self._network, self._texts = bundle, network, texts
+    def __init__(self, network: Denoiser, texts: CachedEncoder, *, frames: int, device: torch.device) -> None:
+        self._network, self._texts = network, texts
         self._frames, self._device = frames, device
         self._symmetric = isinstance(network, Symmetric)
         self._empty = texts.encode([""]).to(device)
@@ -103,4 +92,4 @@ class Conditioning:
         return denoise
 
     def _encoded(self, text: str) -> TextEmbedding:
-        return read_sides(self._bundle, self._texts.encode([text]).to(self._device), self._device)
+        return self._texts.encode([text]).to(self._device)

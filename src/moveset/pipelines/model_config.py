@@ -139,7 +139,7 @@ class FolderConfig:
 class ClipConfig(FolderConfig):
     """What a text-to-motion folder holds, besides what every ``FolderConfig`` says.
 
-    Networks: ``vae``, ``length``, ``teacher``, ``lcm-1``, ``pcm-1`` …
+    Networks: ``vae``, ``length``, ``sides``, ``teacher``, ``lcm-1``, ``pcm-1`` …
 
     Args:
         latent: (N, d), tokens of the latent and numbers in each.

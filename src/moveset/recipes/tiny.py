@@ -190,7 +190,7 @@ EXPORTS: tuple[Export, ...] = (
     ),
     StreamExport(
         name="rdm-tiny",
-        runs={"rdm": "rdm-7", "pcm-1": "rdm-student", "sides": "sides"},
+        runs={"rdm": "rdm-7", "pcm-1": "rdm-student"},
         guidance={"rdm": 1.5, "pcm-1": 1.5},
         sampling={"network": "pcm-1", "sampler_steps": 4, "start": 4},
     ),

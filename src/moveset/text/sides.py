@@ -35,11 +35,6 @@ def with_sides(text: TextEmbedding, sides_B3: Tensor) -> TextEmbedding:
     return replace(text, tokens=tokens)
 
 
-def unsaid(count: int, device: torch.device | str = "cpu") -> Tensor:
-    """(count, 3) of sentences that say nothing of sides."""
-    return torch.full((count, 3), torch.nan, device=device)
-
-
 def forget(sides_B3: Tensor, share: float, generator: torch.Generator) -> Tensor:
     """Sides of which, in ``share`` of the rows, none is said, and in the others each with a chance of a half."""
     at = generator.device

@@ -60,7 +60,6 @@ class StudentConfig:
         trajectory_rows: rows of a batch that are asked, besides, for what all of the teacher's steps lead to from where
             sampling enters a phase (``pcm.consistency.phase_entry`` and ``trajectory_target``, and
             ``rdm.distillation.trajectory_target``); 0 as published.
-        sides: share of samples that are told which sides the motion favours, as their teacher's were.
         ema: decay of the target network.
         model: the student's architecture; filled in from the teacher's.
     """
@@ -74,7 +73,6 @@ class StudentConfig:
     mismatched_text: float = 0.0
     discriminator_max_noise: float = 1.0
     trajectory_rows: int = 0
-    sides: float = 0.0
     ema: float = 0.95
     batch: int = 128
     lr: float = 2e-4
@@ -95,8 +93,13 @@ class StudentConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class DistillationConfig(StudentConfig):
-    """What a student of clips is and how it learns."""
+    """What a student of clips is and how it learns.
 
+    Args:
+        sides: share of samples that are told which sides the motion favours, as their teacher's were.
+    """
+
+    sides: float = 0.0
     model: LatentDenoiserConfig | TokenDenoiserConfig | None = None
 
 

@@ -23,7 +23,6 @@ from moveset.motion.features import get_codec
 from moveset.pipelines.model_config import DENOISER, FLOW, IDLE, BaselineConfig, ClipConfig, StreamConfig
 from moveset.pipelines.model_folder import save_model
 from moveset.pipelines.role import is_student, named
-from moveset.pipelines.sides import SIDES
 from moveset.text.encoder import get_text_encoder
 from moveset.text.glove import GloveWords
 from moveset.text.vocabulary import words_of
@@ -178,7 +177,7 @@ def _stream(
         raise InputError(f"a stream needs the network {RDM!r}, got {', '.join(found) or 'none'}; name its run")
     rdm, students = found[RDM], [name for name in found if "-" in name]
     for name, network in found.items():
-        for size in () if name == SIDES else ("features", "frames", "text_dim"):
+        for size in ("features", "frames", "text_dim"):
             if (ours := network.config[size]) != rdm.config[size]:
                 theirs = rdm.config[size]
                 raise InputError(f"{name!r} has {ours} {size} and {RDM!r} {theirs}; export networks of one kind")

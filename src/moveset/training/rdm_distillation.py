@@ -28,7 +28,6 @@ from moveset.rdm.grid import GridConfig
 from moveset.rdm.staircase import levels
 from moveset.rdm.transport import Transport
 from moveset.text.encoder import TextEmbedding
-from moveset.text.sides import forget, with_sides
 from moveset.training.adversarial import discriminator_step
 from moveset.training.bound_segments import BoundSegments
 from moveset.training.condition_dropout import drop_heading_change, drop_timing, perturb_heading, perturb_past
@@ -162,8 +161,7 @@ class RDMStudentTask(SingleNetworkTask):
             batch = replace(batch, clean=clean, turned=turned_B)
         place_B2 = drop_timing(batch.place, config.timing, self.draws)
         turned_B = drop_heading_change(batch.turned, config.heading_change, self.draws)
-        sides_B3 = forget(batch.sides, 1 - config.sides, self.draws)
-        batch = replace(batch, place=place_B2, turned=turned_B, sides=sides_B3)
+        batch = replace(batch, place=place_B2, turned=turned_B)
         if config.past_perturbation:
             size, codec = config.past_perturbation, self.data.codec
             past = perturb_past(batch.previous, batch.index, size, codec, self.normalizer, self.draws)
@@ -176,7 +174,7 @@ class RDMStudentTask(SingleNetworkTask):
             draws = replace(draws, w_B=w_B)
         past_noise = self._past_noise(self.own.began_with(white_BnD))
         # The student reads a roughened sentence and should say what is said to the sentence as it is.
-        rough, text = self._read(batch, self.draws), self._read(batch)
+        rough, text = self.data.read(batch.captions, self.draws), self.data.read(batch.captions)
         bound = self._bound(batch, text, past_noise)
         t_B, edge_B = self.grid.time(draws.point_B), self.grid.lower(draws.point_B)
         z = self.own.enter(add_noise(SCHEDULE, bound.pull(batch.clean), draws.noise_BND, t_B))
@@ -214,14 +212,14 @@ class RDMStudentTask(SingleNetworkTask):
         batch = batch.rows(self.config.trajectory_rows)
         count = len(batch.index)
         running_B = self.alone[:count]
-        text, w_B = self._read(batch), draws.w_B[:count]
+        text, w_B = self.data.read(batch.captions), draws.w_B[:count]
         bound = self._bound(batch, text, None if past_noise is None else past_noise[:count])
         phase_B = torch.randint(self.config.phases, (count,), generator=self.draws, device=w_B.device)
         point_B = torch.where(running_B, draws.point_B[:count], self.grid.highest_of(phase_B))
         noisy = add_noise(SCHEDULE, bound.pull(batch.clean), draws.noise_BND[:count], self.grid.time(point_B))
         z = torch.where(over(running_B, noisy), z[:count], noisy)
         target = trajectory_target(SCHEDULE, self.grid, bound.guided(w_B), bound.push, bound.pull, z, point_B)
-        rough = self._read(batch, self.draws)
+        rough = self.data.read(batch.captions, self.draws)
         made = bound.by(self.student, w_B, rough)(bound.push(z), self.grid.time(point_B))
         loss = _distance(made, target, self.scale, batch.valid, self.config.huber)
         if self.config.heading:
@@ -247,9 +245,6 @@ class RDMStudentTask(SingleNetworkTask):
                 ((made - self._reference).square() * valid).sum() / valid.sum() / made.shape[-1]
             )
         return report | {"teacher_std": float(self._reference.std()), "student_std": float(made.std())}
-
-    def _read(self, batch: SegmentBatch, augmented_by: torch.Generator | None = None) -> TextEmbedding:
-        return with_sides(self.data.read(batch.captions, augmented_by), batch.sides)
 
     def _past_noise(self, white_BnD: Tensor) -> Tensor | None:
         """Noise of the streams' past that a segment's own noise decides: the teacher's way down is a function of it.

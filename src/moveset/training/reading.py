@@ -8,7 +8,6 @@ import torch
 from moveset.data.text_augmentation import TextAugmentation
 from moveset.text.cache import EmbeddingCache, cache_file
 from moveset.text.encoder import TextEmbedding, get_text_encoder
-from moveset.text.sides import forget, with_sides
 
 MAX_TOKENS = 32
 
@@ -52,17 +51,3 @@ def read_captions(
     mask = found.mask & ~(missing & ~empty[:, None]).to(found.mask.device)
     tokens = found.tokens + noise.masked_fill(empty[:, None, None], 0.0).to(found.tokens)
     return TextEmbedding(tokens, mask, found.pooled)
-
-
-def told_of_sides(
-    text: TextEmbedding, captions: Sequence[str], sides_B3: torch.Tensor, share: float, generator: torch.Generator
-) -> TextEmbedding:
-    """Captions of motions beside which ``share`` of them have the sides that the motions favour.
-
-    Beside "", the unconditional input, nothing is said.
-    """
-    if not share:
-        return text
-    silent = torch.tensor([not caption for caption in captions], device=sides_B3.device)
-    sides_B3 = forget(sides_B3, 1 - share, generator).masked_fill(silent[:, None], torch.nan)
-    return with_sides(text, sides_B3.to(text.tokens.device))
