@@ -12,8 +12,10 @@ from fastapi.testclient import TestClient
 
 from moveset import MotionStream, TextToMotion
 from moveset.cli.__main__ import main
+from moveset.evaluation.sides import named_side, on_named_side
 from moveset.io import load
 from moveset.io.manifest import VerifiedFolder
+from moveset.motion.skeleton import HML22
 from moveset.pipelines.model_config import DEFAULT_MODEL, DEFAULT_STREAM, ClipConfig, StreamConfig
 from moveset.pipelines.model_folder import ModelFolder, shipped
 from moveset.pipelines.stream_batch import StreamBatch
@@ -121,13 +123,13 @@ def test_people_do_what_they_are_told(t2m, steps):
     assert not any(done(made(t2m, "a person stands still", steps, 0)) for done in list(ACTIONS.values())[1:])
 
 
-@pytest.mark.xfail(strict=True, reason="which hand, arm or leg it is comes out by chance (MODEL_CARD.md, limits)")
-def test_a_wave_lifts_the_hand_it_names(t2m):
-    lifted = []
-    for side, other in (("left", "right"), ("right", "left")):
-        motions = [made(t2m, f"a person waves with the {side} hand", 1, seed) for seed in SEEDS]
-        lifted += [reach(motion, side) - reach(motion, other) for motion in motions]
-    assert sum(lift > 0.2 for lift in lifted) >= 0.9 * len(lifted), lifted
+@pytest.mark.parametrize("steps", [1, 2, 4])
+def test_turns_and_waves_are_on_the_side_they_name(t2m, steps):
+    """A turn always, a hand in four of five at least: of what a hand does less is known."""
+    for sentence, least in (("a person walks and turns {}", 10), ("a person waves with the {} hand", 8)):
+        told = [(sentence.format(side), seed) for side in ("left", "right") for seed in SEEDS]
+        shown = [on_named_side(named_side(said), made(t2m, said, steps, seed).joints, HML22) for said, seed in told]
+        assert sum(shown) >= least, (sentence, shown)
 
 
 def test_bodies_stand_on_the_floor(t2m):
@@ -237,8 +239,3 @@ def same(one, other):
 
 def made(t2m, prompt, steps, seed):
     return t2m(prompt, seconds=4.0, steps=steps, seed=seed).motion
-
-
-def reach(motion, side):
-    """Highest point of a wrist, metres."""
-    return float(motion.joints[:, motion.skeleton.index(f"{side}_wrist"), 1].max())

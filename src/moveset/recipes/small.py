@@ -242,14 +242,14 @@ EXPORTS: tuple[Export, ...] = (
             "lcm-1": "lcm-1",
             "pcm-1": "pcm-1", "pcm-2": "pcm-2", "pcm-4": "pcm-4",
         },
-        guidance={"teacher": 2.5, "lcm-1": 2.5, "pcm-1": 3.0, "pcm-2": 2.5, "pcm-4": 2.5},
+        guidance={"teacher": 2.5, "lcm-1": 3.0, "pcm-1": 3.5, "pcm-2": 3.0, "pcm-4": 3.0},
         compact=("teacher",),
     ),
     *(
         ClipExport(
             name=f"motionpcm-{name}-small",
             runs={run: run for run in ("vae", "decoder", "teacher", "length", "sides")} | {"pcm-1": f"pcm-1-{name}"},
-            guidance={"teacher": 2.5, "pcm-1": 3.0},
+            guidance={"teacher": 2.5, "pcm-1": 3.5},
             compact=("teacher",),
         )
         for name in ("k20", "no-ema", "no-discriminator")
