@@ -65,8 +65,16 @@ def inputs(name):
     return given
 
 
-def close(one, other):
-    torch.testing.assert_close(one, other, rtol=1e-4, atol=1e-5)
+def close(one, other, rounding=0.0):
+    torch.testing.assert_close(one, other, rtol=1e-4, atol=max(1e-5, 4 * rounding))
+
+
+def rounding_of(model, given):
+    """How far outputs go if the last bit of an input changes: processors add up batches in orders of their own."""
+    whole, bit = call(model, **given).detach(), 1 + torch.finfo(torch.float32).eps
+    floats = [key for key, value in given.items() if value.is_floating_point()]
+    moved = (call(model, **{**given, key: given[key] * bit}).detach() for key in floats)
+    return max(float((made - whole).abs().max()) for made in moved)
 
 
 def test_gradients_reach_every_parameter(name):
@@ -93,8 +101,11 @@ def test_rows_do_not_know_of_each_other_and_may_be_prepared(name):
     model, given = awake(NETWORKS[name]), inputs(name)
     whole = call(model, **given)
     assert torch.equal(call(model, **given, prepare=True), whole)
+    rounding = rounding_of(model, given)
+    assert rounding < 1e-4  # what a row knew of another would show
     for row in range(4):
-        close(call(model, **{key: value[row : row + 1] for key, value in given.items()}), whole[row : row + 1])
+        alone = call(model, **{key: value[row : row + 1] for key, value in given.items()})
+        close(alone, whole[row : row + 1], rounding)
 
 
 @pytest.mark.parametrize("name", [name for name in NETWORKS if name not in ("volume", "light", "light-mean", "dip")])
@@ -145,7 +156,8 @@ def test_padded_text_does_not_matter_and_text_does(name):
     filler = 50.0 if model.config.__class__ is SegmentTransformerConfig else float("nan")
     close(call(model, **{**given, "tokens_BLC": tokens.masked_fill(~mask[..., None], filler)}), expected)
     one = {key: value[1:2] for key, value in given.items()}
-    close(call(model, **{**one, "tokens_BLC": tokens[1:2, :4], "mask_BL": mask[1:2, :4]}), expected[1:2])
+    cut = call(model, **{**one, "tokens_BLC": tokens[1:2, :4], "mask_BL": mask[1:2, :4]})
+    close(cut, expected[1:2], rounding_of(model, given))
     empty = {**given, "mask_BL": mask & torch.tensor([True, True, True, False])[:, None]}
     close(call(model, **empty)[:3], expected[:3])
     assert torch.isfinite(call(model, **empty)).all()
