@@ -11,7 +11,7 @@ from moveset.data.splits import Split
 from moveset.errors import InputError
 from moveset.models.length import LengthPredictorConfig
 from moveset.training.engine import Loop
-from moveset.training.reading import embedded
+from moveset.training.reading import draw_told, embedded
 from moveset.training.single_network import NetworkConfig, SingleNetworkTask
 from moveset.training.tasks import Sources
 
@@ -54,12 +54,8 @@ class LengthTask(SingleNetworkTask):
         self.optimizer = torch.optim.AdamW(self.length.parameters(), config.lr, weight_decay=0.01)
 
     def training_step(self, step: int, loop: Loop) -> dict[str, Tensor]:
-        generator = torch.Generator().manual_seed(self.seed * 1_000_003 + step)
-        rows = torch.randint(len(self.train), (self.config.batch,), generator=generator).tolist()
-        options = [self.train[row][0] for row in rows]
-        pick = torch.rand(self.config.batch, generator=generator).tolist()
-        captions = [texts[int(place * len(texts))] for texts, place in zip(options, pick, strict=True)]
-        classes = self.length.classes_of(torch.tensor([self.train[row][1] for row in rows])).to(loop.device)
+        captions, frames = draw_told(self.train, self.config.batch, self.seed, step)
+        classes = self.length.classes_of(torch.tensor(frames)).to(loop.device)
         logits = self.length(self.text.pooled_of(captions).float())
         loss = cross_entropy(logits, classes, label_smoothing=self.config.smoothing)
         norm = loop.minimise(loss, "length")

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TypeVar
 
 import torch
 
@@ -10,6 +11,7 @@ from moveset.text.cache import EmbeddingCache, cache_file
 from moveset.text.encoder import TextEmbedding, get_text_encoder
 
 MAX_TOKENS = 32
+T = TypeVar("T")
 
 
 def embedded(folder: Path, encoder: str, captions: Sequence[str], device: torch.device | str = "cpu") -> EmbeddingCache:
@@ -51,3 +53,12 @@ def read_captions(
     mask = found.mask & ~(missing & ~empty[:, None]).to(found.mask.device)
     tokens = found.tokens + noise.masked_fill(empty[:, None, None], 0.0).to(found.tokens)
     return TextEmbedding(tokens, mask, found.pooled)
+
+
+def draw_told(pairs: Sequence[tuple[tuple[str, ...], T]], size: int, seed: int, step: int) -> tuple[list[str], list[T]]:
+    """A step's sentences, one of each drawn clip's, and what is known of these clips; pure in (seed, step)."""
+    generator = torch.Generator().manual_seed(seed * 1_000_003 + step)
+    drawn = [pairs[row] for row in torch.randint(len(pairs), (size,), generator=generator).tolist()]
+    pick = torch.rand(size, generator=generator).tolist()
+    said = [texts[int(place * len(texts))] for (texts, _), place in zip(drawn, pick, strict=True)]
+    return said, [known for _, known in drawn]

@@ -13,7 +13,7 @@ from moveset.data.feature_store import FeatureStore
 from moveset.data.splits import Split
 from moveset.models.sides import SidePredictorConfig
 from moveset.training.engine import Loop
-from moveset.training.reading import MAX_TOKENS, embedded
+from moveset.training.reading import MAX_TOKENS, draw_told, embedded
 from moveset.training.single_network import NetworkConfig, SingleNetworkTask
 from moveset.training.tasks import Sources
 
@@ -56,15 +56,11 @@ class SidesTask(SingleNetworkTask):
         self.optimizer = torch.optim.AdamW(self.sides.parameters(), config.lr, weight_decay=0.01)
 
     def training_step(self, step: int, loop: Loop) -> dict[str, Tensor]:
-        generator = torch.Generator().manual_seed(self.seed * 1_000_003 + step)
-        rows = torch.randint(len(self.train), (self.config.batch,), generator=generator).tolist()
-        options = [self.train[row][0] for row in rows]
-        pick = torch.rand(self.config.batch, generator=generator).tolist()
-        captions = [texts[int(place * len(texts))] for texts, place in zip(options, pick, strict=True)]
+        captions, sides = draw_told(self.train, self.config.batch, self.seed, step)
         text = self.text.lookup(captions, MAX_TOKENS)
         noise = torch.randn(text.tokens.shape, generator=self.noise, device=loop.device)
         text = replace(text, tokens=text.tokens + self.config.noise * noise)
-        true_B3 = torch.stack([self.train[row][1] for row in rows]).to(loop.device)
+        true_B3 = torch.stack(sides).to(loop.device)
         loss = cross_entropy(self.sides(text).flatten(0, 1), _classes(true_B3).flatten())
         norm = loop.minimise(loss, "sides")
         return {"loss": loss.detach(), "gradient_norm": norm}
