@@ -123,3 +123,17 @@ def test_the_same_clips_give_the_same_recipes(corpus):
     assert len({record.recipe for record in kept}) == len(kept)
     assert all(a.name < b.name or a.kind != b.kind for a, b in pairwise(kept))
     assert add_compositions(CorpusWriter(), train=10) == 0
+
+
+def test_a_gait_goes_on_straight_at_its_own_pace(corpus):
+    for i in composed(corpus, "going_on"):
+        record, motion = corpus.records[i], corpus.motion(i)
+        one = record.recipe.parts[0]
+        assert set(record.recipe.parts) == {one}
+        assert record.frames > 1.5 * (one.stop - one.start)
+        assert set(corpus.captions(i)) <= set(corpus.captions(one.clip))
+        source = corpus.motion(one.clip).root[one.start : one.stop, [0, 2]].diff(dim=0).norm(dim=1).mean()
+        path = motion.root[:, [0, 2]]
+        assert (path[-1] - path[0]).norm() / (len(path) - 1) == pytest.approx(float(source), rel=0.1)
+        steps = motion.joints.diff(dim=0).norm(dim=-1).amax(dim=1)
+        assert steps.max() < 1.2 * corpus.motion(one.clip).joints.diff(dim=0).norm(dim=-1).max() + 0.01

@@ -1,8 +1,8 @@
 """Which compositions a corpus gets: recipes out of its clips, each within one split, told by their parts' sentences.
 
 One thing after another, joined where both are most alike; somebody who goes, and then stops and stands; arms of one on
-the legs of another; a way that is bent onto a circle, round a corner or back; another pace. Every choice comes from a
-random generator seeded by a string, so that the same clips give the same recipes.
+the legs of another; a way that is bent onto a circle, round a corner or back; a gait that goes on; another pace. Every
+choice comes from a random generator seeded by a string, so that the same clips give the same recipes.
 """
 
 import math
@@ -10,6 +10,7 @@ import random
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import torch
 from torch import Tensor
@@ -33,6 +34,12 @@ _ORDER = re.compile(r"\b(then|after|before|while|finally|first|next|again|start|
 _STRAIGHT = 0.9  # of the length of a way, from its first to its last place
 _FAR = 1.6  # metres of a way that can be bent
 _PACES = (0.85, 0.9, 1.1, 1.15)
+# Of a gait that is repeated: its least frames, how alike its ends are, m/s of who gets somewhere, the share of the clip's
+# best pace, and metres that it climbs and radians that it turns at most.
+_PERIOD, _SAME, _STEADY, _FULL, _LEVEL, _ASTRAY = 12, 0.4, 0.4, 0.8, 0.03, 0.15
+_ASIDE = re.compile(
+    r"circle|turn|left|right|back|diagonal|curve|stop|start|steps|paces|side|stair|speeds|slows|few", re.IGNORECASE
+)
 
 _THEN = ("{a} and then {b}", "{a}, then {b}", "{a} and {b}", "{a}. then {b}", "first {a}, then {b}")
 _STOPS = (
@@ -107,6 +114,17 @@ class _Pool:
         for _, record in self.records:
             counts[record.contents] = counts.get(record.contents, 0) + 1
         self.weights = [record.weight * counts[record.contents] ** -0.5 for _, record in self.records]
+
+    @cached_property
+    def gaits(self) -> list[tuple[_Clip, int, int]]:
+        """Clips of nothing but a gait, and the frames of each that can be repeated."""
+        found = []
+        for number, record in self.records:
+            clip = _Clip(number, record, self._writer.sentences(record), False)
+            if len(record.contents) == 1 and record.contents[0] in LOCOMOTION and _ahead(clip):
+                gait = _gait(self, clip)
+                found += [(clip, *gait)] if gait else []
+        return found
 
     def pick(self, chance: random.Random, wanted: Callable[[ClipRecord], bool] = lambda record: True) -> _Clip | None:
         """A clip of a wanted kind; None if none was found."""
@@ -310,4 +328,45 @@ def _paced(pool: _Pool, chance: random.Random) -> _Made | None:
     return _Made("paced", recipe, max(2, round(stop / speed)), clip.record.contents, clip.sentences)
 
 
-_WAYS = {_then: 6, _stop: 3, _start: 1, _body: 1, _bent: 4, _paced: 4}
+def _going_on(pool: _Pool, chance: random.Random) -> _Made | None:
+    """Who goes straight ahead goes on for as long as a clip lasts: takes end with the room."""
+    if not pool.gaits:
+        return None
+    clip, start, stop = chance.choice(pool.gaits)
+    longer = stop - start - _BLEND
+    count = (MAX_FRAMES - _BLEND) // longer
+    recipe = Recipe((Part(clip.number, start, stop),) * count, blend=_BLEND)
+    return _Made("going_on", recipe, count * longer + _BLEND, clip.record.contents, tuple(_ahead(clip)))
+
+
+def _ahead(clip: _Clip) -> list[str]:
+    """Sentences of somebody who goes on and on."""
+    return [told for told in clip.short() if not _ASIDE.search(told)]
+
+
+def _gait(pool: _Pool, clip: _Clip) -> tuple[int, int] | None:
+    """Frames of a clip after which its gait begins again, the overlap included: straight ahead and at full pace."""
+    motion, poses = pool.motion(clip), pool.poses(clip)
+    path, half = motion.root[:, [0, 2]], _BLEND // 2
+    gone = torch.cat((path.new_zeros(1), path.diff(dim=0).norm(dim=1).cumsum(0)))
+    second = min(round(motion.fps), len(path) - 1)
+    pace = float((gone[second:] - gone[:-second]).max()) / second
+    first, last = torch.triu_indices(len(poses), len(poses), _PERIOD)
+    facing = rotations.heading(motion.rotations[:, 0])
+    turned = rotations.heading_angle(rotations.mul(facing[last], rotations.inv(facing[first])))
+    way = gone[last] - gone[first]
+    good = ((path[last] - path[first]).norm(dim=1) > _STRAIGHT * way) & (turned.abs() < _ASTRAY)
+    good &= way > (last - first) * max(_STEADY / motion.fps, _FULL * pace)
+    good &= ((motion.root[last, 1] - motion.root[first, 1]).abs() < _LEVEL) & (first >= half)
+    good &= last <= len(motion) - half
+    if not good.any():
+        return None
+    first, last = first[good], last[good]
+    apart = (poses[last] - poses[first]).norm(dim=1)
+    best = int(apart.argmin())
+    # Beside what half a gait differs by, which grows with its pace.
+    most = float((poses - poses[first[best]]).norm(dim=1).max())
+    return (int(first[best]) - half, int(last[best]) + half) if float(apart[best]) < _SAME * most else None
+
+
+_WAYS = {_then: 6, _stop: 3, _start: 1, _body: 1, _bent: 4, _paced: 4, _going_on: 4}

@@ -223,7 +223,7 @@ class CorpusDataset:
             contents=contents,
             parts=parts,
             # A window of a clip that shows two things may miss half of what its caption says.
-            croppable=len(contents) == 1 and record.kind in ("take", "paced"),
+            croppable=len(contents) == 1 and record.kind in ("take", "going_on", "paced"),
         )
 
     def weights(self, items: Sequence[int], power: float, composed_share: float) -> Tensor:
@@ -390,7 +390,7 @@ def corpus_weights(corpus: Corpus, records: Sequence[int], power: float, compose
         for r, named in zip(chosen, sided, strict=True)
     ]
     weights = torch.tensor(each, dtype=torch.float64)
-    composed = torch.tensor([record.kind in ("in_time", "body", "bent") for record in chosen])
+    composed = torch.tensor([record.kind in ("in_time", "body", "bent", "going_on") for record in chosen])
     for part, share in ((composed, composed_share), (~composed, 1.0 - composed_share)):
         if part.any():
             weights[part] *= share / weights[part].sum()
