@@ -1,6 +1,6 @@
 """Does who walks get somewhere, straight, and does who turns or waves do it to the side that was said?
 
-    python benchmarks/course.py motionpcm-small rdm-small --corpus data/corpus.safetensors --out docs/metrics/course.json
+    python benchmarks/course.py motionpcm-small rdm-small --corpus data/corpus.safetensors --out course.json
 
 Of every sentence so many motions as users get them, of seeds 0, 1, …, and takes of the corpus that are said to walk or
 run. Medians over these, and between which values eight of ten are (``most``):

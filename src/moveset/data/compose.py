@@ -34,8 +34,8 @@ _ORDER = re.compile(r"\b(then|after|before|while|finally|first|next|again|start|
 _STRAIGHT = 0.9  # of the length of a way, from its first to its last place
 _FAR = 1.6  # metres of a way that can be bent
 _PACES = (0.85, 0.9, 1.1, 1.15)
-# Of a gait that is repeated: its least frames, how alike its ends are, m/s of who gets somewhere, the share of the clip's
-# best pace, and metres that it climbs and radians that it turns at most.
+# Of a gait that is repeated: its least frames, how alike its ends are, m/s of who gets somewhere, the share of the
+# clip's best pace, and metres that it climbs and radians that it turns at most.
 _PERIOD, _SAME, _STEADY, _FULL, _LEVEL, _ASTRAY = 12, 0.4, 0.4, 0.8, 0.03, 0.15
 _ASIDE = re.compile(
     r"circle|turn|left|right|back|diagonal|curve|stop|start|steps|paces|side|stair|speeds|slows|few", re.IGNORECASE

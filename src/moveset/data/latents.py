@@ -34,6 +34,9 @@ class LatentBatch:
     sides: Tensor
     captions: list[str]
 
+    def rows(self, count: int) -> "LatentBatch":
+        return LatentBatch(self.z0[:count], self.frames[:count], self.sides[:count], self.captions[:count])
+
     def to(self, device: torch.device | str) -> "LatentBatch":
         return LatentBatch(self.z0.to(device), self.frames.to(device), self.sides.to(device), self.captions)
 

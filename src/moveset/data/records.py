@@ -71,8 +71,8 @@ class ClipRecord:
         name: unique name.
         take: name of the take it was cut from; of the first part's, for a composition.
         group: takes of one group show the same seconds of one performance, such as the two partners of a dance.
-        kind: "take" as captured; composed "in_time", of two bodies ("body"), of one gait over and over ("going_on"), or of
-            one clip "bent" or "paced".
+        kind: "take" as captured; composed "in_time", of two bodies ("body"), of one gait over and over ("going_on"),
+            or of one clip "bent" or "paced".
         contents: what is shown, one label for each thing that its sentences tell; none where nothing is told. Two for
             compositions (first, second; upper body, legs) that do not show the same thing over and over.
         style: how it is performed, one label; None where unknown or mixed.

@@ -16,19 +16,32 @@ LEAST_TURN = 0.35  # radians that are a turn
 
 def favoured(joints: Tensor, skeleton: Skeleton) -> Tensor:
     """(3,) float32 of arms, legs and turn of joints (F, J, 3): 1 where the left is favoured, -1 right, 0 neither."""
-    found = []
-    for what, more in _MORE.items():
-        left, right = (way(joints, skeleton, what, side) for side in ("left", "right"))
-        found.append(0.0 if abs(left - right) <= more * (left + right) else 1.0 if left > right else -1.0)
-    turn = turned(joints, skeleton)
-    found.append(0.0 if abs(turn) <= LEAST_TURN else 1.0 if turn > 0 else -1.0)
-    return torch.tensor(found)
+    limbs = more_left(joints[None], torch.tensor([len(joints)]), skeleton)[0]
+    found = torch.cat((limbs, limbs.new_tensor([turned(joints, skeleton)])))
+    least = found.new_tensor([*_MORE.values(), LEAST_TURN])
+    return (found.sign() * (found.abs() > least)).float()
 
 
 def way(joints: Tensor, skeleton: Skeleton, what: str, side: str) -> float:
     """Metres that the end of an "arm" or a "leg" travels, seen from the pelvis."""
     seen = joints[:, skeleton.index(f"{side}_{_ENDS[what]}")] - joints[:, 0]
     return float(seen.diff(dim=0).norm(dim=-1).sum())
+
+
+def more_left(joints_BFJ3: Tensor, frames_B: Tensor, skeleton: Skeleton) -> Tensor:
+    """(B, 2) by how much the left arm and the left leg travel more than the right ones, in shares of the ways of both.
+
+    Args:
+        joints_BFJ3: seen from the pelvis, or not; what lies beyond ``frames_B`` frames is left out.
+    """
+    steps_BFJ = (joints_BFJ3 - joints_BFJ3[:, :, :1]).diff(dim=1).norm(dim=-1)
+    within = torch.arange(1, joints_BFJ3.shape[1], device=frames_B.device) < frames_B[:, None]
+    way_BJ = (steps_BFJ * within[..., None]).sum(dim=1)
+    found = []
+    for end in _ENDS.values():
+        left, right = (way_BJ[:, skeleton.index(f"{side}_{end}")] for side in ("left", "right"))
+        found.append((left - right) / (left + right).clamp(min=1e-3))
+    return torch.stack(found, dim=1)
 
 
 def turned(joints: Tensor, skeleton: Skeleton) -> float:

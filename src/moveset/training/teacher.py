@@ -16,6 +16,7 @@ from moveset.diffusion.steps import add_noise
 from moveset.models.condition import Condition
 from moveset.models.latent_denoiser import LatentDenoiserConfig
 from moveset.models.token_denoiser import TokenDenoiserConfig
+from moveset.motion.features import get_codec
 from moveset.text.encoder import TextEmbedding
 from moveset.text.sides import forget, with_sides
 from moveset.training.ema import Ema, ema_warmup
@@ -79,6 +80,7 @@ class LatentData:
     def _open(self, sources: Sources, text_encoder: str, loop: Loop) -> None:
         dataset, vae, there = open_for_training(sources.corpus), self.vae, loop.device
         store = FeatureStore.cached(dataset, vae.task["codec"], sources.cache, loop.rank == 0, loop.config.workers)
+        self.codec, self.normalizer = get_codec(vae.task["codec"]), store.normalizer
         latents = f"{sources.cache}/latents-{vae.digest[:12]}-{{}}.safetensors"
         self.train = LatentSet.of(dataset, "train", store, vae.module, Path(latents.format("train")), device=there)
         path = Path(latents.format("val"))
@@ -87,6 +89,12 @@ class LatentData:
         self.val.center, self.val.scale = self.train.center, self.train.scale
         captions = [*self.train.all_captions(), *self.val.all_captions()]
         self.text = embedded(sources.cache, text_encoder, captions, self.device)
+
+    def joints(self, z_BND: Tensor, frames_B: Tensor) -> Tensor:
+        """(B, F, J, 3) joints of latents as the networks know them, metres."""
+        z_BND = z_BND * self.train.scale.to(z_BND) + self.train.center.to(z_BND)
+        features_BFD = self.vae.module.decode(z_BND, frames_B, int(frames_B.max()))
+        return self.codec.joints(self.normalizer.denormalize(features_BFD.float()))
 
     def batch(self, size: int, step: int) -> LatentBatch:
         """Training latents of a step, on the device."""
