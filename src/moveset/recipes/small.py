@@ -242,7 +242,7 @@ EXPORTS: tuple[Export, ...] = (
             "lcm-1": "lcm-1",
             "pcm-1": "pcm-1", "pcm-2": "pcm-2", "pcm-4": "pcm-4",
         },
-        guidance={"teacher": 2.5, "lcm-1": 3.0, "pcm-1": 3.5, "pcm-2": 3.0, "pcm-4": 3.0},
+        guidance={"teacher": 2.5, "lcm-1": 2.5, "pcm-1": 3.5, "pcm-2": 3.0, "pcm-4": 3.0},
         compact=("teacher",),
     ),
     *(
