@@ -59,11 +59,13 @@ def test_a_student_goes_on_with_a_discriminator_that_reads(tiny_run, tmp_path):
 
 
 @pytest.mark.parametrize("what", ["lcm-1", "pcm-1"])
-@pytest.mark.parametrize(("setting", "name"), [("trajectory_rows", "trajectory"), ("side_rows", "sides")])
-def test_a_student_may_be_asked_for_more(tiny_run, tmp_path, what, setting, name):
+@pytest.mark.parametrize(
+    ("setting", "name", "batch"), [("trajectory_rows", "trajectory", 4), ("side_rows", "sides", 32)]
+)
+def test_a_student_may_be_asked_for_more(tiny_run, tmp_path, what, setting, name, batch):
     """For all of its teacher's steps; for the limb that is told. Settings come in any order."""
     for rows in (0, 2):
-        _, result = tiny_run.train(what, tmp_path / f"{rows}", f"{setting}={rows}", "batch=4", steps=1)
+        _, result = tiny_run.train(what, tmp_path / f"{rows}", f"{setting}={rows}", f"batch={batch}", steps=1)
         assert all((name in row) == bool(rows) for row in rows_of(tmp_path / f"{rows}"))
     assert differs("student", tmp_path / "0" / "step_1", result.checkpoint)
 

@@ -61,6 +61,8 @@ def lcm() -> Recipe:
 def pcm(phases: int = 1) -> Recipe:
     """MotionPCM of one, two or four evaluations; its discriminator reads, and looks where it can see."""
     task = replace(lcm().task, phases=phases, discriminator_lr=1e-3, mismatched_text=0.5, discriminator_max_noise=0.5)
+    if phases > 1:  # what they make of noise is no motion yet: asked for limbs, it shrinks
+        task = replace(task, side_rows=0)
     return Recipe(task=task, engine=_engine(STUDENTS))
 
 
