@@ -132,6 +132,19 @@ def test_turns_and_waves_are_on_the_side_they_name(t2m, steps):
         assert sum(shown) >= least, (sentence, shown)
 
 
+def test_one_evaluation_moves_the_limb_that_is_named(t2m):
+    """Students of one phase are asked for it: hands nearly always do it, legs three times of four."""
+    for sentence, least in (
+        ("a person throws a ball with the {} hand", 9),
+        ("a man punches with his {} hand", 9),
+        ("a person raises the {} arm", 9),
+        ("a person kicks with the {} leg", 7),
+    ):
+        told = [(sentence.format(side), seed) for side in ("left", "right") for seed in SEEDS]
+        shown = [on_named_side(named_side(said), made(t2m, said, 1, seed).joints, HML22) for said, seed in told]
+        assert sum(shown) >= least, (sentence, shown)
+
+
 def test_bodies_stand_on_the_floor(t2m):
     for prompt in ("a person walks forward", "a person bows", "someone runs fast"):
         joints = made(t2m, prompt, 1, 3).joints
