@@ -47,6 +47,7 @@ FIGURES = {
     "rdm-figure-5": ("rdm", ("rdm-1", "light-rdm-1", "motiondiffuse"), FIVE, 9.8),
 }
 SHOWN = 6.0
+SECONDS = 4.0  # of a clip: actions are over by then
 WIDTH = 1400
 
 
@@ -105,7 +106,7 @@ def main() -> None:
         write({name: picture for name, picture in made.items() if picture}, given.out)
         return
     t2m = TextToMotion.from_pretrained(given.clips, device="cpu")
-    pictures = {"one-step": sheet([filmstrip(t2m(text, steps=1, seed=7).motion, text) for text in CLIPS])}
+    pictures = {"one-step": sheet([filmstrip(t2m(text, seconds=SECONDS, steps=1, seed=7).motion, text) for text in CLIPS])}
     strips = []
     for text in STREAMS:
         stream = MotionStream.from_pretrained(given.streams, prompt=text, seed=3, device="cpu")
