@@ -106,7 +106,9 @@ def main() -> None:
         write({name: picture for name, picture in made.items() if picture}, given.out)
         return
     t2m = TextToMotion.from_pretrained(given.clips, device="cpu")
-    pictures = {"one-step": sheet([filmstrip(t2m(text, seconds=SECONDS, steps=1, seed=7).motion, text) for text in CLIPS])}
+    pictures = {
+        "one-step": sheet([filmstrip(t2m(text, seconds=SECONDS, steps=1, seed=7).motion, text) for text in CLIPS])
+    }
     strips = []
     for text in STREAMS:
         stream = MotionStream.from_pretrained(given.streams, prompt=text, seed=3, device="cpu")
