@@ -10,6 +10,8 @@ bends             degrees a second by which the way turns, to the left; of steps
 turned            degrees by which the hips turn from the first frame to the last, to the left
 arms              the left wrist's way beside both wrists', seen from the pelvis
 right             the share of motions that go, turn or wave as their sentence says (``EXPECTED``)
+over_time         of streams of a minute and more: height, speed of joints, jerk and skating in the first and the last
+                  minute, and what they change by in one (``motion.measures.windows``)
 """
 
 import argparse
@@ -25,7 +27,8 @@ from torch import Tensor
 from arguments import Parser, at_least, between, report_path, write_report
 from moveset.data.corpus import Corpus
 from moveset.errors import exit_code_of
-from moveset.motion.measures import jerk, skating
+from moveset.motion.clip import Motion
+from moveset.motion.measures import jerk, skating, windows
 from moveset.motion.sides import turned, way
 from moveset.motion.skeleton import HML22
 from moveset.pipelines.generator import Sampler, open_generator
@@ -82,12 +85,23 @@ def summary(rows: Sequence[Row]) -> dict[str, Any]:
     return found | {name: round(fmean(row[name] for row in rows), 3) for name in ("skating", "jerk")}
 
 
-def made(model: str, network: str | None, sentence: str, copies: int, seconds: float) -> list[dict[str, float]]:
-    """Of motions of one sentence, seeds from 0 on."""
+def made(model: str, network: str | None, sentence: str, copies: int, seconds: float) -> list[Motion]:
+    """Motions of one sentence, seeds from 0 on."""
     generator = open_generator(model, network, Sampler(), device="cpu")
     frames = round(seconds * generator.fps)
-    motions = generator.generate([Request((sentence,), (frames,), seed) for seed in range(copies)])
-    return [measured(motion.joints.float(), generator.fps) for motion in motions]
+    return generator.generate([Request((sentence,), (frames,), seed) for seed in range(copies)])
+
+
+def over_time(motions: Sequence[Motion]) -> dict[str, Any]:
+    """How motions of equal length, a minute or more, change: means over them."""
+    found = windows(torch.stack([motion.joints.float() for motion in motions]), motions[0].fps)
+    minute = round(60 / found.seconds)
+    rows = {}
+    for name in ("height", "speed", "jerk", "skating"):
+        values = getattr(found, name)
+        change = {"first": values[:, :minute], "last": values[:, -minute:], "a_minute": found.drift(name)}
+        rows[name] = {when: round(float(value.mean()), 4) for when, value in change.items()}
+    return rows
 
 
 def takes(corpus: Corpus, said: str, seconds: float) -> list[dict[str, float]]:
@@ -125,9 +139,11 @@ def main() -> None:
     for asked in given.model:
         model, _, network = asked.partition(":")
         for sentence in given.sentences:
-            rows = made(model, network or None, sentence, given.copies, given.seconds)
+            motions = made(model, network or None, sentence, given.copies, given.seconds)
+            rows = [measured(motion.joints.float(), motion.fps) for motion in motions]
             right = {"right": fmean(map(EXPECTED[sentence], rows))} if sentence in EXPECTED else {}
-            note(f"{asked}: {sentence}", summary(rows) | right)
+            longer = {"over_time": over_time(motions)} if given.seconds >= 60 else {}
+            note(f"{asked}: {sentence}", summary(rows) | right | longer)
     if given.out:
         write_report(given.out, {"copies": given.copies, "seconds": given.seconds, "rows": found})
 
