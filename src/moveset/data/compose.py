@@ -358,7 +358,8 @@ def _gait(pool: _Pool, clip: _Clip) -> tuple[int, int] | None:
     good = ((path[last] - path[first]).norm(dim=1) > _STRAIGHT * way) & (turned.abs() < _ASTRAY)
     good &= way > (last - first) * max(_STEADY / motion.fps, _FULL * pace)
     good &= ((motion.root[last, 1] - motion.root[first, 1]).abs() < _LEVEL) & (first >= half)
-    good &= last <= len(motion) - half
+    # Twice at least within a clip.
+    good &= (last <= len(motion) - half) & (last - first <= (MAX_FRAMES - _BLEND) // 2)
     if not good.any():
         return None
     first, last = first[good], last[good]

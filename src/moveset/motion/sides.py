@@ -32,7 +32,7 @@ def more_left(joints_BFJ3: Tensor, frames_B: Tensor, skeleton: Skeleton) -> Tens
     """(B, 2) by how much the left arm and the left leg travel more than the right ones, in shares of the ways of both.
 
     Args:
-        joints_BFJ3: seen from the pelvis, or not; what lies beyond ``frames_B`` frames is left out.
+        frames_B: of each; what lies beyond them is left out.
     """
     steps_BFJ = (joints_BFJ3 - joints_BFJ3[:, :, :1]).diff(dim=1).norm(dim=-1)
     within = torch.arange(1, joints_BFJ3.shape[1], device=frames_B.device) < frames_B[:, None]

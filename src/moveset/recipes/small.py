@@ -53,7 +53,7 @@ def lcm() -> Recipe:
     task = DistillationConfig(
         guidance=GUIDANCE, batch=64, lr=3e-4, warmup=100, sides=SIDES, augmentation=AUGMENTATION,
         # Beyond the papers, and the same for both methods (docs/decisions/clips.md).
-        inference_points=0.5, trajectory_rows=8, side_rows=12, side_weight=0.15,
+        inference_points=0.5, trajectory_rows=8, side_rows=12,
     )  # fmt: skip
     return Recipe(task=task, engine=_engine(STUDENTS))
 

@@ -108,7 +108,7 @@ class DistillationConfig(StudentConfig):
 
     sides: float = 0.0
     side_rows: int = 0
-    side_weight: float = 0.5
+    side_weight: float = 0.15
     model: LatentDenoiserConfig | TokenDenoiserConfig | None = None
 
 
@@ -120,7 +120,8 @@ class _DistillationTask(SingleNetworkTask):
 
     def __init__(self, config: DistillationConfig, sources: Sources, loop: Loop) -> None:
         # Not a check of the configuration: settings come one by one, in any order.
-        require_range("rows that are trajectory_rows", config.trajectory_rows, 0, config.batch)
+        for name in ("trajectory_rows", "side_rows"):
+            require_range(f"rows that are {name}", getattr(config, name), 0, config.batch)
         self.steps = loop.config.steps
         teacher = load_trained(sources.teacher, "teacher_ema", loop.device)
         self.data = LatentData(sources, config.text_encoder, config.augmentation, loop, normalised_latents(teacher))
