@@ -9,7 +9,8 @@ metres_a_second   from the first second to the last, along the ground
 bends             degrees a second by which the way turns, to the left; of steps of a second, so that gaits do not count
 turned            degrees by which the hips turn from the first frame to the last, to the left
 arms              the left wrist's way beside both wrists', seen from the pelvis
-right             the share of motions that go, turn or wave as their sentence says (``EXPECTED``)
+right             the share of motions that go, turn or wave as their sentence says (``EXPECTED``), or, of another
+                  sentence that names a side, that are on it (``evaluation.sides``)
 over_time         of streams of a minute and more: height, speed of joints, jerk and skating in the first and the last
                   minute, and what they change by in one (``motion.measures.windows``)
 """
@@ -27,6 +28,7 @@ from torch import Tensor
 from arguments import Parser, at_least, between, report_path, write_report
 from moveset.data.corpus import Corpus
 from moveset.errors import exit_code_of
+from moveset.evaluation.sides import named_side, on_named_side
 from moveset.motion.clip import Motion
 from moveset.motion.measures import jerk, skating, windows
 from moveset.motion.sides import turned, way
@@ -141,7 +143,11 @@ def main() -> None:
         for sentence in given.sentences:
             motions = made(model, network or None, sentence, given.copies, given.seconds)
             rows = [measured(motion.joints.float(), motion.fps) for motion in motions]
-            right = {"right": fmean(map(EXPECTED[sentence], rows))} if sentence in EXPECTED else {}
+            right = {}
+            if sentence in EXPECTED:
+                right = {"right": fmean(map(EXPECTED[sentence], rows))}
+            elif named := named_side(sentence):
+                right = {"right": fmean(on_named_side(named, motion.joints.float(), HML22) for motion in motions)}
             longer = {"over_time": over_time(motions)} if given.seconds >= 60 else {}
             note(f"{asked}: {sentence}", summary(rows) | right | longer)
     if given.out:

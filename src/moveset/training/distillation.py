@@ -215,7 +215,8 @@ class _DistillationTask(SingleNetworkTask):
         """
         favours = batch.sides[:, :2].any(dim=1).nonzero()[: self.config.side_rows, 0]
         if not len(favours):
-            return batch.z0.new_zeros(())
+            report["sides"] = batch.z0.new_zeros(())
+            return report["sides"]
         captions, frames = [batch.captions[k] for k in favours.tolist()], batch.frames[favours]
         sides_B3 = forget(batch.sides[favours], 0.0, self.draws)
         text = with_sides(self.data.read(captions, self.draws), sides_B3)
