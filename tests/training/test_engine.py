@@ -298,9 +298,32 @@ def test_mixed_precision_computes_in_bfloat16_and_keeps_float32(tmp_path):
         return {}
 
     task = run_plain(tmp_path, loss, precision="bf16-mixed")
-    run_plain(tmp_path / "full", loss, precision="auto")
+    run_plain(tmp_path / "full", loss, precision="32-true")
     assert seen == [torch.bfloat16, torch.float32]
     assert task.modules()["a"].weight.dtype == torch.float32
+
+
+@pytest.mark.parametrize(
+    ("processor", "wanted"),
+    [
+        ({"avx512_bf16": True, "amx_bf16": False}, torch.bfloat16),
+        ({"amx_bf16": True}, torch.bfloat16),
+        ({"avx512_bf16": False, "amx_bf16": False, "avx2": True}, torch.float32),
+        ({}, torch.float32),
+    ],
+)
+def test_a_processor_with_instructions_for_bfloat16_uses_them(tmp_path, monkeypatch, processor, wanted):
+    monkeypatch.setattr(torch.cpu, "get_capabilities", lambda: processor)
+    seen = []
+
+    def loss(task, step, loop):
+        out = task.modules()["a"](torch.ones(2, 3))
+        seen.append(out.dtype)
+        loop.minimise(out.float().square().mean(), "a")
+        return {}
+
+    run_plain(tmp_path, loss, precision="auto")
+    assert seen == [wanted]
 
 
 def test_mixed_precision_sees_updated_weights_within_one_step(tmp_path):

@@ -77,7 +77,8 @@ def tiny(folder: Path, stop_at: int = 0, resume: bool = False) -> TinyTask:
 
 
 def config(steps: int) -> EngineConfig:
-    return EngineConfig(steps=steps, save_every=5, validate_every=4, device="cpu", threads=1, tensorboard=False)
+    exact = {"device": "cpu", "precision": "32-true", "threads": 1}
+    return EngineConfig(steps=steps, save_every=5, validate_every=4, tensorboard=False, **exact)
 
 
 def main(folder: Path) -> None:

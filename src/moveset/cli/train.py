@@ -86,7 +86,7 @@ def train(
         seed: Of everything random.
         device: Where to compute.
         devices: Processes on this machine, each with its own batch.
-        precision: bf16-mixed: bfloat16 where it is safe. auto: that on a CUDA device that has it.
+        precision: bf16-mixed: bfloat16 where it is safe. auto: that on a device or processor with instructions for it.
         threads: CPU threads, 0 for torch's choice.
         workers: Processes that make batches ahead, for networks of segments on a GPU.
         save_every: Steps between checkpoints.

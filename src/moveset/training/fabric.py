@@ -33,7 +33,7 @@ def launch(config: "EngineConfig") -> "Fabric":
         raise InputError(f"device {device!r} cannot be used here; this machine has {usable}")
     precision = config.precision
     if precision == "auto":
-        precision = "bf16-mixed" if device == "cuda" and torch.cuda.is_bf16_supported() else "32-true"
+        precision = "bf16-mixed" if _multiplies_bf16(device) else "32-true"
     devices, nodes = config.devices, 1
     if torch.distributed.is_torchelastic_launched():
         devices = int(os.environ["LOCAL_WORLD_SIZE"])
@@ -49,6 +49,14 @@ def launch(config: "EngineConfig") -> "Fabric":
     if torch.distributed.is_initialized() and torch.distributed.get_backend() == "gloo":
         atexit.register(_leave_group)
     return fabric
+
+
+def _multiplies_bf16(device: str) -> bool:
+    """Whether a device has instructions for bfloat16: a processor without them takes longer than in full precision."""
+    if device == "cpu":
+        has = getattr(torch.cpu, "get_capabilities", dict)()  # of torch 2.6 there is none
+        return bool(has.get("avx512_bf16") or has.get("amx_bf16"))
+    return device == "cuda" and torch.cuda.is_bf16_supported()
 
 
 def _leave_group() -> None:
