@@ -221,7 +221,7 @@ def run_plain(folder, loss, steps=1, modules=("a",), **settings):
         task.append(PlainTask(loss, **{name: nn.Linear(3, 3) for name in modules}))
         return task[0]
 
-    settings = {"device": "cpu", "tensorboard": False, "validate_every": 0, **settings}
+    settings = {"device": "cpu", "precision": "32-true", "tensorboard": False, "validate_every": 0, **settings}
     run(make, EngineConfig(steps=steps, **settings), folder)
     return task[0]
 

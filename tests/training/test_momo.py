@@ -170,7 +170,8 @@ def engine(folder: Path, steps: int, resume: bool = False, parts: int = 1) -> nn
         made.append(Regression(loop, parts))
         return made[0]
 
-    config = EngineConfig(steps=steps, save_every=5, validate_every=0, device="cpu", precision="32-true", tensorboard=False)
+    exact = {"device": "cpu", "precision": "32-true"}
+    config = EngineConfig(steps=steps, save_every=5, validate_every=0, tensorboard=False, **exact)
     run(make, config, folder, resume)
     return made[0].net
 

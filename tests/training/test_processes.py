@@ -60,7 +60,7 @@ def test_resuming_in_two_processes_is_exact(both):
 def test_another_number_of_processes_resumes_with_a_warning(both):
     folder, _ = both
     with pytest.warns(UserWarning, match="settings|processes") as said:
-        result = train(folder / "straight", steps=14, resume=True, validate_every=4, log_every=20)
+        result = train(folder / "straight", steps=14, resume=True, validate_every=4, log_every=20, precision="32-true")
     assert result.step == 14
     assert [str(warning.message).partition(" with ")[2] for warning in said][:1] == ["other settings: steps 12 -> 14"]
     assert "written by 2 processes and is resumed by 1" in str(said[1].message)

@@ -6,7 +6,7 @@ Shapes: M entries, N latent tokens, d latent width, B batch.
 
 from collections.abc import Sequence
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -27,18 +27,20 @@ _SOURCE = "moveset source"
 
 @dataclass(frozen=True, eq=False)
 class LatentBatch:
-    """Latents z_0 (B, N, d), clip lengths (B,) in frames, sides (B, 3) that they favour, and a caption for each."""
+    """Latents z_0 (B, N, d), clip lengths (B,) in frames, sides (B, 3) that they favour, a caption for each, and labels
+    of what it shows, or the caption again where there are none."""
 
     z0: Tensor
     frames: Tensor
     sides: Tensor
     captions: list[str]
+    contents: list[tuple[str, ...]]
 
     def rows(self, count: int) -> "LatentBatch":
-        return LatentBatch(self.z0[:count], self.frames[:count], self.sides[:count], self.captions[:count])
+        return LatentBatch(*(getattr(self, field.name)[:count] for field in fields(self)))
 
     def to(self, device: torch.device | str) -> "LatentBatch":
-        return LatentBatch(self.z0.to(device), self.frames.to(device), self.sides.to(device), self.captions)
+        return replace(self, z0=self.z0.to(device), frames=self.frames.to(device), sides=self.sides.to(device))
 
 
 class LatentSet:
@@ -61,7 +63,9 @@ class LatentSet:
         weight = dict(zip(clips, dataset.weights(clips, power=0.25, composed_share=0.4).tolist(), strict=True))
         copies = torch.bincount(self.clip, minlength=len(dataset)).double()
         self.weights = torch.tensor([weight[int(c)] for c in self.clip], dtype=torch.float64) / copies[self.clip]
-        self._captions = {clip: dataset.clip(clip).captions for clip in set(self.clip.tolist())}
+        shown = {clip: dataset.clip(clip) for clip in set(self.clip.tolist())}
+        self._captions = {number: clip.captions for number, clip in shown.items()}
+        self._contents = {number: clip.contents for number, clip in shown.items()}
 
     @classmethod
     def of(
@@ -121,7 +125,9 @@ class LatentSet:
         for entry, pick in zip(entries.tolist(), torch.rand(size, generator=generator).tolist(), strict=True):
             options = self.captions(entry)
             captions.append(options[int(pick * len(options))])
-        return LatentBatch(z0, self.frames[entries], self.sides[entries], captions)
+        labels = [self._contents[int(self.clip[entry])] for entry in entries]
+        contents = [of or (caption,) for of, caption in zip(labels, captions, strict=True)]
+        return LatentBatch(z0, self.frames[entries], self.sides[entries], captions, contents)
 
 
 def _entries(dataset: Dataset, clips: Sequence[int], store: FeatureStore, windows: int) -> list[Crop]:

@@ -1,10 +1,25 @@
 """The discriminator's own step, shared by the distillation of clips and of segments."""
 
+from collections.abc import Sequence
+
 import torch
 from torch import Tensor, nn
 
 from moveset.pcm.losses import hinge_discriminator
 from moveset.training.engine import Loop
+
+
+def of_another(contents: Sequence[Sequence[str]]) -> list[int]:
+    """For each row the next one, in a ring, that shows nothing of what it shows: whose text does not match it.
+
+    Where all rows show the same, it is the next one.
+    """
+    total = len(contents)
+    found = []
+    for row, own in enumerate(contents):
+        ring = [(row + step) % total for step in range(1, total)]
+        found.append(next((other for other in ring if not set(own) & set(contents[other])), (row + 1) % total))
+    return found
 
 
 def discriminator_step(

@@ -15,6 +15,7 @@ from moveset.models.condition import Condition, Denoiser, PastSegment, Predictio
 from moveset.models.segment_transformer import UNKNOWN
 from moveset.rdm.transport import Transport
 from moveset.text.encoder import TextEmbedding
+from moveset.training.adversarial import of_another
 from moveset.training.rdm import SCHEDULE
 
 NEARER = 0.75
@@ -44,8 +45,9 @@ class BoundSegments:
         self.clean_level = torch.zeros_like(batch.index)
 
     def mismatched(self) -> "BoundSegments":
-        """The same with every segment's text moved on to the next one."""
-        others = self.text[torch.arange(len(self.text), device=self.batch.index.device).roll(1)]
+        """The same with the text of another segment that is told something else."""
+        told = [(caption,) for caption in self.batch.captions]
+        others = self.text[torch.tensor(of_another(told), device=self.batch.index.device)]
         return BoundSegments(self.batch, others, self.empty, self.transport, self.teacher)
 
     def alone(self, rows_B: Tensor) -> "BoundSegments":

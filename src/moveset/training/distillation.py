@@ -36,7 +36,7 @@ from moveset.pcm.losses import hinge_generator, pseudo_huber
 from moveset.pcm.sampler import lcm_timesteps, sample_ddim, sample_lcm, sample_phased
 from moveset.text.encoder import TextEmbedding
 from moveset.text.sides import forget, with_sides
-from moveset.training.adversarial import discriminator_step
+from moveset.training.adversarial import discriminator_step, of_another
 from moveset.training.ema import Ema
 from moveset.training.engine import Loop
 from moveset.training.single_network import SingleNetworkTask
@@ -58,8 +58,8 @@ class StudentConfig:
         huber: c of the pseudo-Huber distance.
         adversarial: weight of the discriminator's verdict; 0 leaves the discriminator out.
         inference_points: share of a batch that is moved to the points which sampling evaluates; 0 as published.
-        mismatched_text: share of real samples with another item's text in what the discriminator is to call fake, so
-            that it judges what is said too; 0 as published.
+        mismatched_text: share of real samples with the text of an item that shows something else in what the
+            discriminator is to call fake, so that it judges what is said too; 0 as published.
         discriminator_max_noise: the lower part of a phase in which the discriminator looks; 1 as published.
         trajectory_rows: rows of a batch that are asked, besides, for what all of the teacher's steps lead to from where
             sampling enters a phase (``pcm.consistency.phase_entry`` and ``trajectory_target``, and
@@ -243,7 +243,7 @@ class _DistillationTask(SingleNetworkTask):
             real_seen = judge.features(real, s_B, condition)
             others_seen = None
             if self.config.mismatched_text:
-                others = replace(condition, text=text[torch.arange(len(text), device=real.device).roll(1)])
+                others = replace(condition, text=text[torch.tensor(of_another(batch.contents), device=real.device)])
                 others_seen = judge.features(real, s_B, others)
         report |= discriminator_step(judge.heads, real_seen, seen, others_seen, self.config.mismatched_text, loop)
         return seen
