@@ -31,7 +31,7 @@ from moveset.errors import exit_code_of
 from moveset.evaluation.sides import named_side, on_named_side
 from moveset.motion.clip import Motion
 from moveset.motion.measures import jerk, skating, windows
-from moveset.motion.sides import turned, way
+from moveset.motion.sides import more_left, turned
 from moveset.motion.skeleton import HML22
 from moveset.pipelines.generator import Sampler, open_generator
 from moveset.pipelines.request import Request
@@ -54,12 +54,12 @@ TAKES = {"walk": "walks forward", "run": "runs"}
 
 def measured(joints_FJ3: Tensor, fps: float) -> dict[str, float]:
     """Of one motion of more than two seconds."""
-    arms = [way(joints_FJ3, HML22, "arm", side) for side in ("left", "right")]
+    arms = more_left(joints_FJ3[None], torch.tensor([len(joints_FJ3)]), HML22)[0, 0]
     return {
         "metres_a_second": float(_ground(joints_FJ3[-1, 0] - joints_FJ3[0, 0]).norm()) / (len(joints_FJ3) / fps),
         "bends": bends(joints_FJ3[:, 0], fps),
         "turned": turned(joints_FJ3, HML22) * 180 / torch.pi,
-        "arms": arms[0] / max(sum(arms), 1e-6),
+        "arms": (1 + float(arms)) / 2,
         "skating": float(skating(joints_FJ3, fps)),
         "jerk": float(jerk(joints_FJ3, fps)),
     }

@@ -11,9 +11,10 @@ import re
 from dataclasses import dataclass
 from typing import Literal
 
+import torch
 from torch import Tensor
 
-from moveset.motion.sides import LEAST_TURN, turned, way
+from moveset.motion.sides import LEAST_TURN, SIDED, more_left, turned
 from moveset.motion.skeleton import Skeleton
 
 Side = Literal["left", "right"]
@@ -49,8 +50,8 @@ def named_side(sentence: str) -> Named | None:
 
 def on_named_side(named: Named, joints: Tensor, skeleton: Skeleton) -> bool:
     """Whether a motion (F, J, 3), in metres, does what is named on that side."""
+    sign = 1 if named.side == "left" else -1
     if named.what == "turn":
-        turn = turned(joints, skeleton)
-        return (turn if named.side == "left" else -turn) > LEAST_TURN
-    ways = {side: way(joints, skeleton, named.what, side) for side in ("left", "right")}
-    return ways[named.side] > ways["right" if named.side == "left" else "left"]
+        return sign * turned(joints, skeleton) > LEAST_TURN
+    limbs = more_left(joints[None], torch.tensor([len(joints)]), skeleton)[0]
+    return bool(sign * limbs[SIDED.index(named.what)] > 0)

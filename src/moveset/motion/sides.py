@@ -22,12 +22,6 @@ def favoured(joints: Tensor, skeleton: Skeleton) -> Tensor:
     return (found.sign() * (found.abs() > least)).float()
 
 
-def way(joints: Tensor, skeleton: Skeleton, what: str, side: str) -> float:
-    """Metres that the end of an "arm" or a "leg" travels, seen from the pelvis."""
-    seen = joints[:, skeleton.index(f"{side}_{_ENDS[what]}")] - joints[:, 0]
-    return float(seen.diff(dim=0).norm(dim=-1).sum())
-
-
 def more_left(joints_BFJ3: Tensor, frames_B: Tensor, skeleton: Skeleton) -> Tensor:
     """(B, 2) by how much the left arm and the left leg travel more than the right ones, in shares of the ways of both.
 
