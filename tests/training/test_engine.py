@@ -308,8 +308,7 @@ def test_mixed_precision_computes_in_bfloat16_and_keeps_float32(tmp_path):
     [
         ({"avx512_bf16": True, "amx_bf16": False}, torch.bfloat16),
         ({"amx_bf16": True}, torch.bfloat16),
-        ({"avx512_bf16": False, "amx_bf16": False, "avx2": True}, torch.float32),
-        ({}, torch.float32),
+        ({"avx512_bf16": False, "avx2": True}, torch.float32),
     ],
 )
 def test_a_processor_with_instructions_for_bfloat16_uses_them(tmp_path, monkeypatch, processor, wanted):
