@@ -288,7 +288,8 @@ def test_a_failed_training_stops_and_saves_nothing_broken(tmp_path):
     assert not list((tmp_path / "silent").glob(".tmp-*"))
 
 
-def test_mixed_precision_computes_in_bfloat16_and_keeps_float32(tmp_path):
+def computes_in(folder, precision):
+    """The type of what a step's network makes, and of its weights afterwards."""
     seen = []
 
     def loss(task, step, loop):
@@ -297,10 +298,13 @@ def test_mixed_precision_computes_in_bfloat16_and_keeps_float32(tmp_path):
         loop.minimise(out.float().square().mean(), "a")
         return {}
 
-    task = run_plain(tmp_path, loss, precision="bf16-mixed")
-    run_plain(tmp_path / "full", loss, precision="32-true")
-    assert seen == [torch.bfloat16, torch.float32]
-    assert task.modules()["a"].weight.dtype == torch.float32
+    task = run_plain(folder, loss, precision=precision)
+    return seen[0], task.modules()["a"].weight.dtype
+
+
+def test_mixed_precision_computes_in_bfloat16_and_keeps_float32(tmp_path):
+    assert computes_in(tmp_path, "bf16-mixed") == (torch.bfloat16, torch.float32)
+    assert computes_in(tmp_path / "full", "32-true") == (torch.float32, torch.float32)
 
 
 @pytest.mark.parametrize(
@@ -313,16 +317,7 @@ def test_mixed_precision_computes_in_bfloat16_and_keeps_float32(tmp_path):
 )
 def test_a_processor_with_instructions_for_bfloat16_uses_them(tmp_path, monkeypatch, processor, wanted):
     monkeypatch.setattr(torch.cpu, "get_capabilities", lambda: processor)
-    seen = []
-
-    def loss(task, step, loop):
-        out = task.modules()["a"](torch.ones(2, 3))
-        seen.append(out.dtype)
-        loop.minimise(out.float().square().mean(), "a")
-        return {}
-
-    run_plain(tmp_path, loss, precision="auto")
-    assert seen == [wanted]
+    assert computes_in(tmp_path, "auto") == (wanted, torch.float32)
 
 
 def test_mixed_precision_sees_updated_weights_within_one_step(tmp_path):
