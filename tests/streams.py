@@ -7,6 +7,7 @@ import torch
 
 from moveset.models.flow import FlowConfig
 from moveset.models.segment_transformer import SegmentTransformerConfig
+from moveset.models.sides import SidePredictorConfig
 from moveset.motion.native import NativeCodec
 from moveset.pipelines.model_config import StreamConfig
 from moveset.pipelines.model_folder import save_model
@@ -17,7 +18,7 @@ FRAMES = 28
 
 
 def tiny_stream(path: Path, *, seed: int = 0) -> Path:
-    """Write the folder: "rdm", "md", "pcm-1", "pcm-2" and "flow", over a standing person that wobbles a little."""
+    """Write the folder: rdm, md, pcm-1, pcm-2, flow and sides, over a standing person that wobbles a little."""
     features = standing_features()
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
@@ -34,8 +35,9 @@ def tiny_stream(path: Path, *, seed: int = 0) -> Path:
         modules["flow"] = FlowConfig(
             features=len(features), blocks=2, hidden=8, text_context=4, index_context=4
         ).build()
+        modules["sides"] = SidePredictorConfig(width=8, least=0.0).build()
         for name, module in modules.items():
-            if name != "flow":
+            if name not in ("flow", "sides"):
                 module.spectrum.copy_(torch.linspace(1.4, 0.4, FRAMES)[:, None])
             # Fresh networks say nothing of text, guidance or predecessor, and a fresh flow is the identity.
             for key, weight in module.named_parameters():

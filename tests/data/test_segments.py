@@ -2,6 +2,7 @@
 
 from collections import defaultdict
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from moveset.data.segments import SEGMENT_FRAMES, ClipSet, CuttingConfig, Row, S
 from moveset.errors import InputError
 from moveset.models.dip_decoder import DipDecoderConfig
 from moveset.motion.features import get_codec
+from moveset.motion.sides import favoured
 from moveset.training.dip import PieceSet
 from moveset.training.segment_data import forecast, spectrum
 from tests.synthetic import synthetic_corpus, synthetic_motion
@@ -52,7 +54,13 @@ def kit(tmp_path_factory):
 def numbered(found, lengths):
     """The set with clips whose only feature is 1000 clip + frame instead."""
     found.rows = [
-        Row(((1000 * k + np.arange(length, dtype=np.float32))[:, None],), (length,), ((f"clip {k}",),), (f"all {k}",))
+        Row(
+            ((1000 * k + np.arange(length, dtype=np.float32))[:, None],),
+            (length,),
+            ((f"clip {k}",),),
+            (f"all {k}",),
+            torch.zeros(2, 3),
+        )
         for k, length in enumerate(lengths)
     ]
     found.weights = torch.ones(len(lengths), dtype=torch.float64)
@@ -150,10 +158,12 @@ def test_a_segment_lies_in_the_time_of_its_sentence(corpus):
     found = corpus.cut(replace(PLAIN, whole_caption=0.5))
     frames = np.arange(100, dtype=np.float32)[:, None]
     found.rows = [
-        Row((frames,), (50, 100), (("one",), ("two",)), ("both",)),
+        Row((frames,), (50, 100), (("one",), ("two",)), ("both",), torch.tensor([[1.0] * 3, [-1.0] * 3, [0.0] * 3])),
     ]
     found.weights = torch.ones(1, dtype=torch.float64)
     batch, seen = found.batch(400, seed=0, step=0), set()
+    sides = {"one": 1.0, "two": -1.0, "both": 0.0}
+    assert batch.sides.tolist() == [[sides[caption]] * 3 for caption in batch.captions]
     spans = {"one": (0, 50), "two": (50, 100), "both": (0, 100)}
     for clean, caption, (behind, ahead) in zip(batch.clean, batch.captions, batch.place.tolist(), strict=True):
         start, (begin, end) = float(clean[0, 0]), spans[caption]
@@ -186,9 +196,21 @@ def test_a_segment_knows_how_far_its_way_has_turned_since_its_sentence_began(cor
     assert seen > 20
 
 
+def test_sides_are_those_that_each_part_favours(corpus):
+    found, codec = corpus.cut(PLAIN), corpus.codec
+    parts = 0
+    for row in found.rows:
+        joints = codec.joints(corpus.store.normalizer.denormalize(torch.from_numpy(row.cut(0, len(row)))))
+        parts += len(row.ends) > 1
+        for part, (begin, end) in enumerate(pairwise((0, *row.ends))):
+            assert torch.equal(row.sides[part], favoured(joints[begin:end], codec.skeleton))
+        assert torch.equal(row.sides[-1], favoured(joints, codec.skeleton))
+    assert parts
+
+
 def test_the_sentence_before_is_that_of_the_segment_before(corpus):
     found = corpus.cut(PLAIN)
-    found.rows = [Row((np.zeros((100, 1), np.float32),), (50, 100), (("one",), ("two",)), ("both",))]
+    found.rows = [Row((np.zeros((100, 1), np.float32),), (50, 100), (("one",), ("two",)), ("both",), torch.zeros(3, 3))]
     found.weights = torch.ones(1, dtype=torch.float64)
     said = found.batch(400, seed=0, step=0)
     pairs = set(zip(said.previous_captions, said.captions, strict=True))

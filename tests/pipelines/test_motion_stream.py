@@ -16,6 +16,7 @@ from moveset.motion.clip import Motion
 from moveset.motion.features import get_codec
 from moveset.motion.retarget import retarget
 from moveset.motion.skeleton import HML22, Skeleton
+from moveset.pipelines.sides import read_sides
 from moveset.pipelines.stream_state import Snapshot
 from moveset.pipelines.timeline import Timeline
 from moveset.rdm.noise import START, segment_noise
@@ -45,7 +46,8 @@ def walking(frames, speed=1.0, heading=0.0, start=(0.0, 0.0)):
 def test_the_first_segments_worked_out_by_hand(opened, encoder):
     made = plain(opened, prompt="a person turns left", network="pcm-1", seed=5, guidance=2.0)
     network, flow = made.bundle.module("pcm-1").network, made.bundle.module("flow")
-    text, mirrored = encoder.encode(["a person turns left"]), encoder.encode(["a person turns right"])
+    sentences = ("a person turns left", "a person turns right")
+    text, mirrored = (read_sides(made.bundle, encoder.encode([said]), "cpu") for said in sentences)
     level, clean = torch.tensor([999]), torch.tensor([0])
     n, (order, signs) = made.bundle.normalizer, get_codec("native").mirror()
 
@@ -73,7 +75,7 @@ def test_the_first_segments_worked_out_by_hand(opened, encoder):
 def test_guidance_without_a_student_is_two_evaluations(opened, encoder):
     made = plain(opened, network="md", steps=1, guidance=2.0)
     network, n = made.bundle.module("md"), made.bundle.normalizer
-    text, empty = encoder.encode([WALK]), encoder.encode([""])
+    text, empty = read_sides(made.bundle, encoder.encode([WALK]), "cpu"), encoder.encode([""])
     clean = torch.tensor([0])
     with torch.no_grad():
         noise = network.colour(segment_noise(0, 0, START, (FRAMES, 269))[None])

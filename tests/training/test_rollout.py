@@ -25,7 +25,8 @@ def takes(step, partial=()):
     captions = [f"take {step} {row}" for row in range(BATCH)]
     index = torch.ones(BATCH, dtype=torch.long)
     place, turned = torch.full((BATCH, 2), -1.0), 10.0 * step + torch.arange(BATCH)
-    return SegmentBatch(rows, valid, rows + 0.5, rows, index, place, turned, captions, list(captions))
+    sides = turned[:, None].expand(BATCH, 3)
+    return SegmentBatch(rows, valid, rows + 0.5, rows, index, place, turned, sides, captions, list(captions))
 
 
 def lasting(monkeypatch, segments, staying=0.5):
@@ -49,6 +50,7 @@ def test_a_stream_is_told_what_was_made_of_it_and_takes_are_left_alone(monkeypat
             assert torch.equal(batch.previous[row], made[row])
             assert torch.equal(batch.clean[row], first.clean[row])
             assert (batch.captions[row], int(batch.index[row])) == (first.captions[row], 2)
+            assert torch.equal(batch.sides[row], first.sides[row])
         else:
             assert torch.equal(batch.previous[row], plain.previous[row])
             assert torch.equal(batch.clean[row], plain.clean[row])
@@ -66,6 +68,7 @@ def test_a_new_sentence_is_said_to_a_stream_or_begins_another(monkeypatch):
         batch, _ = own.tell(takes(2), W, draws)
         assert [batch.captions[row] for row in own.rows] == ["take 2 0", "take 2 1", "take 2 2"]
         assert torch.equal(batch.clean[own.rows], takes(2).clean[:3])
+        assert torch.equal(batch.sides[own.rows], takes(2).sides[:3])
         expected = torch.full((3, FRAMES, FEATURES), -1.0) if staying else takes(2).previous[:3]
         assert torch.equal(batch.previous[own.rows], expected)
 

@@ -8,6 +8,7 @@ Shapes: B rows, n frames of a segment, D features.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from itertools import pairwise
 
 import numpy as np
 import torch
@@ -18,6 +19,7 @@ from moveset.data.dataset import Dataset
 from moveset.data.feature_store import FeatureStore
 from moveset.data.splits import Split
 from moveset.motion.features import FeatureCodec
+from moveset.motion.sides import favoured
 
 # Frames of a segment by N, the number of segments of the longest clip.
 SEGMENT_FRAMES = {count: MAX_FRAMES // count for count in (1, 4, 7, 14)}
@@ -58,6 +60,7 @@ class SegmentBatch:
         index: (B,) segment number.
         place: (B, 2) frames from where the sentence begins to where the segment does, and from there to its end.
         turned: (B,) radians by which the heading has changed since the sentence began.
+        sides: (B, 3) which sides what the sentence is said to favours (``motion.sides``).
         captions: what is said to the segment, and ``previous_captions`` to the one before.
     """
 
@@ -68,6 +71,7 @@ class SegmentBatch:
     index: Tensor
     place: Tensor
     turned: Tensor
+    sides: Tensor
     captions: list[str]
     previous_captions: list[str]
 
@@ -83,6 +87,7 @@ class SegmentBatch:
             self.index.to(device),
             self.place.to(device),
             self.turned.to(device),
+            self.sides.to(device),
             self.captions,
             self.previous_captions,
         )
@@ -97,12 +102,14 @@ class Row:
         ends: the frames at which its parts end.
         said: the sentences of each part.
         whole: those of all of it, if any.
+        sides: (parts + 1, 3) which sides the parts and, in the last row, all of it favour.
     """
 
     pieces: tuple[np.ndarray, ...]
     ends: tuple[int, ...]
     said: tuple[tuple[str, ...], ...]
     whole: tuple[str, ...]
+    sides: Tensor
 
     def __len__(self) -> int:
         return sum(map(len, self.pieces))
@@ -132,7 +139,7 @@ class ClipSet:
         self._yaw = (yaw.start, float(store.normalizer.mean[yaw]), float(store.normalizer.std[yaw]))
         clips = dataset.split(split)
         weights = dataset.weights(clips, power=0.25, composed_share=cutting.composed_share)
-        self.rows = [_row(dataset, clip, store) for clip in clips]
+        self.rows = [_row(dataset, clip, store, codec) for clip in clips]
         self.weights = weights / weights.sum()
         if cutting.take_share and (takes := dataset.takes(split)):
             self.rows += [_take(dataset, take, store) for take in takes]
@@ -162,6 +169,10 @@ class ClipSet:
             return 0, clip.ends[-1]
         part = _part(clip, start, frames)
         return (0, *clip.ends)[part], clip.ends[part]
+
+    def sides(self, clip: Row, start: int, frames: int, chance: Sequence[float]) -> Tensor:
+        """(3,) which sides are favoured by what the sentence is said to that the same numbers choose."""
+        return clip.sides[-1 if self._of_all(clip, chance) else _part(clip, start, frames)]
 
     def turned(self, clip: Row, start: int, stop: int) -> float:
         """Radians by which the heading changes from one frame to a later one; 0 where that one is none."""
@@ -193,7 +204,7 @@ class SegmentSet(ClipSet):
         n, width = self.frames, self.rows[0].pieces[0].shape[1]
         clean, previous, first = torch.zeros(3, size, n, width)
         valid, index = torch.zeros(size, n, dtype=torch.bool), torch.zeros(size, dtype=torch.long)
-        place, turned = torch.zeros(size, 2), torch.zeros(size)
+        place, turned, sides = torch.zeros(size, 2), torch.zeros(size), torch.zeros(size, 3)
         captions, before = [], []
         for k, (clip, chance) in enumerate(self.draw(size, seed, step)):
             begin, start, stop, number = self._place(len(clip), chance)
@@ -209,9 +220,10 @@ class SegmentSet(ClipSet):
             # A sentence may begin within its first segment.
             place[k] = torch.tensor([max(start - told, 0), untold - start])
             turned[k] = self.turned(clip, told, start)
+            sides[k] = self.sides(clip, start, len(piece), chance[3:])
             captions.append(self.say(clip, start, len(piece), chance[3:]))
             before.append(self.say(clip, max(start - n, 0), n, chance[3:]) if number else captions[-1])
-        return SegmentBatch(clean, valid, previous, first, index, place, turned, captions, before)
+        return SegmentBatch(clean, valid, previous, first, index, place, turned, sides, captions, before)
 
     def _place(self, total: int, chance: Sequence[float]) -> tuple[int, int, int, int]:
         """Where the sequence begins that a segment of a clip belongs to, first frame, end and index of the segment."""
@@ -240,12 +252,15 @@ def _part(clip: Row, start: int, frames: int) -> int:
     return next((k for k, end in enumerate(clip.ends) if middle < end), len(clip.ends) - 1)
 
 
-def _row(dataset: Dataset, item: int, store: FeatureStore) -> Row:
-    clip, features = dataset.clip(item), store.of_clip(item)
+def _row(dataset: Dataset, item: int, store: FeatureStore, codec: FeatureCodec) -> Row:
+    clip, features, sides = dataset.clip(item), store.of_clip(item), store.sides[item]
     if not clip.parts:
-        return Row((features,), (len(features),), (clip.captions,), clip.captions)
+        return Row((features,), (len(features),), (clip.captions,), clip.captions, sides.expand(2, 3))
     stops = (*(part.stop for part in clip.parts[:-1]), len(features))
-    return Row((features,), stops, tuple(part.captions for part in clip.parts), clip.captions)
+    joints = codec.joints(store.normalizer.denormalize(torch.from_numpy(np.array(features))))
+    of_parts = [favoured(joints[a:b], codec.skeleton) for a, b in pairwise((0, *stops))]
+    said = tuple(part.captions for part in clip.parts)
+    return Row((features,), stops, said, clip.captions, torch.stack((*of_parts, sides)))
 
 
 def _take(dataset: Dataset, take: Sequence[tuple[int, int]], store: FeatureStore) -> Row:
@@ -258,4 +273,6 @@ def _take(dataset: Dataset, take: Sequence[tuple[int, int]], store: FeatureStore
         for (clip, first), seam, until in zip(take, seams, seams[1:], strict=False)
     )
     said = tuple(dataset.clip(clip).captions for clip, _ in take)
-    return Row(pieces, tuple(seam - seams[0] for seam in seams[1:]), said, ())
+    sides = store.sides[[clip for clip, _ in take]]
+    # Nothing is said of the whole.
+    return Row(pieces, tuple(seam - seams[0] for seam in seams[1:]), said, (), torch.cat((sides, sides[:1] * 0)))

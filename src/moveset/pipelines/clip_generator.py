@@ -6,7 +6,7 @@ from typing import Any
 
 from moveset.errors import InputError
 from moveset.motion.clip import Motion
-from moveset.pipelines.model_config import SOLVERS, ClipConfig
+from moveset.pipelines.model_config import SIDES, SOLVERS, ClipConfig
 from moveset.pipelines.model_folder import ModelFolder
 from moveset.pipelines.request import Method, Request, check_method
 from moveset.pipelines.text_to_motion import TextToMotion
@@ -51,7 +51,7 @@ class ClipGenerator:
         }  # fmt: skip
 
     def weights(self) -> dict[str, str]:
-        return self._t2m.bundle.sha256("vae", self._method.network)
+        return self._t2m.bundle.sha256("vae", self._method.network, SIDES)
 
     def generate(
         self, requests: Sequence[Request], progress: Callable[[int], object] = lambda count: None

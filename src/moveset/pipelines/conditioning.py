@@ -12,6 +12,9 @@ from torch import Tensor
 from moveset.data.captions import mirror_text
 from moveset.models.condition import Condition, Denoiser, PastSegment, Prediction, guided
 from moveset.models.symmetric import Symmetric
+from moveset.pipelines.model_config import StreamConfig
+from moveset.pipelines.model_folder import ModelFolder
+from moveset.pipelines.sides import read_sides
 from moveset.pipelines.timeline import Timeline
 from moveset.rdm.sequential import Denoise
 from moveset.text.cache import CachedEncoder
@@ -38,15 +41,12 @@ class SegmentCondition:
 
 
 class Conditioning:
-    """Binds conditions to one network.
+    """Binds conditions to one network of a model folder."""
 
-    Args:
-        frames: n.
-    """
-
-    def __init__(self, network: Denoiser, texts: CachedEncoder, *, frames: int, device: torch.device) -> None:
-        self._network, self._texts = network, texts
-        self._frames, self._device = frames, device
+    def __init__(
+        self, bundle: ModelFolder[StreamConfig], network: Denoiser, texts: CachedEncoder, device: torch.device
+    ) -> None:
+        self._bundle, self._network, self._texts, self._device = bundle, network, texts, device
         self._symmetric = isinstance(network, Symmetric)
         self._empty = texts.encode([""]).to(device)
 
@@ -78,7 +78,8 @@ class Conditioning:
         w = w_B if self._network.takes_scale or bool(w_B.any()) else None
         text = stack([one.text for one in conditions])
         mirrored = [one.mirrored for one in conditions if one.mirrored is not None]
-        timing_B2 = torch.tensor([one.timing for one in conditions], device=self._device) * float(self._frames)
+        timing_B2 = torch.tensor([one.timing for one in conditions], device=self._device)
+        timing_B2 = timing_B2 * float(self._bundle.config.segment)
         bound: Prediction | None = None
 
         def denoise(x_BnD: Tensor, t_B: Tensor, past_BnD: Tensor, past_t_B: Tensor) -> Tensor:
@@ -92,4 +93,4 @@ class Conditioning:
         return denoise
 
     def _encoded(self, text: str) -> TextEmbedding:
-        return self._texts.encode([text]).to(self._device)
+        return read_sides(self._bundle, self._texts.encode([text]).to(self._device), self._device)

@@ -20,7 +20,7 @@ DEFAULT_MODEL, DEFAULT_STREAM = "motionpcm-small", "rdm-small"
 SOLVERS = ("pcm", "lcm", "teacher")
 SCHEDULES = {"linear": linear, "cosine": cosine}
 PREDICTIONS = ("x0", "eps")
-FLOW, DENOISER, IDLE = "flow", "denoiser", "idle"
+FLOW, SIDES, DENOISER, IDLE = "flow", "sides", "denoiser", "idle"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -181,6 +181,7 @@ class StreamConfig(FolderConfig):
     ``pcm-1|2|4``    its students: one segment in that many evaluations, given the finished one before it
     ``md``           the baseline: the same denoiser, trained with a clean previous segment
     ``flow``         the invertible transport between segments; without it the transport is the identity
+    ``sides``        says which sides a sentence names, for denoisers that are told of them (``text.sides``)
 
     Args:
         network: the denoiser that a stream uses when none is named.
@@ -231,7 +232,7 @@ class StreamConfig(FolderConfig):
 
     @property
     def denoisers(self) -> tuple[str, ...]:
-        return tuple(name for name in self.models if name != FLOW)
+        return tuple(name for name in self.models if name not in (FLOW, SIDES))
 
     def check(self) -> None:
         super().check()

@@ -5,11 +5,10 @@ from typing import Any, cast
 import torch
 
 from moveset.models.sides import SidePredictor
+from moveset.pipelines.model_config import SIDES
 from moveset.pipelines.model_folder import ModelFolder
 from moveset.text.encoder import TextEmbedding
 from moveset.text.sides import with_sides
-
-SIDES = "sides"
 
 
 def read_sides(bundle: ModelFolder[Any], text: TextEmbedding, device: torch.device | str) -> TextEmbedding:

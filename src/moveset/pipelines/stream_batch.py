@@ -139,7 +139,7 @@ class StreamModel:
         self.texts = CachedEncoder(self.encoder, remembered)
         self.mean, self.std = (bundle.normalizer[name].to(self.device) for name in ("feature_mean", "feature_std"))
         network = cast(Denoiser, bundle.module(settings.network, self.device))
-        self.conditioning = Conditioning(network, self.texts, frames=config.segment, device=self.device)
+        self.conditioning = Conditioning(bundle, network, self.texts, self.device)
         flow = cast(CouplingFlow, bundle.module(FLOW, self.device)) if config.flows(settings.network) else None
         self.transport = Transport(flow, max(config.depth_cap, 1))
         self.solver = settings.solver(config, network)

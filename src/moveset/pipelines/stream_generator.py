@@ -11,7 +11,7 @@ import torch
 from moveset.motion.clip import Motion
 from moveset.motion.stream_decoder import concatenate
 from moveset.pipelines.device import pick_device
-from moveset.pipelines.model_config import FLOW, StreamConfig
+from moveset.pipelines.model_config import FLOW, SIDES, StreamConfig
 from moveset.pipelines.model_folder import ModelFolder
 from moveset.pipelines.overlapping import Overlapping
 from moveset.pipelines.request import Request
@@ -66,7 +66,7 @@ class StreamGenerator:
 
     def weights(self) -> dict[str, str]:
         flow = (FLOW,) if self._bundle.config.flows(self._settings.network) else ()
-        return self._bundle.sha256(self._settings.network, *flow)
+        return self._bundle.sha256(self._settings.network, *flow, SIDES)
 
     @torch.inference_mode()
     def generate(

@@ -83,6 +83,7 @@ def rdm(segments: int = 7) -> Recipe:
             heading=HEADING,
             past_perturbation=BENT,
             **TOLD,
+            sides=SIDES,
             cutting=STREAMED,
             augmentation=AUGMENTATION,
         ),
@@ -137,6 +138,7 @@ def rdm_student() -> Recipe:
         adversarial=0.4,
         context_noise_rollout=True,
         **TOLD,
+        sides=SIDES,
         heading=HEADING,
         past_perturbation=BENT,
         cutting=STREAMED,
@@ -258,7 +260,7 @@ EXPORTS: tuple[Export, ...] = (
     ),
     StreamExport(
         name="rdm-small",
-        runs={"rdm": "rdm-7", "pcm-1": "rdm-student"},
+        runs={"rdm": "rdm-7", "pcm-1": "rdm-student", "sides": "sides"},
         guidance={"rdm": 2.0, "pcm-1": 2.0},
         smoothing={"rdm": 0.3},
         sampling={
@@ -268,7 +270,7 @@ EXPORTS: tuple[Export, ...] = (
     ),
     *(
         StreamExport(
-            name=f"{name}-small", runs=runs, guidance=dict.fromkeys(runs, guidance),
+            name=f"{name}-small", runs=runs | {"sides": "sides"}, guidance=dict.fromkeys(runs, guidance),
             sampling={"sampler_steps": 10, "start": 10, "lag": 10},
         )
         for name, runs, guidance in (

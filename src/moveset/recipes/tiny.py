@@ -77,6 +77,7 @@ def rdm(segments: int = 7) -> Recipe:
         batch=4,
         warmup=1,
         velocity=2.0,
+        sides=0.7,
         augmentation=_ROUGH,
     )
     return Recipe(task=task, engine=_ENGINE)
@@ -115,6 +116,7 @@ def rdm_student() -> Recipe:
         trajectory_rows=2,
         heading=1.0,
         past_perturbation=0.1,
+        sides=0.7,
         cutting=_CUTTING,
         augmentation=_ROUGH,
     )
@@ -190,12 +192,12 @@ EXPORTS: tuple[Export, ...] = (
     ),
     StreamExport(
         name="rdm-tiny",
-        runs={"rdm": "rdm-7", "pcm-1": "rdm-student"},
+        runs={"rdm": "rdm-7", "pcm-1": "rdm-student", "sides": "sides"},
         guidance={"rdm": 1.5, "pcm-1": 1.5},
         sampling={"network": "pcm-1", "sampler_steps": 4, "start": 4},
     ),
     StreamExport(
-        name="md-7-tiny", runs={"rdm": "rdm-7", "md": "md-7"}, guidance={"rdm": 1.5, "md": 1.5},
+        name="md-7-tiny", runs={"rdm": "rdm-7", "md": "md-7", "sides": "sides"}, guidance={"rdm": 1.5, "md": 1.5},
         sampling={"sampler_steps": 4, "start": 4},
     ),
     *(

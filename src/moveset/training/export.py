@@ -20,7 +20,7 @@ from moveset.diffusion.steps import Variance
 from moveset.errors import InputError
 from moveset.evaluation.evaluator import Evaluator, EvaluatorCard
 from moveset.motion.features import get_codec
-from moveset.pipelines.model_config import DENOISER, FLOW, IDLE, BaselineConfig, ClipConfig, StreamConfig
+from moveset.pipelines.model_config import DENOISER, FLOW, IDLE, SIDES, BaselineConfig, ClipConfig, StreamConfig
 from moveset.pipelines.model_folder import save_model
 from moveset.pipelines.role import is_student, named
 from moveset.text.encoder import get_text_encoder
@@ -69,7 +69,7 @@ class ClipExport(Export):
 
 @dataclass(frozen=True, kw_only=True)
 class StreamExport(Export):
-    """A stream's model of "rdm", with its flow, and any of "md", "pcm-1", "pcm-2" and "pcm-4".
+    """A stream's model of "rdm", with its flow, and any of "md", "sides", "pcm-1", "pcm-2" and "pcm-4".
 
     Args:
         smoothing: of a network's output by its name, instead of that of its training; guidance makes it tremble.
@@ -177,7 +177,7 @@ def _stream(
         raise InputError(f"a stream needs the network {RDM!r}, got {', '.join(found) or 'none'}; name its run")
     rdm, students = found[RDM], [name for name in found if "-" in name]
     for name, network in found.items():
-        for size in ("features", "frames", "text_dim"):
+        for size in ("features", "frames", "text_dim") if name != SIDES else ("text_dim",):
             if (ours := network.config[size]) != rdm.config[size]:
                 theirs = rdm.config[size]
                 raise InputError(f"{name!r} has {ours} {size} and {RDM!r} {theirs}; export networks of one kind")

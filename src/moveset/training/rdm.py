@@ -32,7 +32,7 @@ from moveset.training.ema import Ema, ema_warmup
 from moveset.training.engine import Loop, Task
 from moveset.training.momo import MomoAdam
 from moveset.training.optim import cosine_lr
-from moveset.training.reading import MAX_TOKENS
+from moveset.training.reading import MAX_TOKENS, told
 from moveset.training.segment_data import SegmentData, forecast, spectrum
 from moveset.training.segment_losses import foot_error, heading_error
 from moveset.training.single_network import NetworkConfig
@@ -87,6 +87,8 @@ class RDMConfig(NetworkConfig):
             the others are for streams, whose sentences have no end.
         heading_change: share of segments that are told how far the heading has turned since their sentence began,
             likewise.
+        sides: share of samples that are told, beside their sentence, which sides what it is said to favours
+            (``text.sides``).
         heading_noise: deviation, in radians, of how far their way has turned more or less than it should have, of which
             they take half back (``training.condition_dropout.perturb_heading``).
         max_tokens: tokens of a caption that are read; other numbers than 32 are for undisturbed captions.
@@ -132,6 +134,7 @@ class RDMConfig(NetworkConfig):
     timing: float = 0.0
     heading_change: float = 0.0
     heading_noise: float = 0.0
+    sides: float = 0.0
     max_tokens: int = MAX_TOKENS
 
     def __post_init__(self) -> None:
@@ -204,7 +207,7 @@ class RDMTask(Task):
             report |= self._train_flow(batch, loop)
         dropped = torch.rand(config.batch, generator=self.draws, device=loop.device) < config.condition_dropout
         said = ["" if drop else caption for drop, caption in zip(dropped.tolist(), batch.captions, strict=True)]
-        text = self.data.read(said, self.draws)
+        text = told(self.data.read(said, self.draws), said, batch.sides, config.sides, self.draws)
         both = config.joint and learns
         loss, parts = self._loss(self.denoiser, self.transport, batch, text, self.draws, both)
         moved = ("denoiser", "flow") if both else ("denoiser",)

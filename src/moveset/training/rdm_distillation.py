@@ -28,6 +28,7 @@ from moveset.rdm.grid import GridConfig
 from moveset.rdm.staircase import levels
 from moveset.rdm.transport import Transport
 from moveset.text.encoder import TextEmbedding
+from moveset.text.sides import forget, with_sides
 from moveset.training.adversarial import discriminator_step
 from moveset.training.bound_segments import BoundSegments
 from moveset.training.condition_dropout import drop_heading_change, drop_timing, perturb_heading, perturb_past
@@ -63,6 +64,8 @@ class RDMStudentConfig(StudentConfig):
         heading_change, heading_noise: as in the teacher's training, for a teacher that was told how far its way has
             turned; streams of ``rollout_share`` are told it where the takes are that they begin with, or whose
             sentences they are given.
+        sides: share of samples that are told which sides are favoured, likewise; streams of ``rollout_share`` those of
+            the takes whose sentences they are given.
         codec, frames: filled in from the teacher's.
     """
 
@@ -80,6 +83,7 @@ class RDMStudentConfig(StudentConfig):
     timing: float = 0.0
     heading_change: float = 0.0
     heading_noise: float = 0.0
+    sides: float = 0.0
     cutting: CuttingConfig = field(default_factory=CuttingConfig)
     codec: str = ""
     frames: int = 0
@@ -161,7 +165,8 @@ class RDMStudentTask(SingleNetworkTask):
             batch = replace(batch, clean=clean, turned=turned_B)
         place_B2 = drop_timing(batch.place, config.timing, self.draws)
         turned_B = drop_heading_change(batch.turned, config.heading_change, self.draws)
-        batch = replace(batch, place=place_B2, turned=turned_B)
+        sides_B3 = forget(batch.sides, 1 - config.sides, self.draws)
+        batch = replace(batch, place=place_B2, turned=turned_B, sides=sides_B3)
         if config.past_perturbation:
             size, codec = config.past_perturbation, self.data.codec
             past = perturb_past(batch.previous, batch.index, size, codec, self.normalizer, self.draws)
@@ -174,7 +179,7 @@ class RDMStudentTask(SingleNetworkTask):
             draws = replace(draws, w_B=w_B)
         past_noise = self._past_noise(self.own.began_with(white_BnD))
         # The student reads a roughened sentence and should say what is said to the sentence as it is.
-        rough, text = self.data.read(batch.captions, self.draws), self.data.read(batch.captions)
+        rough, text = self._read(batch, self.draws), self._read(batch)
         bound = self._bound(batch, text, past_noise)
         t_B, edge_B = self.grid.time(draws.point_B), self.grid.lower(draws.point_B)
         z = self.own.enter(add_noise(SCHEDULE, bound.pull(batch.clean), draws.noise_BND, t_B))
@@ -202,6 +207,10 @@ class RDMStudentTask(SingleNetworkTask):
         self.ema.update(self.student)
         return report | {"loss": loss.detach()}
 
+    def _read(self, batch: SegmentBatch, augmented_by: torch.Generator | None = None) -> TextEmbedding:
+        """The captions with the sides that are said beside them."""
+        return with_sides(self.data.read(batch.captions, augmented_by), batch.sides)
+
     def _go_on(self, bound: BoundSegments, z: Tensor, made: Tensor, t_B: Tensor, edge_B: Tensor) -> None:
         """What was made becomes the past of the streams, if there are any."""
         if self.config.rollout_share:
@@ -212,14 +221,14 @@ class RDMStudentTask(SingleNetworkTask):
         batch = batch.rows(self.config.trajectory_rows)
         count = len(batch.index)
         running_B = self.alone[:count]
-        text, w_B = self.data.read(batch.captions), draws.w_B[:count]
+        text, w_B = self._read(batch), draws.w_B[:count]
         bound = self._bound(batch, text, None if past_noise is None else past_noise[:count])
         phase_B = torch.randint(self.config.phases, (count,), generator=self.draws, device=w_B.device)
         point_B = torch.where(running_B, draws.point_B[:count], self.grid.highest_of(phase_B))
         noisy = add_noise(SCHEDULE, bound.pull(batch.clean), draws.noise_BND[:count], self.grid.time(point_B))
         z = torch.where(over(running_B, noisy), z[:count], noisy)
         target = trajectory_target(SCHEDULE, self.grid, bound.guided(w_B), bound.push, bound.pull, z, point_B)
-        rough = self.data.read(batch.captions, self.draws)
+        rough = self._read(batch, self.draws)
         made = bound.by(self.student, w_B, rough)(bound.push(z), self.grid.time(point_B))
         loss = _distance(made, target, self.scale, batch.valid, self.config.huber)
         if self.config.heading:

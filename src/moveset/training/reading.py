@@ -5,10 +5,12 @@ from pathlib import Path
 from typing import TypeVar
 
 import torch
+from torch import Tensor
 
 from moveset.data.text_augmentation import TextAugmentation
 from moveset.text.cache import EmbeddingCache, cache_file
 from moveset.text.encoder import TextEmbedding, get_text_encoder
+from moveset.text.sides import forget, with_sides
 
 MAX_TOKENS = 32
 T = TypeVar("T")
@@ -53,6 +55,20 @@ def read_captions(
     mask = found.mask & ~(missing & ~empty[:, None]).to(found.mask.device)
     tokens = found.tokens + noise.masked_fill(empty[:, None, None], 0.0).to(found.tokens)
     return TextEmbedding(tokens, mask, found.pooled)
+
+
+def told(
+    text: TextEmbedding, captions: Sequence[str], sides_B3: Tensor, share: float, generator: torch.Generator
+) -> TextEmbedding:
+    """Sentences, and beside ``share`` of them the sides that what they are said to favours.
+
+    Beside "", the unconditional input, nothing is said.
+    """
+    if not share:
+        return text
+    silent = torch.tensor([not caption for caption in captions], device=sides_B3.device)
+    sides_B3 = forget(sides_B3, 1 - share, generator).masked_fill(silent[:, None], torch.nan)
+    return with_sides(text, sides_B3.to(text.tokens.device))
 
 
 def draw_told(pairs: Sequence[tuple[tuple[str, ...], T]], size: int, seed: int, step: int) -> tuple[list[str], list[T]]:

@@ -33,7 +33,7 @@ STAYING = 0.5
 @dataclass(frozen=True, eq=False)
 class _Streams:
     """What streams are told (S, …): past, segment number, place in the time of the sentence, turn since it began,
-    guidance scale, sentence; and an example of the sentence.
+    sides beside the sentence, guidance scale, sentence; and an example of the sentence.
 
     ``phase`` is the one that is next, ``landed`` the noisy segment there, of no meaning where one begins, and ``noise``
     the one that the segment began with.
@@ -43,6 +43,7 @@ class _Streams:
     index: Tensor
     place: Tensor
     turned: Tensor
+    sides: Tensor
     w: Tensor
     clean: Tensor
     phase: Tensor
@@ -101,6 +102,7 @@ class Rollout:
             _mixed(begins_S, offered.index, old.index),
             place_S2,
             turned_S,
+            _mixed(ends_S, offered.sides, old.sides),
             _mixed(begins_S, offered.w, old.w),
             _mixed(ends_S, offered.clean, old.clean),
             old.phase,
@@ -119,6 +121,7 @@ class Rollout:
             index=batch.index.index_copy(0, rows, now.index),
             place=batch.place.index_copy(0, rows, now.place),
             turned=batch.turned.index_copy(0, rows, now.turned),
+            sides=batch.sides.index_copy(0, rows, now.sides),
             captions=captions,
             previous_captions=before,
         )
@@ -195,8 +198,8 @@ class Rollout:
         rows = whole[torch.arange(self.count, device=whole.device) % len(whole)]
         captions = [batch.captions[row] for row in rows.tolist()]
         clean, phase = batch.clean[rows], self._turns().to(batch.index.device)
-        told = (batch.previous[rows], batch.index[rows], batch.place[rows], batch.turned[rows], w_B[rows])
-        return _Streams(*told, clean, phase, clean, clean, captions)
+        named = (batch.previous, batch.index, batch.place, batch.turned, batch.sides, w_B)
+        return _Streams(*(part[rows] for part in named), clean, phase, clean, clean, captions)
 
     def _in_the_middle(self) -> Tensor:
         """Which streams (S,) have made a part of a segment."""

@@ -18,10 +18,9 @@ from moveset.models.latent_denoiser import LatentDenoiserConfig
 from moveset.models.token_denoiser import TokenDenoiserConfig
 from moveset.motion.features import get_codec
 from moveset.text.encoder import TextEmbedding
-from moveset.text.sides import forget, with_sides
 from moveset.training.ema import Ema, ema_warmup
 from moveset.training.engine import Loop
-from moveset.training.reading import embedded, read_captions
+from moveset.training.reading import embedded, read_captions, told
 from moveset.training.single_network import NetworkConfig, SingleNetworkTask
 from moveset.training.tasks import Sources
 from moveset.training.trained import TrainedNetwork, load_trained
@@ -105,16 +104,8 @@ class LatentData:
         return read_captions(self.text, captions, self.augmentation, augmented_by)
 
     def told(self, batch: LatentBatch, captions: list[str], share: float, generator: torch.Generator) -> TextEmbedding:
-        """Roughened captions of a batch, and beside ``share`` of them the sides that its motions favour.
-
-        Beside "", the unconditional input, nothing is said.
-        """
-        text = self.read(captions, generator)
-        if not share:
-            return text
-        silent = torch.tensor([not caption for caption in captions], device=batch.sides.device)
-        sides_B3 = forget(batch.sides, 1 - share, generator).masked_fill(silent[:, None], torch.nan)
-        return with_sides(text, sides_B3.to(text.tokens.device))
+        """Roughened captions of a batch, and beside ``share`` of them the sides that its motions favour."""
+        return told(self.read(captions, generator), captions, batch.sides, share, generator)
 
 
 class TeacherTask(SingleNetworkTask):
