@@ -70,6 +70,16 @@ def test_words_of_the_training_are_optional_and_checked(folder):
             known(words=words)
 
 
+@pytest.mark.parametrize(
+    "stored", [{}, {"pooled:rounded": torch.ones(2, 384, dtype=torch.int8)}, {"pooled": torch.eye(3, 384)}]
+)
+def test_known_prompts_and_their_embeddings_belong_together(folder, stored):
+    blobs = {name: (folder / name).read_bytes() for name in ModelFolder(folder, ClipConfig).files}
+    write_whole(folder, blobs | {"prompts.safetensors": save_safetensors(stored)})
+    with pytest.raises(FormatError, match="do not belong together"):
+        _ = ModelFolder(folder, ClipConfig).captions
+
+
 @pytest.mark.parametrize("file", ["config.json", "vae.safetensors", "normalizer.safetensors", "prompts.json"])
 def test_one_flipped_bit_is_found(folder, file):
     data = bytearray((folder / file).read_bytes())

@@ -4,7 +4,7 @@
 ``<network>.safetensors``   weights in half precision, in 8 bits, or as differences from another network's
 ``normalizer.safetensors``  statistics of features (and latents)
 ``prompts.json``            captions of the training data, and the words of all its captions
-``prompts.safetensors``     ``pooled`` (P, C), their pooled text embeddings
+``prompts.safetensors``     ``pooled`` (P, C), their pooled text embeddings, in 8 bits
 ``manifest.json``           sha256 and size of every other file
 
 Only what is asked for is read, and what is read is verified. ``model_config`` has the kinds.
@@ -168,11 +168,13 @@ class ModelFolder(VerifiedFolder, Generic[Config]):
         """Captions the model was trained on, with their pooled embeddings, and the words of all of them."""
         stored = json_object(self.read("prompts.json"), self.path / "prompts.json")
         captions, words = stored.get("captions"), stored.get("words", [])
-        pooled = self.tensors("prompts.safetensors").get("pooled")
-        if not isinstance(captions, list) or pooled is None or len(captions) != len(pooled):
-            raise FormatError(
-                f"prompts.json and prompts.safetensors in {self.path} do not belong together; copy the model"
-            )
+        apart = f"prompts.json and prompts.safetensors in {self.path} do not belong together; copy the model"
+        try:
+            pooled = restored(self.tensors("prompts.safetensors"))["pooled"]
+        except (KeyError, ValueError) as error:
+            raise FormatError(apart) from error
+        if not isinstance(captions, list) or len(captions) != len(pooled):
+            raise FormatError(apart)
         if not isinstance(words, list) or not all(isinstance(word, str) for word in words):
             raise FormatError(f"the words in {self.path / 'prompts.json'} are no list of words; copy the model again")
         return KnownPrompts(tuple(captions), pooled, frozenset(words))
@@ -255,7 +257,7 @@ def save_model(
             blobs[f"{name}.safetensors"] = save_safetensors(subtracted(module.state_dict(), whole[base]))
     blobs["normalizer.safetensors"] = save_safetensors({k: v.float().contiguous() for k, v in normalizer.items()})
     blobs["prompts.json"] = json_bytes({"captions": list(captions), "words": sorted(words)})
-    blobs["prompts.safetensors"] = save_safetensors(halved({"pooled": pooled}))
+    blobs["prompts.safetensors"] = save_safetensors(compacted({"pooled": pooled}))
     blobs["config.json"] = json_bytes({"format": FORMAT, "task": config.task, **asdict(replace(config, models=specs))})
     type(config).parse(blobs["config.json"], path / "config.json")
     write_whole(path, blobs)
