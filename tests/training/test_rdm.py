@@ -13,7 +13,7 @@ from moveset.data.humanml3d import KIT
 from moveset.diffusion.schedule import cosine, linear
 from moveset.errors import InputError
 from moveset.models.registry import build_model, parse_config
-from moveset.training import checkpoint
+from moveset.training import checkpoint, rdm
 from moveset.training.rdm import RDMTask, feature_weights
 from moveset.training.tasks import RECIPES, TASKS, load_recipes
 from moveset.training.trained import load_trained
@@ -86,6 +86,21 @@ def test_a_course_is_learned_from_a_bent_past(tiny_run, tmp_path):
     torch.testing.assert_close(told, real)
     plain, _ = tiny_run.train("md-7", tmp_path / "plain", "past_perturbation=0.2", steps=1)
     assert loss > loss_of(plain, lambda x, t: x)[2]
+
+
+def test_sides_are_told_beside_sentences_and_asked_for(tiny_run, tmp_path, monkeypatch):
+    asked, short = [], rdm.side_shortfall
+    monkeypatch.setattr(rdm, "side_shortfall", lambda *given: asked.append(given[3]) or short(*given))
+    task, _ = tiny_run.train("rdm-7", tmp_path / "run", "sides=0.7", "side_weight=1", "batch=16", steps=3)
+    log = [json.loads(line) for line in (tmp_path / "run" / "metrics.jsonl").read_text().splitlines()]
+    assert all(("sides" in line) == (line["split"] == "train") for line in log)
+    shown = task.data.train.batch(16, task.data.seed, 1)
+    told = ~asked[0].isnan()
+    assert told.any()
+    assert not told.all()
+    assert torch.equal(asked[0][told], shown.sides[told])
+    tiny_run.train("rdm-7", tmp_path / "silent", "sides=0", "side_weight=1", "batch=16", steps=1)
+    assert len(asked) == 3
 
 
 @pytest.mark.parametrize(

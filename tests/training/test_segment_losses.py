@@ -1,4 +1,4 @@
-"""The course of a segment: what its steps of turning add up to."""
+"""The course of a segment, what its steps of turning add up to; and the limbs that move more."""
 
 import math
 
@@ -7,7 +7,8 @@ import torch
 
 from moveset.motion.features import Normalizer, get_codec
 from moveset.training.condition_dropout import perturb_past
-from moveset.training.segment_losses import KNEE, heading_error
+from moveset.training.segment_losses import KNEE, heading_error, side_shortfall
+from tests.evaluation.test_sides import moving
 from tests.synthetic import synthetic_motion
 
 CODEC = get_codec("native")
@@ -90,3 +91,25 @@ def test_gradients_reach_the_turn_alone(walks):
     assert (made.grad[..., yaw] > 0).all()
     made.grad[..., yaw] = 0.0
     assert not made.grad.any()
+
+
+def test_who_moves_the_limb_that_is_told_falls_short_by_nothing_and_the_mirror_image_by_much(walks):
+    _, normalizer = walks
+    arm, leg = (normalizer.normalize(CODEC.encode(moving(limb, "left")))[:28] for limb in ("arm", "leg"))
+    order, signs = CODEC.mirror()
+    real = torch.stack((arm, leg))
+    other = normalizer.normalize((normalizer.denormalize(real) * signs)[..., order])
+    valid, evenly = torch.ones(2, 28, dtype=torch.bool), torch.ones(2)
+
+    def short(made, told, weight=evenly):
+        return float(side_shortfall(made, real, valid, torch.tensor(told), weight, CODEC, normalizer))
+
+    nan, left = float("nan"), [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]
+    assert short(real, left) == 0
+    assert short(other, left) > 1
+    # Nothing is asked for that is not told, or that the real segment does not do either.
+    assert short(other, [[nan, nan, 1.0], [0.0, nan, nan]]) == 0
+    assert short(other, [[-1.0, 1.0, 0.0], [1.0, -1.0, 0.0]]) == 0
+    mixed = torch.stack((other[0], real[1]))
+    assert short(mixed, left, torch.tensor([0.0, 1.0])) == 0
+    assert short(mixed, left) == pytest.approx(short(mixed, left, torch.tensor([1.0, 0.0])) / 2)

@@ -7,6 +7,7 @@ import pytest
 
 from moveset.errors import InputError
 from moveset.evaluation.suites import get_suite
+from moveset.recipes import small
 from moveset.training.tasks import (
     TASKS,
     VARIANTS,
@@ -107,5 +108,5 @@ def test_what_is_compared_with_streams_is_shown_as_many_frames():
     for name, recipe in recipes.items():
         frames = recipe.task.model.frames if name == "dip" else recipe.task.grid.frames
         seen[name] = recipe.engine.steps * recipe.task.batch * frames
-    assert max(seen.values()) == seen["rdm-7"] == seen["md-7"] == 11_200 * 64 * 28
+    assert max(seen.values()) == seen["rdm-7"] == seen["md-7"] == small.STREAMS * 64 * 28
     assert min(seen.values()) > 0.999 * seen["rdm-7"]

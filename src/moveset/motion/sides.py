@@ -10,15 +10,16 @@ from moveset.motion.skeleton import Skeleton
 
 SIDED = ("arm", "leg", "turn")
 _ENDS = {"arm": "wrist", "leg": "ankle"}
-_MORE = {"arm": 0.15, "leg": 0.1}  # of the ways of both, by which one is longer than the other
+MORE = {"arm": 0.15, "leg": 0.1}  # of the ways of both, by which one is longer than the other
 LEAST_TURN = 0.35  # radians that are a turn
+_CLEARLY = 2 * MORE["arm"]
 
 
 def favoured(joints: Tensor, skeleton: Skeleton) -> Tensor:
     """(3,) float32 of arms, legs and turn of joints (F, J, 3): 1 where the left is favoured, -1 right, 0 neither."""
     limbs = more_left(joints[None], torch.tensor([len(joints)]), skeleton)[0]
     found = torch.cat((limbs, limbs.new_tensor([turned(joints, skeleton)])))
-    least = found.new_tensor([*_MORE.values(), LEAST_TURN])
+    least = found.new_tensor([*MORE.values(), LEAST_TURN])
     return (found.sign() * (found.abs() > least)).float()
 
 
@@ -36,6 +37,11 @@ def more_left(joints_BFJ3: Tensor, frames_B: Tensor, skeleton: Skeleton) -> Tens
         left, right = (way_BJ[:, skeleton.index(f"{side}_{end}")] for side in ("left", "right"))
         found.append((left - right) / (left + right).clamp(min=1e-3))
     return torch.stack(found, dim=1)
+
+
+def shortfall(more_left_B2: Tensor, told_B2: Tensor) -> Tensor:
+    """(B, 2) by how much the arm and the leg that are told to (1 left, -1 right) do not clearly travel more."""
+    return (_CLEARLY - told_B2 * more_left_B2).relu()
 
 
 def turned(joints: Tensor, skeleton: Skeleton) -> float:

@@ -84,6 +84,7 @@ def rdm(segments: int = 7) -> Recipe:
             past_perturbation=BENT,
             **TOLD,
             sides=SIDES,
+            side_weight=0.3,
             cutting=STREAMED,
             augmentation=AUGMENTATION,
         ),
@@ -139,6 +140,7 @@ def rdm_student() -> Recipe:
         context_noise_rollout=True,
         **TOLD,
         sides=SIDES,
+        side_weight=0.15,
         heading=HEADING,
         past_perturbation=BENT,
         cutting=STREAMED,
@@ -195,7 +197,7 @@ GUIDANCE = (1.0, 4.0)
 STUDENTS = 450  # steps, the same for all: they are compared
 # Of every clip it is known which sides it favours; in use hardly any sentence names one.
 SIDES = 0.7
-STREAMS = 11_200  # of RDM-7
+STREAMS = 15_700  # of RDM-7
 # No words go missing: "left" and "right" are words too, and sentences of people are many.
 AUGMENTATION = TextAugmentation(embedding_noise=0.05)
 _VAE = TimedVAEConfig(token_dim=64)
@@ -296,6 +298,6 @@ HOURS = {
     "movement": 0.3, "evaluator": 0.35, "length": 0.05, "sides": 0.05, "vae": 1.1, "decoder": 0.1, "teacher": 0.9,
     "lcm-1": 0.15, "pcm-1": 0.15, "pcm-2": 0.15, "pcm-4": 0.15,
     "pcm-1-k20": 0.15, "pcm-1-no-ema": 0.15, "pcm-1-no-discriminator": 0.15,
-    "rdm-7": 1.1, "md-7": 0.9, "md-7-alone": 0.9, "rdm-4": 1.1, "rdm-14": 1.1, "md-4": 0.9, "rdm-student": 0.3,
+    "rdm-7": 1.6, "md-7": 1.4, "md-7-alone": 1.4, "rdm-4": 1.6, "rdm-14": 1.6, "md-4": 1.4, "rdm-student": 0.3,
     "rdm-student-2": 0.3,
 }  # fmt: skip

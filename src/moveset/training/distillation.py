@@ -20,7 +20,7 @@ from moveset.models.discriminator import DiscriminatorConfig, LatentDiscriminato
 from moveset.models.latent_denoiser import LatentDenoiserConfig
 from moveset.models.registry import ModelConfig, describe, require_range
 from moveset.models.token_denoiser import TokenDenoiserConfig
-from moveset.motion.sides import more_left
+from moveset.motion.sides import more_left, shortfall
 from moveset.pcm.consistency import (
     Draws,
     adversarial_pair,
@@ -43,8 +43,6 @@ from moveset.training.single_network import SingleNetworkTask
 from moveset.training.tasks import Sources
 from moveset.training.teacher import LatentData, normalised_latents
 from moveset.training.trained import load_trained
-
-_CLEARLY = 0.3  # by which share of both ways a limb travels more: twice what counts as favoured (``motion.sides``)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -226,7 +224,7 @@ class _DistillationTask(SingleNetworkTask):
         made_BND = lcm_prediction(self.schedule, student, noise, self.grid.time(point_B))
         made_BFJ3 = self.data.joints(made_BND, frames)
         told_B2 = sides_B3[:, :2].nan_to_num()
-        short_B2 = (_CLEARLY - told_B2 * more_left(made_BFJ3, frames, self.data.codec.skeleton)).relu() * told_B2.abs()
+        short_B2 = shortfall(more_left(made_BFJ3, frames, self.data.codec.skeleton), told_B2) * told_B2.abs()
         loss = short_B2.sum() / told_B2.abs().sum().clamp(min=1.0)
         report["sides"] = loss.detach()
         return loss

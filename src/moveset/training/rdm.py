@@ -27,14 +27,15 @@ from moveset.rdm.grid import GridConfig, corrupt, draw
 from moveset.rdm.losses import flow_loss, jacobian_weight, masked_mse, velocity_loss
 from moveset.rdm.transport import Transport
 from moveset.text.encoder import TextEmbedding
+from moveset.text.sides import with_sides
 from moveset.training.condition_dropout import drop_heading_change, drop_timing, perturb_heading, perturb_past
 from moveset.training.ema import Ema, ema_warmup
 from moveset.training.engine import Loop, Task
 from moveset.training.momo import MomoAdam
 from moveset.training.optim import cosine_lr
-from moveset.training.reading import MAX_TOKENS, told
+from moveset.training.reading import MAX_TOKENS, told_sides
 from moveset.training.segment_data import SegmentData, forecast, spectrum
-from moveset.training.segment_losses import foot_error, heading_error
+from moveset.training.segment_losses import foot_error, heading_error, side_shortfall
 from moveset.training.single_network import NetworkConfig
 from moveset.training.tasks import Sources
 
@@ -89,6 +90,8 @@ class RDMConfig(NetworkConfig):
             likewise.
         sides: share of samples that are told, beside their sentence, which sides what it is said to favours
             (``text.sides``).
+        side_weight: of that by which limbs that are told to move more fail to, in clean predictions
+            (``segment_losses``).
         heading_noise: deviation, in radians, of how far their way has turned more or less than it should have, of which
             they take half back (``training.condition_dropout.perturb_heading``).
         max_tokens: tokens of a caption that are read; other numbers than 32 are for undisturbed captions.
@@ -135,6 +138,7 @@ class RDMConfig(NetworkConfig):
     heading_change: float = 0.0
     heading_noise: float = 0.0
     sides: float = 0.0
+    side_weight: float = 0.0
     max_tokens: int = MAX_TOKENS
 
     def __post_init__(self) -> None:
@@ -207,9 +211,12 @@ class RDMTask(Task):
             report |= self._train_flow(batch, loop)
         dropped = torch.rand(config.batch, generator=self.draws, device=loop.device) < config.condition_dropout
         said = ["" if drop else caption for drop, caption in zip(dropped.tolist(), batch.captions, strict=True)]
-        text = told(self.data.read(said, self.draws), said, batch.sides, config.sides, self.draws)
+        text, sides_B3 = self.data.read(said, self.draws), None
+        if config.sides:
+            sides_B3 = told_sides(said, batch.sides, config.sides, self.draws)
+            text = with_sides(text, sides_B3)
         both = config.joint and learns
-        loss, parts = self._loss(self.denoiser, self.transport, batch, text, self.draws, both)
+        loss, parts = self._loss(self.denoiser, self.transport, batch, text, self.draws, both, sides_B3)
         moved = ("denoiser", "flow") if both else ("denoiser",)
         report |= parts | {"loss": loss.detach(), "gradient_norm": loop.minimise(loss, *moved)}
         self.ema.update(self.denoiser, ema_warmup(step, config.ema))
@@ -262,6 +269,7 @@ class RDMTask(Task):
         text: TextEmbedding,
         generator: torch.Generator,
         joint: bool = False,
+        sides_B3: Tensor | None = None,
     ) -> tuple[Tensor, dict[str, Tensor]]:
         config = self.config
         if config.md_condition == "none":
@@ -295,8 +303,7 @@ class RDMTask(Task):
         heading_B = drop_heading_change(turned_B, config.heading_change, generator) if config.heading_change else None
         past = PastSegment(cell.prev_BnD, cell.prev_t_B, batch.index, timing_B2, heading_B)
         made = denoiser(cell.x_BnD, cell.t_B, Condition(text, past=past, valid=batch.valid)).float()
-        scale = self.feature_weight.sqrt()
-        root_B = weight_B.sqrt()[:, None, None] * scale
+        root_B = weight_B.sqrt()[:, None, None] * self.feature_weight.sqrt()
         target = draws.noise_BnD if config.predict == "eps" else clean
         loss = masked_mse(made * root_B, target * root_B, batch.valid)
         if config.velocity:
@@ -309,6 +316,10 @@ class RDMTask(Task):
             with torch.autocast(made.device.type, enabled=False):
                 feet_B = foot_error(made, clean, batch.valid, self.data.codec, self.normalizer)
             loss = loss + config.feet * (feet_B * seen_B).mean()
+        if config.side_weight and sides_B3 is not None:
+            with torch.autocast(made.device.type, enabled=False):
+                short = side_shortfall(made, clean, batch.valid, sides_B3, seen_B, self.data.codec, self.normalizer)
+            loss = loss + config.side_weight * short
         if config.heading:
             turn_B = heading_error(made, clean, batch.valid, self.data.codec, self.normalizer)
             if heading_B is not None:  # in any noise: who knows how far the way has turned knows what is left of it
@@ -317,6 +328,8 @@ class RDMTask(Task):
         seen = {"error": masked_mse(made.detach(), target, batch.valid), "noisy_std": cell.x_BnD.std()}
         if config.heading:
             seen["heading"] = turn_B.mean().detach()
+        if config.side_weight and sides_B3 is not None:
+            seen["sides"] = short.detach()
         return loss, seen
 
 

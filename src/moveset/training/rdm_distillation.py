@@ -38,7 +38,7 @@ from moveset.training.engine import Loop
 from moveset.training.rdm import SCHEDULE, RDMConfig, feature_weights
 from moveset.training.rollout import Rollout
 from moveset.training.segment_data import SegmentData
-from moveset.training.segment_losses import heading_error
+from moveset.training.segment_losses import heading_error, side_shortfall
 from moveset.training.single_network import SingleNetworkTask
 from moveset.training.tasks import Sources
 from moveset.training.trained import load_trained
@@ -64,8 +64,8 @@ class RDMStudentConfig(StudentConfig):
         heading_change, heading_noise: as in the teacher's training, for a teacher that was told how far its way has
             turned; streams of ``rollout_share`` are told it where the takes are that they begin with, or whose
             sentences they are given.
-        sides: share of samples that are told which sides are favoured, likewise; streams of ``rollout_share`` those of
-            the takes whose sentences they are given.
+        sides, side_weight: as in the teacher's training; streams of ``rollout_share`` are told the sides of the takes
+            whose sentences they are given.
         codec, frames: filled in from the teacher's.
     """
 
@@ -84,6 +84,7 @@ class RDMStudentConfig(StudentConfig):
     heading_change: float = 0.0
     heading_noise: float = 0.0
     sides: float = 0.0
+    side_weight: float = 0.0
     cutting: CuttingConfig = field(default_factory=CuttingConfig)
     codec: str = ""
     frames: int = 0
@@ -194,6 +195,12 @@ class RDMStudentTask(SingleNetworkTask):
             turn_B = heading_error(made, target, batch.valid, self.data.codec, self.normalizer)
             loss = loss + config.heading * (turn_B * share_B).mean()
             report["heading"] = turn_B.mean().detach()
+        if config.side_weight:
+            about = (batch.sides, torch.ones_like(batch.turned), self.data.codec, self.normalizer)
+            with torch.autocast(made.device.type, enabled=False):
+                short = side_shortfall(made, batch.clean, batch.valid, *about)
+            loss = loss + config.side_weight * short
+            report["sides"] = short.detach()
         if config.trajectory_rows:
             trajectory = self._trajectory(batch, draws, z, past_noise)
             loss = loss + trajectory

@@ -10,7 +10,7 @@ from torch import Tensor
 from moveset.data.text_augmentation import TextAugmentation
 from moveset.text.cache import EmbeddingCache, cache_file
 from moveset.text.encoder import TextEmbedding, get_text_encoder
-from moveset.text.sides import forget, with_sides
+from moveset.text.sides import forget
 
 MAX_TOKENS = 32
 T = TypeVar("T")
@@ -57,18 +57,11 @@ def read_captions(
     return TextEmbedding(tokens, mask, found.pooled)
 
 
-def told(
-    text: TextEmbedding, captions: Sequence[str], sides_B3: Tensor, share: float, generator: torch.Generator
-) -> TextEmbedding:
-    """Sentences, and beside ``share`` of them the sides that what they are said to favours.
-
-    Beside "", the unconditional input, nothing is said.
-    """
-    if not share:
-        return text
+def told_sides(captions: Sequence[str], sides_B3: Tensor, share: float, generator: torch.Generator) -> Tensor:
+    """(B, 3) sides that are said beside ``share`` of the captions, NaN for what is not; beside "", the unconditional
+    input, there is nothing."""
     silent = torch.tensor([not caption for caption in captions], device=sides_B3.device)
-    sides_B3 = forget(sides_B3, 1 - share, generator).masked_fill(silent[:, None], torch.nan)
-    return with_sides(text, sides_B3.to(text.tokens.device))
+    return forget(sides_B3, 1 - share, generator).masked_fill(silent[:, None], torch.nan)
 
 
 def draw_told(pairs: Sequence[tuple[tuple[str, ...], T]], size: int, seed: int, step: int) -> tuple[list[str], list[T]]:

@@ -9,6 +9,7 @@ Shapes: B rows, n frames, D features.
 from torch import Tensor
 
 from moveset.motion.features import FeatureCodec, Normalizer
+from moveset.motion.sides import MORE, more_left, shortfall
 from moveset.pcm.losses import huber
 
 KNEE = 0.1  # radians above which an error counts in proportion only: how far a turn goes can seldom be known
@@ -42,3 +43,25 @@ def heading_error(
     steps_Bn = ((made_BnD - real_BnD)[..., yaw].float() * normalizer.std[yaw].to(made_BnD.device))[..., 0]
     error_Bn = huber((steps_Bn * valid_Bn).cumsum(dim=1), KNEE) * valid_Bn
     return error_Bn.sum(dim=1) / valid_Bn.sum(dim=1).clamp_min(1)
+
+
+def side_shortfall(
+    made_BnD: Tensor, real_BnD: Tensor, valid_Bn: Tensor, told_B3: Tensor, weight_B: Tensor, codec: FeatureCodec,
+    normalizer: Normalizer,
+) -> Tensor:  # fmt: skip
+    """By how much arms and legs that are told to move more than the others fail to: a weighted mean, no number's unit.
+
+    Of an error of features one arm or the other is a hundredth, so what is asked for is looked at where it shows.
+
+    Args:
+        told_B3: sides as ``text.sides`` has them; a limb is asked for where the real segment favours it, too.
+        weight_B: of each row.
+    """
+    frames_B = valid_Bn.sum(dim=1)
+    made_B2, real_B2 = (
+        more_left(codec.joints(normalizer.denormalize(x.float())), frames_B, codec.skeleton)
+        for x in (made_BnD, real_BnD)
+    )
+    told_B2 = told_B3[:, :2].nan_to_num().to(made_B2)
+    asked_B2 = weight_B[:, None] * (told_B2 * real_B2 > MORE["arm"])
+    return (shortfall(made_B2, told_B2) * asked_B2).sum() / asked_B2.sum().clamp_min(1.0)

@@ -18,9 +18,10 @@ from moveset.models.latent_denoiser import LatentDenoiserConfig
 from moveset.models.token_denoiser import TokenDenoiserConfig
 from moveset.motion.features import get_codec
 from moveset.text.encoder import TextEmbedding
+from moveset.text.sides import with_sides
 from moveset.training.ema import Ema, ema_warmup
 from moveset.training.engine import Loop
-from moveset.training.reading import embedded, read_captions, told
+from moveset.training.reading import embedded, read_captions, told_sides
 from moveset.training.single_network import NetworkConfig, SingleNetworkTask
 from moveset.training.tasks import Sources
 from moveset.training.trained import TrainedNetwork, load_trained
@@ -105,7 +106,8 @@ class LatentData:
 
     def told(self, batch: LatentBatch, captions: list[str], share: float, generator: torch.Generator) -> TextEmbedding:
         """Roughened captions of a batch, and beside ``share`` of them the sides that its motions favour."""
-        return told(self.read(captions, generator), captions, batch.sides, share, generator)
+        text = self.read(captions, generator)
+        return with_sides(text, told_sides(captions, batch.sides, share, generator)) if share else text
 
 
 class TeacherTask(SingleNetworkTask):
