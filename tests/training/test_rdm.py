@@ -89,8 +89,9 @@ def test_a_course_is_learned_from_a_bent_past(tiny_run, tmp_path):
 
 
 def test_sides_are_told_beside_sentences_and_asked_for(tiny_run, tmp_path, monkeypatch):
-    asked, short = [], rdm.side_shortfall
+    asked, weights, short, loss = [], [], rdm.side_shortfall, RDMTask._loss
     monkeypatch.setattr(rdm, "side_shortfall", lambda *given: asked.append(given[3]) or short(*given))
+    monkeypatch.setattr(RDMTask, "_loss", lambda *given: weights.extend(x[1] for x in given[7:] if x) or loss(*given))
     task, _ = tiny_run.train("rdm-7", tmp_path / "run", "sides=0.7", "side_weight=1", "batch=16", steps=3)
     log = [json.loads(line) for line in (tmp_path / "run" / "metrics.jsonl").read_text().splitlines()]
     assert all(("sides" in line) == (line["split"] == "train") for line in log)
@@ -99,6 +100,7 @@ def test_sides_are_told_beside_sentences_and_asked_for(tiny_run, tmp_path, monke
     assert told.any()
     assert not told.all()
     assert torch.equal(asked[0][told], shown.sides[told])
+    assert weights == pytest.approx([0.75, 0.25, 0.0])
     tiny_run.train("rdm-7", tmp_path / "silent", "sides=0", "side_weight=1", "batch=16", steps=1)
     assert len(asked) == 3
 

@@ -110,6 +110,10 @@ def test_who_moves_the_limb_that_is_told_falls_short_by_nothing_and_the_mirror_i
     # Nothing is asked for that is not told, or that the real segment does not do either.
     assert short(other, [[nan, nan, 1.0], [0.0, nan, nan]]) == 0
     assert short(other, [[-1.0, 1.0, 0.0], [1.0, -1.0, 0.0]]) == 0
+    # … and no more of it than there.
+    little = real.lerp(other, 0.45)
+    assert 0 < short(little, left) < short(other, left)
+    assert float(side_shortfall(little, little, valid, torch.tensor(left), evenly, CODEC, normalizer)) == 0
     mixed = torch.stack((other[0], real[1]))
     assert short(mixed, left, torch.tensor([0.0, 1.0])) == 0
     assert short(mixed, left) == pytest.approx(short(mixed, left, torch.tensor([1.0, 0.0])) / 2)

@@ -39,9 +39,16 @@ def more_left(joints_BFJ3: Tensor, frames_B: Tensor, skeleton: Skeleton) -> Tens
     return torch.stack(found, dim=1)
 
 
-def shortfall(more_left_B2: Tensor, told_B2: Tensor) -> Tensor:
-    """(B, 2) by how much the arm and the leg that are told to (1 left, -1 right) do not clearly travel more."""
-    return (_CLEARLY - told_B2 * more_left_B2).relu()
+def shortfall(more_left_B2: Tensor, told_B2: Tensor, shown_B2: Tensor | None = None) -> Tensor:
+    """(B, 2) by how much the arm and the leg that are told to (1 left, -1 right) do not clearly travel more.
+
+    Args:
+        shown_B2: what an example shows, of which no more is asked for.
+    """
+    asked_B2 = torch.full_like(told_B2, _CLEARLY)
+    if shown_B2 is not None:
+        asked_B2 = (told_B2 * shown_B2).clamp(max=_CLEARLY)
+    return (asked_B2 - told_B2 * more_left_B2).relu()
 
 
 def turned(joints: Tensor, skeleton: Skeleton) -> float:

@@ -146,7 +146,7 @@ def rdm_student() -> Recipe:
         cutting=STREAMED,
         augmentation=AUGMENTATION,
     )
-    return Recipe(task=task, engine=_engine(300))
+    return Recipe(task=task, engine=_engine(600))
 
 
 def movement() -> Recipe:
@@ -197,7 +197,7 @@ GUIDANCE = (1.0, 4.0)
 STUDENTS = 450  # steps, the same for all: they are compared
 # Of every clip it is known which sides it favours; in use hardly any sentence names one.
 SIDES = 0.7
-STREAMS = 15_700  # of RDM-7
+STREAMS = 18_700  # of RDM-7
 # No words go missing: "left" and "right" are words too, and sentences of people are many.
 AUGMENTATION = TextAugmentation(embedding_noise=0.05)
 _VAE = TimedVAEConfig(token_dim=64)
@@ -269,6 +269,7 @@ EXPORTS: tuple[Export, ...] = (
             "network": "rdm", "sampler_steps": 10, "start": 10, "lag": 10, "past_lag": 1, "travelling": 0.25,
             "symmetric": ("pcm-1",),
         },
+        compact=("rdm",),
     ),
     *(
         StreamExport(
@@ -298,6 +299,6 @@ HOURS = {
     "movement": 0.3, "evaluator": 0.35, "length": 0.05, "sides": 0.05, "vae": 1.1, "decoder": 0.1, "teacher": 0.9,
     "lcm-1": 0.15, "pcm-1": 0.15, "pcm-2": 0.15, "pcm-4": 0.15,
     "pcm-1-k20": 0.15, "pcm-1-no-ema": 0.15, "pcm-1-no-discriminator": 0.15,
-    "rdm-7": 1.6, "md-7": 1.4, "md-7-alone": 1.4, "rdm-4": 1.6, "rdm-14": 1.6, "md-4": 1.4, "rdm-student": 0.3,
-    "rdm-student-2": 0.3,
+    "rdm-7": 1.9, "md-7": 1.5, "md-7-alone": 1.5, "rdm-4": 1.9, "rdm-14": 1.9, "md-4": 1.5, "rdm-student": 0.15,
+    "rdm-student-2": 0.15,
 }  # fmt: skip

@@ -90,8 +90,8 @@ class RDMConfig(NetworkConfig):
             likewise.
         sides: share of samples that are told, beside their sentence, which sides what it is said to favours
             (``text.sides``).
-        side_weight: of that by which limbs that are told to move more fail to, in clean predictions
-            (``segment_losses``).
+        side_weight: at the beginning, of that by which limbs that are told to move more fail to, in clean predictions
+            (``segment_losses``). It fades as learning rates do: gaits get slow by it, and who listens goes on doing so.
         heading_noise: deviation, in radians, of how far their way has turned more or less than it should have, of which
             they take half back (``training.condition_dropout.perturb_heading``).
         max_tokens: tokens of a caption that are read; other numbers than 32 are for undisturbed captions.
@@ -211,12 +211,14 @@ class RDMTask(Task):
             report |= self._train_flow(batch, loop)
         dropped = torch.rand(config.batch, generator=self.draws, device=loop.device) < config.condition_dropout
         said = ["" if drop else caption for drop, caption in zip(dropped.tolist(), batch.captions, strict=True)]
-        text, sides_B3 = self.data.read(said, self.draws), None
+        text, asked = self.data.read(said, self.draws), None
         if config.sides:
             sides_B3 = told_sides(said, batch.sides, config.sides, self.draws)
             text = with_sides(text, sides_B3)
+            if config.side_weight:
+                asked = sides_B3, cosine_lr(step, config.side_weight, 0, self.steps)
         both = config.joint and learns
-        loss, parts = self._loss(self.denoiser, self.transport, batch, text, self.draws, both, sides_B3)
+        loss, parts = self._loss(self.denoiser, self.transport, batch, text, self.draws, both, asked)
         moved = ("denoiser", "flow") if both else ("denoiser",)
         report |= parts | {"loss": loss.detach(), "gradient_norm": loop.minimise(loss, *moved)}
         self.ema.update(self.denoiser, ema_warmup(step, config.ema))
@@ -269,7 +271,7 @@ class RDMTask(Task):
         text: TextEmbedding,
         generator: torch.Generator,
         joint: bool = False,
-        sides_B3: Tensor | None = None,
+        asked: tuple[Tensor, float] | None = None,
     ) -> tuple[Tensor, dict[str, Tensor]]:
         config = self.config
         if config.md_condition == "none":
@@ -316,10 +318,10 @@ class RDMTask(Task):
             with torch.autocast(made.device.type, enabled=False):
                 feet_B = foot_error(made, clean, batch.valid, self.data.codec, self.normalizer)
             loss = loss + config.feet * (feet_B * seen_B).mean()
-        if config.side_weight and sides_B3 is not None:
+        if asked is not None:
             with torch.autocast(made.device.type, enabled=False):
-                short = side_shortfall(made, clean, batch.valid, sides_B3, seen_B, self.data.codec, self.normalizer)
-            loss = loss + config.side_weight * short
+                short = side_shortfall(made, clean, batch.valid, asked[0], seen_B, self.data.codec, self.normalizer)
+            loss = loss + asked[1] * short
         if config.heading:
             turn_B = heading_error(made, clean, batch.valid, self.data.codec, self.normalizer)
             if heading_B is not None:  # in any noise: who knows how far the way has turned knows what is left of it
@@ -328,7 +330,7 @@ class RDMTask(Task):
         seen = {"error": masked_mse(made.detach(), target, batch.valid), "noisy_std": cell.x_BnD.std()}
         if config.heading:
             seen["heading"] = turn_B.mean().detach()
-        if config.side_weight and sides_B3 is not None:
+        if asked is not None:
             seen["sides"] = short.detach()
         return loss, seen
 

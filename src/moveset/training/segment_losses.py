@@ -54,7 +54,8 @@ def side_shortfall(
     Of an error of features one arm or the other is a hundredth, so what is asked for is looked at where it shows.
 
     Args:
-        told_B3: sides as ``text.sides`` has them; a limb is asked for where the real segment favours it, too.
+        told_B3: sides as ``text.sides`` has them; a limb is asked for where the real segment favours it, and no more
+            than there.
         weight_B: of each row.
     """
     frames_B = valid_Bn.sum(dim=1)
@@ -64,4 +65,4 @@ def side_shortfall(
     )
     told_B2 = told_B3[:, :2].nan_to_num().to(made_B2)
     asked_B2 = weight_B[:, None] * (told_B2 * real_B2 > MORE["arm"])
-    return (shortfall(made_B2, told_B2) * asked_B2).sum() / asked_B2.sum().clamp_min(1.0)
+    return (shortfall(made_B2, told_B2, real_B2) * asked_B2).sum() / asked_B2.sum().clamp_min(1.0)
