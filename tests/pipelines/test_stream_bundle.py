@@ -11,6 +11,7 @@ from moveset.cli.__main__ import main
 from moveset.errors import FormatError, InputError
 from moveset.models.flow import FlowConfig
 from moveset.models.segment_transformer import SegmentTransformerConfig
+from moveset.models.sides import SidePredictorConfig
 from moveset.models.symmetric import Symmetric
 from moveset.pipelines import model_folder
 from moveset.pipelines.model_config import ClipConfig, StreamConfig
@@ -38,7 +39,7 @@ NORMALIZER = {"feature_mean": torch.arange(6.0), "feature_std": torch.ones(6)}
 
 
 def networks():
-    """A denoiser, its students a little away from it, and a flow."""
+    """A denoiser, its students a little away from it, a flow, and a side predictor."""
     with torch.random.fork_rng(devices=[]), torch.no_grad():
         torch.manual_seed(0)
         rdm = SegmentTransformerConfig(**SIZES).build()
@@ -48,7 +49,8 @@ def networks():
             for p in student.parameters():
                 p += 1e-3 * torch.randn_like(p)
         flow = FlowConfig(features=6, blocks=2, hidden=8, text_dim=8, text_context=4, index_context=4).build()
-    return {"rdm": rdm, **students, "flow": flow}
+        sides = SidePredictorConfig(text_dim=8, width=8).build()
+    return {"rdm": rdm, **students, "flow": flow, "sides": sides}
 
 
 def save(path, config=CONFIG, modules=None, normalizer=NORMALIZER):
@@ -80,6 +82,7 @@ def test_what_is_written_is_read(folder):
     [
         ({"network": "pcm-4"}, "'pcm-4' is none of rdm, pcm-1, pcm-2"),
         ({"network": "flow"}, "'flow' is none of"),
+        ({"network": "sides"}, "'sides' is none of"),
         ({"schedule": "round"}, "'round' is none of linear, cosine"),
         ({"segment": 0}, "segment 0"),
         ({"segment": 28.5}, "segment 28.5"),
@@ -170,7 +173,7 @@ def test_models_lists_both_kinds(folder, tiny_clips, monkeypatch, capsys):
     assert second["network"] == "pcm-1"
     assert second["segment_seconds"] == 0.6
     assert second["networks"]["rdm"]["kind"] == "segment_transformer"
-    assert set(second["networks"]) == {"rdm", "flow", "pcm-1", "pcm-2"}
+    assert set(second["networks"]) == {"rdm", "flow", "sides", "pcm-1", "pcm-2"}
     assert main(["models"]) == 0
     out = capsys.readouterr().out
     assert "a stream by pcm-1, or by rdm, pcm-2  20 fps  0.6 s a segment" in out

@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import tyro
 
+from moveset.pipelines.role import Role, named
+
 if TYPE_CHECKING:
     from moveset.pipelines.model_config import ClipConfig, StreamConfig
     from moveset.pipelines.model_folder import ModelFolder
@@ -79,7 +81,8 @@ def tell(row: dict[str, Any]) -> None:
     """Print a model for a person."""
     steps = "/".join(map(str, row["pcm_steps"]))
     if "network" in row:
-        others = ", ".join(name for name in row["networks"] if name not in ("flow", row["network"]))
+        makers = (name for name in row["networks"] if named(name).role not in (Role.FLOW, Role.SIDES))
+        others = ", ".join(name for name in makers if name != row["network"])
         can = f"a stream by {row['network']}" + f", or by {others}" * bool(others)
         limits = f"{row['segment_seconds']:g} s a segment"
     else:
