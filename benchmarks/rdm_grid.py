@@ -66,8 +66,9 @@ class Variant:
         return self.what == "rdm-7"
 
 
-ALIGNED = "cutting.aligned=true"
-NUMBERED = (ALIGNED, f"model.max_index={N - 1}")
+# Aligned as published, and told of no sides, which nothing here reads off a sentence.
+ALIGNED = ("cutting.aligned=true", "sides=0", "side_weight=0")
+NUMBERED = (*ALIGNED, f"model.max_index={N - 1}")
 # Powers of the flow up to the last segment's, as published; its capacity is the recipe's.
 FLOW = (f"depth_cap={N - 1}", f"flow.max_index={N - 1}", "flow.bound=hardtanh")
 PUBLISHED = ("flow.blocks=6", "flow.hidden=256")
@@ -92,7 +93,7 @@ VARIANTS = {
     "md-alone": Variant(what="md-7", settings=(*NUMBERED, "md_condition=none")),
     # Few evaluations a segment, told a finished past, in the coordinates of the teacher's flow or of none.
     **{
-        f"{teacher}-pcm-{k}": Variant(what="rdm-student", teacher=teacher, settings=(ALIGNED, f"phases={k}"))
+        f"{teacher}-pcm-{k}": Variant(what="rdm-student", teacher=teacher, settings=(*ALIGNED, f"phases={k}"))
         for teacher in ("entangled", "entangled-identity")
         for k in (1, 2, 4)
     },

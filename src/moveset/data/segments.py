@@ -60,7 +60,7 @@ class SegmentBatch:
         index: (B,) segment number.
         place: (B, 2) frames from where the sentence begins to where the segment does, and from there to its end.
         turned: (B,) radians by which the heading has changed since the sentence began.
-        sides: (B, 3) which sides what the sentence is said to favours (``motion.sides``).
+        sides: (B, 3) sides favoured by what the sentence is said to (``motion.sides``).
         captions: what is said to the segment, and ``previous_captions`` to the one before.
     """
 
@@ -102,7 +102,7 @@ class Row:
         ends: the frames at which its parts end.
         said: the sentences of each part.
         whole: those of all of it, if any.
-        sides: (parts + 1, 3) which sides the parts and, in the last row, all of it favour.
+        sides: (parts + 1, 3) sides favoured by each part and, in the last row, by all of it (``motion.sides``).
     """
 
     pieces: tuple[np.ndarray, ...]
@@ -171,7 +171,7 @@ class ClipSet:
         return (0, *clip.ends)[part], clip.ends[part]
 
     def sides(self, clip: Row, start: int, frames: int, chance: Sequence[float]) -> Tensor:
-        """(3,) which sides are favoured by what the sentence is said to that the same numbers choose."""
+        """(3,) sides favoured by what the sentence is said to that the same numbers choose."""
         return clip.sides[-1 if self._of_all(clip, chance) else _part(clip, start, frames)]
 
     def turned(self, clip: Row, start: int, stop: int) -> float:

@@ -78,8 +78,8 @@ class Conditioning:
         w = w_B if self._network.takes_scale or bool(w_B.any()) else None
         text = stack([one.text for one in conditions])
         mirrored = [one.mirrored for one in conditions if one.mirrored is not None]
-        timing_B2 = torch.tensor([one.timing for one in conditions], device=self._device)
-        timing_B2 = timing_B2 * float(self._bundle.config.segment)
+        n = float(self._bundle.config.segment)
+        timing_B2 = torch.tensor([one.timing for one in conditions], device=self._device) * n
         bound: Prediction | None = None
 
         def denoise(x_BnD: Tensor, t_B: Tensor, past_BnD: Tensor, past_t_B: Tensor) -> Tensor:

@@ -88,7 +88,7 @@ class RDMConfig(NetworkConfig):
             the others are for streams, whose sentences have no end.
         heading_change: share of segments that are told how far the heading has turned since their sentence began,
             likewise.
-        sides: share of samples that are told, beside their sentence, which sides what it is said to favours
+        sides: share of samples that are told, beside their sentence, the sides favoured by what it is said to
             (``text.sides``).
         side_weight: at the beginning, of that by which limbs that are told to move more fail to, in clean predictions
             (``segment_losses``). It fades as learning rates do: gaits get slow by it, and who listens goes on doing so.

@@ -49,9 +49,10 @@ def side_shortfall(
     made_BnD: Tensor, real_BnD: Tensor, valid_Bn: Tensor, told_B3: Tensor, weight_B: Tensor, codec: FeatureCodec,
     normalizer: Normalizer,
 ) -> Tensor:  # fmt: skip
-    """By how much arms and legs that are told to move more than the others fail to: a weighted mean, no number's unit.
+    """By how much arms and legs that are told to move more than the others fail to: a weighted mean, in shares of the
+    ways of both.
 
-    Of an error of features one arm or the other is a hundredth, so what is asked for is looked at where it shows.
+    Of an error of features one arm or the other is a hundredth, so what is asked for is looked at in the motion.
 
     Args:
         told_B3: sides as ``text.sides`` has them; a limb is asked for where the real segment favours it, and no more
