@@ -9,6 +9,7 @@ import torch
 from moveset.data.augment import bent, quiet_moments
 from moveset.data.compose import add_compositions
 from moveset.data.corpus import Corpus, CorpusWriter
+from moveset.data.passages import find_rises
 from moveset.motion import rotations
 from moveset.motion.clip import Motion
 from moveset.motion.skeleton import HML22
@@ -30,6 +31,22 @@ def standing(frames: int) -> Motion:
     return Motion(turned, still.root - still.joints[..., 1].amin() * torch.tensor((0.0, 1.0, 0.0)), 20.0, HML22)
 
 
+def seated(bend: torch.Tensor) -> Motion:
+    """Somebody who sits on nothing, thighs and shins bent by so many degrees, feet where they are."""
+    still = standing(len(bend))
+    turned = still.rotations.clone()
+    for side in ("left", "right"):
+        turned[:, HML22.index(f"{side}_hip")] = rotations.about("x", -bend)
+        turned[:, HML22.index(f"{side}_knee")] = rotations.about("x", bend)
+    low = Motion(turned, still.root, 20.0, HML22)
+    ankle = low.joints[:, HML22.index("left_ankle")]
+    return Motion(turned, low.root + still.joints[:1, HML22.index("left_ankle")] - ankle, 20.0, HML22)
+
+
+def rising(rest: int, rise: int, stand: int) -> Motion:
+    return seated(torch.cat((torch.full((rest,), 95.0), torch.linspace(95.0, 0.0, rise), torch.zeros(stand))))
+
+
 @pytest.fixture(scope="module")
 def corpus(tmp_path_factory) -> Corpus:
     writer = CorpusWriter()
@@ -40,6 +57,9 @@ def corpus(tmp_path_factory) -> Corpus:
         split = "train" if k < 24 else "test"
         name = f"{content}{k}"
         add_take(writer, TakeEntry(name, name, "test", content, None, SENTENCES[content], split, "s", motion))
+    for k in range(3):
+        sits = TakeEntry(f"sit{k}", f"sit{k}", "test", "sit", None, (), "train", "s", rising(40, 25 + k, 20))
+        add_take(writer, sits)
     assert add_compositions(writer, train=60) == 60
     return Corpus.open(writer.write(tmp_path_factory.mktemp("composed") / "corpus.safetensors"))
 
@@ -138,3 +158,37 @@ def test_a_gait_goes_on_straight_at_its_own_pace(corpus):
         assert (path[-1] - path[0]).norm() / (len(path) - 1) == pytest.approx(float(source), rel=0.1)
         steps = motion.joints.diff(dim=0).norm(dim=-1).amax(dim=1)
         assert steps.max() < 1.2 * corpus.motion(one.clip).joints.diff(dim=0).norm(dim=-1).max() + 0.01
+
+
+@pytest.mark.parametrize("frames", [(40, 20, 20), (20, 50, 20), (90, 12, 60)])
+def test_who_rests_and_then_gets_up_is_found(frames):
+    rest, rise, _ = frames
+    motion = rising(*frames)
+    ((start, stop),) = find_rises(motion)
+    assert max(0, rest - 33) <= start <= rest
+    assert rest < stop <= rest + rise + 16
+    assert motion.root[stop - 1, 1] > 0.95 * motion.root[-1, 1]
+    assert find_rises(motion.mirrored()) == [(start, stop)]
+
+
+def test_who_sits_down_or_squats_without_rest_or_never_gets_up_does_not_get_up():
+    down = torch.cat((torch.zeros(30), torch.linspace(0.0, 95.0, 20), torch.full((40,), 95.0)))
+    squats = 47.5 - 47.5 * torch.cos(torch.arange(100) * (2 * math.pi / 20))
+    assert not any(map(find_rises, (seated(down), seated(squats), standing(90), synthetic_motion("walk", 90, seed=1))))
+    assert find_rises(seated(torch.cat((down, torch.linspace(95.0, 0.0, 20), torch.zeros(20)))))
+
+
+def test_who_gets_up_then_stands(corpus):
+    for i in composed(corpus, "rising"):
+        record, motion = corpus.records[i], corpus.motion(i)
+        first, second = (corpus.records[part.clip].contents for part in record.recipe.parts)
+        assert (first, second) == (("sit",), ("stand",))
+        height = motion.root[:, 1]
+        assert height[0] < 0.6
+        assert height[-1] == pytest.approx(float(standing(1).root[0, 1]), abs=0.02)
+        assert (height[-20:] - height[-1]).abs().max() < 0.02
+        assert all("up" in sentence or "rises" in sentence for sentence in corpus.captions(i))
+        steps = motion.joints.diff(dim=0).norm(dim=-1).amax(dim=1)
+        assert (
+            steps.max() < 1.2 * corpus.motion(record.recipe.parts[0].clip).joints.diff(dim=0).norm(dim=-1).max() + 0.01
+        )

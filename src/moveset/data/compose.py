@@ -1,8 +1,9 @@
 """Which compositions a corpus gets: recipes out of its clips, each within one split, told by their parts' sentences.
 
 One thing after another, joined where both are most alike; somebody who goes, and then stops and stands; arms of one on
-the legs of another; a way that is bent onto a circle, round a corner or back; a gait that goes on; another pace. Every
-choice comes from a random generator seeded by a string, so that the same clips give the same recipes.
+the legs of another; a way that is bent onto a circle, round a corner or back; a gait that goes on; somebody
+who gets up; another pace. Every choice comes from a random generator seeded by a string, so that the same clips give
+the same recipes.
 """
 
 import math
@@ -20,6 +21,7 @@ from moveset.data.captions import mirror_text
 from moveset.data.corpus import CorpusWriter
 from moveset.data.descriptions import without_person
 from moveset.data.english import inflect
+from moveset.data.passages import STRAIGHT, find_gait, find_rises
 from moveset.data.records import ClipRecord, Kind, Part, Recipe
 from moveset.data.splits import Split
 from moveset.data.verbs import LOCOMOTION, STANDING
@@ -31,12 +33,8 @@ _BLEND = 12
 _SHORTEST = 24
 _WORDS = 12  # of a sentence that becomes half of another
 _ORDER = re.compile(r"\b(then|after|before|while|finally|first|next|again|start|begin|end|stop)", re.IGNORECASE)
-_STRAIGHT = 0.9  # of the length of a way, from its first to its last place
 _FAR = 1.6  # metres of a way that can be bent
 _PACES = (0.85, 0.9, 1.1, 1.15)
-# Of a gait that is repeated: its least frames, how alike its ends are, m/s of who gets somewhere, the share of the
-# clip's best pace, and metres that it climbs and radians that it turns at most.
-_PERIOD, _SAME, _STEADY, _FULL, _LEVEL, _ASTRAY = 12, 0.4, 0.4, 0.8, 0.03, 0.15
 _ASIDE = re.compile(
     r"circle|turn|left|right|back|diagonal|curve|stop|start|steps|paces|side|stair|speeds|slows|few", re.IGNORECASE
 )
@@ -72,6 +70,10 @@ _HOW = {
     _BACK: ("{a}, turns around and comes back", "{a} and turns around to the {side}", "{a}, then turns around"),
     _CURVE: ("{a} in a curve to the {side}", "{a} and veers {side}", "{a}, bending to the {side}"),
 }
+_UP = (
+    "{s} stands up", "{s} gets up", "{s} stands back up", "{s} gets back up", "{s} rises", "{s} gets up and stands",
+    "{s} rises and stands still", "{s} stands up and stands still",
+)  # fmt: skip
 _PLAIN = 7  # words of a sentence that says no more than that somebody walks, and where
 _WAY = re.compile(r"straight|line|circle|turn|left|right|back|diagonal|curve", re.IGNORECASE)
 _SUBJECTS = ("a person", "a person", "someone", "a man", "the person", "a woman")
@@ -101,14 +103,15 @@ class _Made:
 
 
 class _Pool:
-    """The clips of one split that have sentences."""
+    """The clips of one split; ``records`` are those that have sentences."""
 
     def __init__(self, writer: CorpusWriter, split: Split) -> None:
         self._writer = writer
         self._motions: dict[tuple[int, bool], Motion] = {}
         self._poses: dict[tuple[int, bool], Tensor] = {}
-        takes = [(k, r) for k, r in enumerate(writer.records) if r.kind == "take" and r.split == split and r.captions]
-        self.records = [(k, r) for k, r in takes if r.frames >= _SHORTEST]
+        takes = [(k, r) for k, r in enumerate(writer.records) if r.kind == "take" and r.split == split]
+        self._takes = [(k, r) for k, r in takes if r.frames >= _SHORTEST]
+        self.records = [(k, r) for k, r in self._takes if r.captions]
         #: Rare things are drawn more often than their number of clips.
         counts: dict[tuple[str, ...], int] = {}
         for _, record in self.records:
@@ -122,9 +125,15 @@ class _Pool:
         for number, record in self.records:
             clip = _Clip(number, record, self._writer.sentences(record), False)
             if len(record.contents) == 1 and record.contents[0] in LOCOMOTION and _ahead(clip):
-                gait = _gait(self, clip)
+                gait = find_gait(self.motion(clip), self.poses(clip), _BLEND)
                 found += [(clip, *gait)] if gait else []
         return found
+
+    @cached_property
+    def rises(self) -> list[tuple[_Clip, int, int]]:
+        """Clips, told or not, in which somebody gets up from rest, and the frames of each from there until upright."""
+        found = [(k, r, span) for k, r in self._takes for span in find_rises(self._writer.motion(r))]
+        return [(_Clip(k, r, (), mirrored), *span) for k, r, span in found for mirrored in (False, True)]
 
     def pick(self, chance: random.Random, wanted: Callable[[ClipRecord], bool] = lambda record: True) -> _Clip | None:
         """A clip of a wanted kind; None if none was found."""
@@ -199,27 +208,31 @@ def _add(writer: CorpusWriter, name: str, made: _Made) -> None:
     writer.add_clip(record, made.captions)
 
 
-def _joined(pool: _Pool, a: _Clip, b: _Clip, chance: random.Random) -> tuple[Recipe, int] | None:
-    """``b`` after ``a`` where they are most alike, if they are alike enough."""
-    frames_a, frames_b = a.record.frames, b.record.frames
+def _joined(pool: _Pool, a: _Clip, b: _Clip, span: tuple[int, int] | None = None) -> tuple[Recipe, int] | None:
+    """``b`` after ``a`` where they are most alike, if they are alike enough.
+
+    Args:
+        span: first and last frame, exclusive, of ``a`` alone; by default all.
+    """
+    (begin, end), frames_b = span or (0, a.record.frames), b.record.frames
     # Actions keep their beginnings, and most of themselves.
-    stops = range(max(_SHORTEST, round(0.7 * frames_a)), frames_a + 1)
+    stops = range(begin + max(_SHORTEST, round(0.7 * (end - begin))), end + 1)
     starts = range(max(1, round(0.2 * frames_b)))
     if not len(stops):
         return None
     half = _BLEND // 2
-    rows = torch.tensor(stops).sub(half).clamp(0, frames_a - 2)
+    rows = torch.tensor(stops).sub(half).clamp(0, a.record.frames - 2)
     columns = torch.tensor(starts).add(half).clamp(0, frames_b - 2)
     apart = torch.cdist(pool.poses(a)[rows], pool.poses(b)[columns])
     best = int(apart.argmin())
     stop, start = stops[best // len(columns)], starts[best % len(columns)]
-    if float(apart.flatten()[best]) > _ALIKE or not 1 <= _BLEND < min(stop, frames_b - start):
+    if float(apart.flatten()[best]) > _ALIKE or not 1 <= _BLEND < min(stop - begin, frames_b - start):
         return None
-    last = min(frames_b, start + MAX_FRAMES + _BLEND - stop)
+    last = min(frames_b, start + MAX_FRAMES + _BLEND - (stop - begin))
     if last - start < max(_SHORTEST, 0.7 * (frames_b - start)):
         return None
-    parts = (Part(a.number, 0, stop, a.mirrored), Part(b.number, start, last, b.mirrored))
-    return Recipe(parts, blend=_BLEND), stop + last - start - _BLEND
+    parts = (Part(a.number, begin, stop, a.mirrored), Part(b.number, start, last, b.mirrored))
+    return Recipe(parts, blend=_BLEND), stop - begin + last - start - _BLEND
 
 
 _ALIKE = 1.2  # root of the sum of squares over joints' places and velocities
@@ -252,7 +265,7 @@ def _told(pool: _Pool, a: _Clip | None, b: _Clip | None, ways: Sequence[str], ch
     if a is None or b is None:
         return None
     first, second = a.short(), [told for s in b.short() if (told := without_person(s))]
-    if not first or not second or (found := _joined(pool, a, b, chance)) is None:
+    if not first or not second or (found := _joined(pool, a, b)) is None:
         return None
     said = []
     for way in chance.sample(ways, 3):
@@ -290,7 +303,7 @@ def _bent(pool: _Pool, chance: random.Random) -> _Made | None:
     path = motion.root[:frames, [0, 2]]
     way, reach = float(path.diff(dim=0).norm(dim=1).sum()), float((path[-1] - path[0]).norm())
     ahead = rotations.rotate(rotations.inv(rotations.heading(motion.rotations[0, 0])), motion.root[-1] - motion.root[0])
-    if way < _FAR or reach < _STRAIGHT * way or float(ahead[2]) < _STRAIGHT * reach:
+    if way < _FAR or reach < STRAIGHT * way or float(ahead[2]) < STRAIGHT * reach:
         return None
     radius = corner_radius(motion[:frames])
     choices = [(_CURVE, 0.33, False)]
@@ -339,35 +352,21 @@ def _going_on(pool: _Pool, chance: random.Random) -> _Made | None:
     return _Made("going_on", recipe, count * longer + _BLEND, clip.record.contents, tuple(_ahead(clip)))
 
 
+def _rising(pool: _Pool, chance: random.Random) -> _Made | None:
+    """Who rests low gets up and stands: sentences say so seldom, and then of much else, too."""
+    if not pool.rises:
+        return None
+    clip, start, stop = chance.choice(pool.rises)
+    still = pool.pick(chance, lambda r: r.contents == (STANDING,))
+    if still is None or (found := _joined(pool, clip, still, (start, stop))) is None:
+        return None
+    said = (way.format(s=chance.choice(_SUBJECTS)) for way in chance.sample(_UP, 3))
+    return _Made("rising", *found, ("rise", STANDING), tuple(dict.fromkeys(said)))
+
+
 def _ahead(clip: _Clip) -> list[str]:
     """Sentences of somebody who goes on and on."""
     return [told for told in clip.short() if not _ASIDE.search(told)]
 
 
-def _gait(pool: _Pool, clip: _Clip) -> tuple[int, int] | None:
-    """Frames of a clip after which its gait begins again, the overlap included: straight ahead and at full pace."""
-    motion, poses = pool.motion(clip), pool.poses(clip)
-    path, half = motion.root[:, [0, 2]], _BLEND // 2
-    gone = torch.cat((path.new_zeros(1), path.diff(dim=0).norm(dim=1).cumsum(0)))
-    second = min(round(motion.fps), len(path) - 1)
-    pace = float((gone[second:] - gone[:-second]).max()) / second
-    first, last = torch.triu_indices(len(poses), len(poses), _PERIOD)
-    facing = rotations.heading(motion.rotations[:, 0])
-    turned = rotations.heading_angle(rotations.mul(facing[last], rotations.inv(facing[first])))
-    way = gone[last] - gone[first]
-    good = ((path[last] - path[first]).norm(dim=1) > _STRAIGHT * way) & (turned.abs() < _ASTRAY)
-    good &= way > (last - first) * max(_STEADY / motion.fps, _FULL * pace)
-    good &= ((motion.root[last, 1] - motion.root[first, 1]).abs() < _LEVEL) & (first >= half)
-    # Twice at least within a clip.
-    good &= (last <= len(motion) - half) & (last - first <= (MAX_FRAMES - _BLEND) // 2)
-    if not good.any():
-        return None
-    first, last = first[good], last[good]
-    apart = (poses[last] - poses[first]).norm(dim=1)
-    best = int(apart.argmin())
-    # Beside what half a gait differs by, which grows with its pace.
-    most = float((poses - poses[first[best]]).norm(dim=1).max())
-    return (int(first[best]) - half, int(last[best]) + half) if float(apart[best]) < _SAME * most else None
-
-
-_WAYS = {_then: 6, _stop: 3, _start: 1, _body: 1, _bent: 4, _paced: 4, _going_on: 4}
+_WAYS = {_then: 6, _stop: 3, _start: 1, _body: 1, _bent: 4, _paced: 4, _going_on: 4, _rising: 4}

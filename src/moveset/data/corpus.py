@@ -175,7 +175,7 @@ class Corpus:
 
 
 def compose(kind: str, recipe: Recipe, parts: Sequence[Motion]) -> Motion:
-    if kind in ("in_time", "going_on"):
+    if kind in ("in_time", "going_on", "rising"):
         return reduce(lambda first, second: compose_in_time(first, second, recipe.blend), parts)
     if kind == "bent":
         return bent(parts[0], recipe.turn, recipe.sharp)

@@ -390,7 +390,7 @@ def corpus_weights(corpus: Corpus, records: Sequence[int], power: float, compose
         for r, named in zip(chosen, sided, strict=True)
     ]
     weights = torch.tensor(each, dtype=torch.float64)
-    composed = torch.tensor([record.kind in ("in_time", "body", "bent", "going_on") for record in chosen])
+    composed = torch.tensor([record.kind in ("in_time", "body", "bent", "going_on", "rising") for record in chosen])
     for part, share in ((composed, composed_share), (~composed, 1.0 - composed_share)):
         if part.any():
             weights[part] *= share / weights[part].sum()

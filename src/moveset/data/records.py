@@ -9,7 +9,8 @@ from moveset.data.splits import Split
 from moveset.errors import FormatError
 
 _LEAST_NEW = 20  # frames: what goes on has more to show than the end of what was shown
-Kind = Literal["take", "in_time", "body", "bent", "going_on", "paced"]
+Kind = Literal["take", "in_time", "body", "bent", "going_on", "rising", "paced"]
+_PARTS = {"in_time": (2, 100), "body": (2, 2), "going_on": (2, 100), "rising": (2, 2)}  # of recipes; others have one
 
 
 @dataclass(frozen=True)
@@ -72,7 +73,7 @@ class ClipRecord:
         take: name of the take it was cut from; of the first part's, for a composition.
         group: takes of one group show the same seconds of one performance, such as the two partners of a dance.
         kind: "take" as captured; composed "in_time", of two bodies ("body"), of one gait over and over ("going_on"),
-            or of one clip "bent" or "paced".
+            of somebody who gets up and then stands ("rising"), or of one clip "bent" or "paced".
         contents: what is shown, one label for each thing that its sentences tell; none where nothing is told. Two for
             compositions (first, second; upper body, legs) that do not show the same thing over and over.
         style: how it is performed, one label; None where unknown or mixed.
@@ -170,7 +171,7 @@ def record_from_json(data: Any, caption_sets: list[tuple[int, ...]]) -> ClipReco
     ):
         raise FormatError(f"clip {record.name!r} of the corpus has no valid recipe; build the corpus again")
     if recipe is not None:
-        least, most = {"in_time": (2, 100), "body": (2, 2), "going_on": (2, 100)}.get(record.kind, (1, 1))
+        least, most = _PARTS.get(record.kind, (1, 1))
         if not (least <= len(recipe.parts) <= most and abs(recipe.turn) <= 100 and 0.1 <= recipe.speed <= 10):
             raise FormatError(f"the recipe of clip {record.name!r} cannot be followed; build the corpus again")
     return record
