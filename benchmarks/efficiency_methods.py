@@ -79,7 +79,7 @@ SIZES = {
     "small": Size(
         about="the networks of the small recipes at 269 features: segments by width 256 in 4 blocks with a flow of 2 "
         "couplings of 64, DiP at the same width and depth, MotionDiffuse at width 384; 16 text tokens of 384",
-        segment=lambda n: SegmentTransformerConfig(frames=n, smoothing=0.3, timing=True, heading_change=True),
+        segment=lambda n: SegmentTransformerConfig(frames=n, smoothing=0.3, heading_change=True),
         volume=SegmentDenoiserConfig(
             features=269,
             text_dim=384,

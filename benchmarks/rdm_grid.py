@@ -76,7 +76,7 @@ IDENTITY = ("flow=null",)
 ENTANGLED = ("grid.entangled=0.5",)
 # Eq. 13 and 31 weigh by 1 / |det|, which overflows for 28 frames of 269 features: here its mean for a number of them.
 JOINT = ("joint=true", "weight=x0", f"jacobian={1 / (SEGMENT_FRAMES[N] * 269):.3g}")
-BARE = ("timing=0", "heading_change=0", "heading_noise=0", "model.timing=false", "model.heading_change=false")
+BARE = ("heading_change=0", "heading_noise=0", "model.heading_change=false")
 
 VARIANTS = {
     "anchored": Variant(settings=(*NUMBERED, *FLOW)),
@@ -86,7 +86,7 @@ VARIANTS = {
     "joint": Variant(settings=(*NUMBERED, *FLOW, *ENTANGLED, *JOINT)),
     "entangled-published": Variant(settings=(*NUMBERED, *FLOW, *ENTANGLED, *PUBLISHED)),
     "entangled-free": Variant(settings=(*NUMBERED, *FLOW, *ENTANGLED, *PUBLISHED, "flow.log_scale=1.0")),
-    # What one of RDM-7 and MD-7 is told or both are: place and course; the past.
+    # What one of RDM-7 and MD-7 is told or both are: the course; the past.
     "anchored-bare": Variant(settings=(*NUMBERED, *FLOW, *BARE)),
     "md": Variant(what="md-7", settings=NUMBERED),
     "md-bare": Variant(what="md-7", settings=(*NUMBERED, *BARE)),

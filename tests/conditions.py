@@ -28,11 +28,11 @@ def awake(config: Any) -> Any:
 def call(
     network: Denoiser, x_BnD: Tensor, t_B: Tensor, prev_BnD: Tensor, prev_t_B: Tensor, index_B: Tensor,
     tokens_BLC: Tensor, mask_BL: Tensor, w_B: Tensor | None = None, mask_Bn: Tensor | None = None,
-    taps: list[Tensor] | None = None, place_B2: Tensor | None = None, turned_B: Tensor | None = None,
+    taps: list[Tensor] | None = None, turned_B: Tensor | None = None,
     mirrored_BLC: Tensor | None = None, prepare: bool = False,
 ) -> Tensor:  # fmt: skip
     """What a segment network makes of a noisy segment; ``prepare``: its condition is prepared before."""
-    past = PastSegment(prev_BnD, prev_t_B, index_B, place_B2, turned_B)
+    past = PastSegment(prev_BnD, prev_t_B, index_B, turned_B)
     mirror = None if mirrored_BLC is None else condition_of(mirrored_BLC, mask_BL).text
     condition = condition_of(tokens_BLC, mask_BL, past=past, scale=w_B, valid=mask_Bn, mirror_text=mirror)
     return network(x_BnD, t_B, network.prepare(condition) if prepare else condition, taps)

@@ -23,14 +23,12 @@ def tiny_stream(path: Path, *, seed: int = 0) -> Path:
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
         sizes = {"features": len(features), "frames": FRAMES, "width": 32, "heads": 2, "hidden": 32, "blocks": 1}
-        # Two networks are told where in the time of a sentence a segment lies, and how far the way has turned.
-        told = {
-            name: dict.fromkeys(("timing", "heading_change"), name in ("rdm", "pcm-1"))
-            for name in ("rdm", "md", "pcm-1", "pcm-2")
-        }
+        # Two networks are told how far the way has turned.
         modules = {
-            name: SegmentTransformerConfig(**sizes, guided=name.startswith("pcm"), **reads).build()
-            for name, reads in told.items()
+            name: SegmentTransformerConfig(
+                **sizes, guided=name.startswith("pcm"), heading_change=name in ("rdm", "pcm-1")
+            ).build()
+            for name in ("rdm", "md", "pcm-1", "pcm-2")
         }
         modules["flow"] = FlowConfig(
             features=len(features), blocks=2, hidden=8, text_context=4, index_context=4

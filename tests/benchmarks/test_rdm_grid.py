@@ -39,7 +39,7 @@ def test_variants_differ_from_each_other_in_what_they_are_named_by(grid):
     made = {k: with_settings(load_recipe("small", v.what).task, v.settings) for k, v in grid.VARIANTS.items()}
     flow = made["entangled-published"].flow
     assert (flow.blocks, flow.hidden, flow.log_scale, made["anchored"].depth_cap) == (6, 256, 0.1, 6)
-    told = {"timing", "heading_change", "heading_noise", "model.timing", "model.heading_change"}
+    told = {"heading_change", "heading_noise", "model.heading_change"}
     for one, other, names in (
         ("anchored", "anchored-identity", {"flow", "depth_cap"}),
         ("anchored", "entangled", {"grid.entangled"}),

@@ -91,6 +91,20 @@ def test_a_segment_follows_the_one_before_it(corpus):
     assert abs(float(first.float().mean()) - PLAIN.first_share) < 0.1
 
 
+def test_of_two_places_the_one_is_taken_where_more_happens(corpus):
+    few, all_ = (corpus.cut(replace(PLAIN, livelier=share)) for share in (0.0, 1.0))
+    columns = corpus.codec.groups["velocities"]
+    moved = []
+    for found in (few, all_):
+        batch = found.batch(400, seed=0, step=0)
+        rows, shown = batch.index > 0, batch.valid[..., None]
+        moved.append((batch.clean[..., columns].abs() * shown).sum((1, 2)) / batch.valid.sum(1))
+    # The same clips, of which the first place is the other's only.
+    assert (moved[1] >= moved[0] - 1e-4).all()
+    assert torch.equal(moved[1][~rows], moved[0][~rows])
+    assert (moved[1] > moved[0] + 1e-4)[rows].float().mean() > 0.3
+
+
 def test_aligned_segments_lie_on_the_grid_and_count(corpus):
     found = numbered(corpus.cut(ALIGNED), [100, 196, 230])
     batch = found.batch(3000, seed=0, step=0)
@@ -165,11 +179,10 @@ def test_a_segment_lies_in_the_time_of_its_sentence(corpus):
     sides = {"one": 1.0, "two": -1.0, "both": 0.0}
     assert batch.sides.tolist() == [[sides[caption]] * 3 for caption in batch.captions]
     spans = {"one": (0, 50), "two": (50, 100), "both": (0, 100)}
-    for clean, caption, (behind, ahead) in zip(batch.clean, batch.captions, batch.place.tolist(), strict=True):
-        start, (begin, end) = float(clean[0, 0]), spans[caption]
-        assert (behind, ahead) == (max(start - begin, 0), end - start)
+    for clean, caption, begun in zip(batch.clean, batch.captions, batch.begun.tolist(), strict=True):
+        start, (begin, _) = float(clean[0, 0]), spans[caption]
+        assert begun == (begin < start)
         seen.add((caption, start < begin))
-    # Of a segment in which a sentence begins, the time begins with the segment.
     assert seen == {("one", False), ("two", False), ("two", True), ("both", False)}
 
 
@@ -183,15 +196,18 @@ def test_a_segment_knows_how_far_its_way_has_turned_since_its_sentence_began(cor
     for row in found.rows:
         for k, frame in enumerate(row.cut(0, len(row))):
             where[frame.tobytes()].append((row, k))
-    for clean, (behind, _), turned in zip(batch.clean, batch.place.tolist(), batch.turned.tolist(), strict=True):
+    for clean, begun, caption, turned in zip(
+        batch.clean, batch.begun.tolist(), batch.captions, batch.turned.tolist(), strict=True
+    ):
         places = where[clean[0].numpy().tobytes()]
-        if len(places) != 1 or not behind:
-            assert behind or turned == 0
+        if len(places) != 1 or not begun:
+            assert begun or turned == 0
             continue
         ((row, start),) = places
+        begin = next(a for a, said in zip((0, *row.ends), row.said, strict=False) if caption in said)
         x = torch.from_numpy(row.cut(0, len(row))) * normalizer.std + normalizer.mean
         heading = codec.root_path(x)[0]
-        assert turned == pytest.approx(float(heading[start] - heading[start - int(behind)]), abs=1e-4)
+        assert turned == pytest.approx(float(heading[start] - heading[begin]), abs=1e-4)
         seen += 1
     assert seen > 20
 

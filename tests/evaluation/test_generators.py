@@ -171,7 +171,6 @@ def test_streams_in_batches_are_those_of_users(streams, network, options):
     asked = [Wanted(((WALK, 70),), 5), Wanted(((BOW, 30),), 6), Wanted(((BOW, 84),), 7)]
     made = Generated(StreamGenerator(streams, settings, device="cpu")).generate(asked, 20.0)
     assert [len(joints) for joints in made] == [70, 30, 84]
-    # Items have a length, which networks may be told.
     request = check_stream(streams.config, BOW, 4.2, network=network, seed=7, **options)
     users = MotionStream(streams, request, device="cpu")
     alone = torch.cat([next(users).motion.joints for _ in range(3)])
@@ -208,8 +207,7 @@ def test_segments_begin_with_the_first_ones_noise_if_asked(streams):
 def test_prompts_change_at_the_nearest_segment():
     said = timeline(Request((WALK, BOW, WALK), (40, 30, 60), 0), 28, 20.0)
     assert [said.at(k) for k in range(5)] == [WALK, BOW, WALK, WALK, WALK]  # 40 frames are 1.43, 70 are 2.5 segments
-    assert [said.place(k)[0] for k in range(5)] == [0, 0, 0, 1, 2]
-    assert [said.place(k)[1] for k in range(5)] == pytest.approx([1, 1, *(130 / 28 - k for k in (2, 3, 4))])
+    assert [said.behind(k) for k in range(5)] == [0, 0, 0, 1, 2]
     crowded = timeline(Request((WALK, BOW, WALK), (5, 5, 60), 0), 28, 20.0)
     assert [crowded.at(k) for k in range(3)] == [WALK, BOW, WALK]
 

@@ -28,7 +28,7 @@ DIP = DipDecoderConfig(features=5, prefix=8, frames=8, text_dim=6, width=12, lay
 NETWORKS = {
     "transformer": TRANSFORMER,
     "guided": replace(TRANSFORMER, guided=True),
-    "placed": replace(TRANSFORMER, timing=True, heading_change=True),
+    "turned": replace(TRANSFORMER, heading_change=True),
     "volume": VOLUME,
     "cross": CROSS,
     "channel": replace(VOLUME, prev="channel", max_index=2),
@@ -39,7 +39,7 @@ NETWORKS = {
     "light-mean": replace(LIGHT, pool="mean"),
     "dip": DIP,
 }
-STUDENTS = ("transformer", "placed", "volume", "cross")
+STUDENTS = ("transformer", "turned", "volume", "cross")
 LENGTHS = torch.tensor([8, 5, 1, 6])
 
 
@@ -59,8 +59,7 @@ def inputs(name):
     }  # fmt: skip
     if name == "guided":
         given["w_B"] = torch.arange(4.0)
-    if name == "placed":
-        given["place_B2"] = torch.tensor([[0.0, 98.0], [28.0, 70.0], [-1.0, -1.0], [28.0, 28.0]])
+    if name == "turned":
         given["turned_B"] = torch.tensor([0.0, 1.5, float("nan"), -1.5])
     return given
 

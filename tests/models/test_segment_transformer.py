@@ -48,34 +48,25 @@ def test_who_is_alone_takes_every_segment_for_a_first_one(model, inputs):
     assert torch.equal(call(alone, **inputs, prepare=True), made)
 
 
-PLACE = torch.tensor([[0.0, 98.0], [28.0, 70.0], [-1.0, -1.0], [28.0, 28.0]])
 TURN = torch.tensor([0.0, 1.5, float("nan"), -1.5])
 
 
-@pytest.mark.parametrize(
-    ("reads", "weight", "given", "told", "untold", "other"),
-    [
-        # Behind it is not ahead of it; nobody knows of 197 frames.
-        ("timing", "place", "place_B2", PLACE, [PLACE * 0 - 1.0, torch.tensor([[0.0, 197.0]] * 4)], PLACE.flip(1)),
-        # Not to have turned is something to know, too; more than a turn is not.
-        ("heading_change", "course", "turned_B", TURN, [torch.full((4,), float("nan")), torch.full((4,), 6.3)], -TURN),
-    ],
-    ids=["place", "turn"],
-)  # fmt: skip
-def test_place_and_turn_are_read_where_they_are_known(model, inputs, reads, weight, given, told, untold, other):
-    fresh = replace(CONFIG, **{reads: True}).build().eval()
-    assert fresh.load_state_dict(model.state_dict(), strict=False).missing_keys == [f"{weight}.weight"]
+def test_a_turn_is_read_where_it_is_known(model, inputs):
+    fresh = replace(CONFIG, heading_change=True).build().eval()
+    assert fresh.load_state_dict(model.state_dict(), strict=False).missing_keys == ["course.weight"]
     # Fresh, it changes nothing; nor does it ever where nothing is told, or to who does not read it.
     plain = call(model, **inputs)
-    assert torch.equal(call(fresh, **inputs, **{given: told}), plain)
-    assert torch.equal(call(model, **inputs, **{given: told}), plain)
+    assert torch.equal(call(fresh, **inputs, turned_B=TURN), plain)
+    assert torch.equal(call(model, **inputs, turned_B=TURN), plain)
     network = awake(fresh.config)
-    silent, heard = call(network, **inputs), call(network, **inputs, **{given: told})
-    assert all(torch.equal(call(network, **inputs, **{given: nothing}), silent) for nothing in untold)
+    silent, heard = call(network, **inputs), call(network, **inputs, turned_B=TURN)
+    # Not to have turned is something to know, too; more than a turn is not.
+    for nothing in (torch.full((4,), float("nan")), torch.full((4,), 6.3)):
+        assert torch.equal(call(network, **inputs, turned_B=nothing), silent)
     moved = gap(heard, silent)
     assert float(moved[2]) == 0
     assert float(moved[[0, 1, 3]].min()) > 1e-3
-    assert float(gap(call(network, **inputs, **{given: other}), heard)[1]) > 1e-3
+    assert float(gap(call(network, **inputs, turned_B=-TURN), heard)[1]) > 1e-3
 
 
 def test_the_index_saturates(inputs):

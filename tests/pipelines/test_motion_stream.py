@@ -52,7 +52,7 @@ def test_the_first_segments_worked_out_by_hand(opened, encoder):
     n, (order, signs) = made.bundle.normalizer, get_codec("native").mirror()
 
     def said(sentence, prev, index, turned):
-        return Condition(sentence, past=PastSegment(prev, clean, index, None, turned), scale=torch.tensor([2.0]))
+        return Condition(sentence, past=PastSegment(prev, clean, index, turned), scale=torch.tensor([2.0]))
 
     def even(x, prev, index, turned):
         one = network(x, level, said(text, prev, index, turned))
@@ -147,7 +147,7 @@ def test_a_prompt_is_checked_and_leaves_the_stream_as_it_was(opened):
 def test_a_timeline_is_rounded_together(opened):
     made = opened(["a", "b", "c"], [3.0, 0.1, 4.0])
     # 3.0, 3.1 and 7.1 s are 2.1, 2.2 and 5.1 segments; each prompt gets at least one.
-    assert made.timeline == Timeline(("a", "b", "c"), (0, 2, 3), 5, timed=True)
+    assert made.timeline == Timeline(("a", "b", "c"), (0, 2, 3), 5)
     assert [s.prompt for s in take(made, 7)] == ["a", "a", "b", "c", "c", "c", "c"]
 
 

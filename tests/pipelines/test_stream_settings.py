@@ -103,28 +103,6 @@ def test_stages_share_their_prompts_time(bundle, prompts, seconds, starts, count
     assert whole.timeline.prompts == ((prompts,) if isinstance(prompts, str) else prompts)
 
 
-UNKNOWN = (-1, -1)
-
-
-@pytest.mark.parametrize(
-    ("prompts", "options", "places"),
-    [
-        (WALK, {}, [UNKNOWN] * 3),
-        (WALK, {"seconds": 2 * SEGMENT}, [(0, 2), (1, 1), UNKNOWN]),
-        (WALK, {"seconds": 2 * SEGMENT, "loop": True}, [(0, 2), (1, 1), (0, 2)]),
-        (BOTH, {}, [(0, 3), (1, 2), (2, 1), UNKNOWN]),
-        ((WALK, BOW), {"seconds": [SEGMENT, 2 * SEGMENT]}, [(0, 1), (0, 2), (1, 1), UNKNOWN]),
-    ],
-)
-def test_a_segment_knows_its_place_where_the_prompt_has_an_end(bundle, prompts, options, places):
-    timeline = check_stream(bundle.config, prompts, **options).timeline
-    assert [timeline.place(k) for k in range(len(places))] == places
-    later = timeline.beginning(5)
-    if not timeline.loop:
-        assert [later.place(k + 5) for k in range(len(places))] == places
-        assert later.place(2) == UNKNOWN
-
-
 def test_even_shares_differ_by_one_at_most():
     for count, length in itertools.product(range(1, 9), range(8, 20)):
         bounds = share_evenly(5, 5 + length, count)

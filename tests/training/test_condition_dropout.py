@@ -1,12 +1,11 @@
-"""What segments are told of their place and their course, and what ways that went astray take back."""
+"""What segments are told of their course, and what ways that went astray take back."""
 
 import pytest
 import torch
 
-from moveset.models.segment_transformer import UNKNOWN
 from moveset.motion.features import Normalizer
 from moveset.motion.native import NativeCodec
-from moveset.training.condition_dropout import CORRECTED, drop_heading_change, drop_timing, perturb_heading
+from moveset.training.condition_dropout import CORRECTED, drop_heading_change, perturb_heading
 
 CODEC = NativeCodec()
 ROWS, FRAMES = 400, 28
@@ -52,11 +51,7 @@ def test_who_has_just_been_told_cannot_have_gone_astray():
 
 def test_a_share_is_told_and_the_rest_is_unknown():
     draws = torch.Generator().manual_seed(0)
-    place, turned = torch.ones(10_000, 2), torch.ones(10_000)
-    told = drop_timing(place, 0.7, draws)
-    assert float((told == 1).all(dim=1).float().mean()) == pytest.approx(0.7, abs=0.02)
-    assert set(told.unique().tolist()) == {1.0, UNKNOWN}
-    told = drop_heading_change(turned, 0.7, draws)
+    told = drop_heading_change(torch.ones(10_000), 0.7, draws)
     assert float(told.isnan().float().mean()) == pytest.approx(0.3, abs=0.02)
     assert (told[~told.isnan()] == 1).all()
 
@@ -64,6 +59,5 @@ def test_a_share_is_told_and_the_rest_is_unknown():
 def test_nothing_is_drawn_for_a_share_of_none():
     draws = torch.Generator().manual_seed(0)
     state = draws.get_state()
-    assert (drop_timing(torch.ones(5, 2), 0.0, draws) == UNKNOWN).all()
     assert drop_heading_change(torch.ones(5), 0.0, draws).isnan().all()
     assert torch.equal(draws.get_state(), state)

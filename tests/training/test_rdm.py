@@ -180,7 +180,6 @@ def test_variants_train(tiny_run, tmp_path):
         ("rdm-7", ["joint=true", "flow=null"], "joint 1 is of the flow"),
         ("rdm-7", ["grid.entangled=1", "grid.anchor=first"], 'grid.entangled 1 is for grid.anchor="segment"'),
         ("rdm-1", ["noise=coloured"], "segment transformer"),
-        ("light-rdm-1", ["timing=0.5"], "timing is for the segment transformer"),
         ("light-rdm-1", ["heading_change=0.5"], "heading_change is for the segment transformer"),
         ("rdm-7", ["optimizer=sgd"], "optimizer 'sgd' is not one of"),
         ("rdm-7", ["weight=w"], "weight 'w' is not one of"),

@@ -104,23 +104,19 @@ def test_lower_phases_meet_what_the_student_landed_at(tiny_run, tmp_path, monkey
         assert not torch.equal(met[step][1][begins], landed[step - 1][begins])
 
 
-def test_places_are_learned_by_teacher_and_student(tiny_run, tmp_path, monkeypatch):
+def test_turns_are_learned_by_teacher_and_student(tiny_run, tmp_path, monkeypatch):
     teacher, _ = tiny_run.train(
         "rdm-7",
         tmp_path / "teacher",
-        "timing=0.5",
         "heading_change=0.5",
         "heading_noise=0.3",
         "batch=16",
         steps=4,
     )
-    assert teacher.denoiser.config.timing
     assert teacher.denoiser.config.heading_change
-    assert bool(teacher.denoiser.place.weight.any())
     assert bool(teacher.denoiser.course.weight.any())
-    for name in ("timing", "heading_change"):
-        with pytest.raises(InputError, match=f"a teacher that was trained with {name}"):
-            tiny_run.train("rdm-student", tmp_path / "refused", f"{name}=0.5")
+    with pytest.raises(InputError, match="a teacher that was trained with heading_change"):
+        tiny_run.train("rdm-student", tmp_path / "refused", "heading_change=0.5")
 
     sources = {"teacher": tmp_path / "teacher"}
     told, bind = [], bound_segments.guided
@@ -132,28 +128,23 @@ def test_places_are_learned_by_teacher_and_student(tiny_run, tmp_path, monkeypat
     task, result = tiny_run.train(
         "rdm-student",
         tmp_path / "student",
-        "timing=0.6",
         "heading_change=0.6",
         "heading_noise=0.3",
         "rollout_share=0.5",
         sources=sources,
         steps=4,
     )
-    assert bool(task.student.place.weight.any())
     assert bool(task.student.course.weight.any())
     config = load_trained(result.checkpoint, "student_ema").module.config
-    assert config.timing
     assert config.heading_change
     pasts = [past for network, past in told if network is task.student]
-    places, turns = [past.timing for past in pasts], [past.heading_change for past in pasts]
-    for known in ((torch.cat(places) >= 0).all(dim=1), ~torch.cat(turns).isnan()):
-        assert 0.1 < float(known.float().mean()) < 0.9
+    known = ~torch.cat([past.heading_change for past in pasts]).isnan()
+    assert 0.1 < float(known.float().mean()) < 0.9
     told.clear()
-    unplaced, _ = tiny_run.train("rdm-student", tmp_path / "unplaced", "rollout_share=0.5", sources=sources, steps=2)
+    untold, _ = tiny_run.train("rdm-student", tmp_path / "untold", "rollout_share=0.5", sources=sources, steps=2)
     assert told
-    assert all((past.timing < 0).all() and past.heading_change.isnan().all() for _, past in told)
-    assert (unplaced.own.state()["place"] < 0).all()
-    assert unplaced.own.state()["turned"].isnan().all()
+    assert all(past.heading_change.isnan().all() for _, past in told)
+    assert untold.own.state()["turned"].isnan().all()
 
 
 @pytest.mark.parametrize(

@@ -24,9 +24,9 @@ def takes(step, partial=()):
     valid[list(partial), -1] = False
     captions = [f"take {step} {row}" for row in range(BATCH)]
     index = torch.ones(BATCH, dtype=torch.long)
-    place, turned = torch.full((BATCH, 2), -1.0), 10.0 * step + torch.arange(BATCH)
+    begun, turned = torch.ones(BATCH, dtype=torch.bool), 10.0 * step + torch.arange(BATCH)
     sides = turned[:, None].expand(BATCH, 3)
-    return SegmentBatch(rows, valid, rows + 0.5, rows, index, place, turned, sides, captions, list(captions))
+    return SegmentBatch(rows, valid, rows + 0.5, rows, index, begun, turned, sides, captions, list(captions))
 
 
 def lasting(monkeypatch, segments, staying=0.5):
@@ -71,30 +71,6 @@ def test_a_new_sentence_is_said_to_a_stream_or_begins_another(monkeypatch):
         assert torch.equal(batch.sides[own.rows], takes(2).sides[:3])
         expected = torch.full((3, FRAMES, FEATURES), -1.0) if staying else takes(2).previous[:3]
         assert torch.equal(batch.previous[own.rows], expected)
-
-
-def test_a_sentence_with_an_end_goes_by_and_gives_way_then(monkeypatch):
-    """Segments have four frames: of ten, two are behind a stream that begins; what it is told next begins anew."""
-    for staying in (0.0, 1.0):
-        lasting(monkeypatch, 1e9, staying)
-        own, draws = Rollout(1 / 3, BATCH, ONE), torch.Generator().manual_seed(0)
-        places, captions = [], []
-        for step in range(5):
-            batch = takes(step)
-            batch.place[0], batch.place[1] = torch.tensor([2.0, 8.0]), torch.tensor([-1.0, -1.0])
-            batch, _ = own.tell(batch, W, draws)
-            assert torch.equal(batch.place[[2, 4, 5]], torch.full((3, 2), -1.0))  # takes are left alone
-            places.append(batch.place[own.rows].tolist())
-            captions.append([batch.captions[row] for row in own.rows])
-            own.go_on(*torch.zeros(2, BATCH, FRAMES, FEATURES), TURN)
-        anew = [[0, 10], [4, 6], [8, 2]] if staying else [[2, 8], [6, 4], [2, 8]]
-        assert [first for first, _ in places] == [[2, 8], [6, 4], *anew]
-        assert [first for first, _ in captions] == ["take 0 0"] * 2 + ["take 2 0"] * 2 + [
-            f"take {2 if staying else 4} 0"
-        ]
-        # The other stream is told something without an end, which stays.
-        assert {tuple(second) for _, second in places} == {(-1, -1)}
-        assert {second for _, second in captions} == {"take 0 1"}
 
 
 def test_a_stream_knows_how_far_it_has_turned_since_it_was_told(monkeypatch):

@@ -39,6 +39,8 @@ class CuttingConfig:
         composed_share: share of segments from compositions.
         take_share: share of segments from takes of which several clips in a row are told, so that one sentence follows
             another as it did when people moved.
+        livelier: share of segments for which two places are drawn and the one is taken where more happens: of a jump
+            that was captured for ten seconds, most shows somebody who stands.
     """
 
     aligned: bool = False
@@ -47,6 +49,7 @@ class CuttingConfig:
     whole_caption: float = 0.2
     composed_share: float = 0.35
     take_share: float = 0.0
+    livelier: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +61,7 @@ class SegmentBatch:
         previous: (B, n, D) the segment before, zero for first ones; never partial.
         first: (B, n, D) the first segment of the clip.
         index: (B,) segment number.
-        place: (B, 2) frames from where the sentence begins to where the segment does, and from there to its end.
+        begun: (B,) whether the sentence began before the segment.
         turned: (B,) radians by which the heading has changed since the sentence began.
         sides: (B, 3) sides favoured by what the sentence is said to (``motion.sides``).
         captions: what is said to the segment, and ``previous_captions`` to the one before.
@@ -69,7 +72,7 @@ class SegmentBatch:
     previous: Tensor
     first: Tensor
     index: Tensor
-    place: Tensor
+    begun: Tensor
     turned: Tensor
     sides: Tensor
     captions: list[str]
@@ -85,7 +88,7 @@ class SegmentBatch:
             self.previous.to(device),
             self.first.to(device),
             self.index.to(device),
-            self.place.to(device),
+            self.begun.to(device),
             self.turned.to(device),
             self.sides.to(device),
             self.captions,
@@ -135,7 +138,7 @@ class ClipSet:
         cutting: CuttingConfig,
     ) -> None:
         self.cutting = cutting
-        yaw = codec.groups["root_yaw"]
+        yaw, self._moving = codec.groups["root_yaw"], codec.groups["velocities"]
         self._yaw = (yaw.start, float(store.normalizer.mean[yaw]), float(store.normalizer.std[yaw]))
         clips = dataset.split(split)
         weights = dataset.weights(clips, power=0.25, composed_share=cutting.composed_share)
@@ -152,10 +155,10 @@ class ClipSet:
         return sorted({caption for row in self.rows for said in (row.whole, *row.said) for caption in said})
 
     def draw(self, size: int, seed: int, step: int) -> list[tuple[Row, list[float]]]:
-        """The clips of a step's batch, each with five numbers in [0, 1): a pure function of (seed, step)."""
+        """The clips of a step's batch, each with six numbers in [0, 1): a pure function of (seed, step)."""
         generator = torch.Generator().manual_seed(seed * 1_000_003 + step)
         chosen = torch.multinomial(self.weights, size, replacement=True, generator=generator).tolist()
-        numbers = torch.rand(size, 5, generator=generator).tolist()
+        numbers = torch.rand(size, 6, generator=generator).tolist()
         return [(self.rows[row], chance) for row, chance in zip(chosen, numbers, strict=True)]
 
     def say(self, clip: Row, start: int, frames: int, chance: Sequence[float]) -> str:
@@ -163,12 +166,9 @@ class ClipSet:
         options = clip.whole if self._of_all(clip, chance) else clip.said[_part(clip, start, frames)]
         return options[int(chance[1] * len(options))]
 
-    def span(self, clip: Row, start: int, frames: int, chance: Sequence[float]) -> tuple[int, int]:
-        """First and last frame, exclusive, of what the sentence is said to that the same numbers choose."""
-        if self._of_all(clip, chance):
-            return 0, clip.ends[-1]
-        part = _part(clip, start, frames)
-        return (0, *clip.ends)[part], clip.ends[part]
+    def said_from(self, clip: Row, start: int, frames: int, chance: Sequence[float]) -> int:
+        """First frame of what the sentence is said to that the same numbers choose."""
+        return 0 if self._of_all(clip, chance) else (0, *clip.ends)[_part(clip, start, frames)]
 
     def sides(self, clip: Row, start: int, frames: int, chance: Sequence[float]) -> Tensor:
         """(3,) sides favoured by what the sentence is said to that the same numbers choose."""
@@ -204,10 +204,10 @@ class SegmentSet(ClipSet):
         n, width = self.frames, self.rows[0].pieces[0].shape[1]
         clean, previous, first = torch.zeros(3, size, n, width)
         valid, index = torch.zeros(size, n, dtype=torch.bool), torch.zeros(size, dtype=torch.long)
-        place, turned, sides = torch.zeros(size, 2), torch.zeros(size), torch.zeros(size, 3)
+        begun, turned, sides = torch.zeros(size, dtype=torch.bool), torch.zeros(size), torch.zeros(size, 3)
         captions, before = [], []
         for k, (clip, chance) in enumerate(self.draw(size, seed, step)):
-            begin, start, stop, number = self._place(len(clip), chance)
+            begin, start, stop, number = self._place(clip, chance)
             piece = clip.cut(start, stop)
             clean[k, : len(piece)] = torch.from_numpy(piece)
             valid[k, : len(piece)] = True
@@ -216,18 +216,17 @@ class SegmentSet(ClipSet):
             first[k, : len(head)] = torch.from_numpy(head)
             if number:
                 previous[k] = torch.from_numpy(clip.cut(start - n, start))
-            told, untold = self.span(clip, start, len(piece), chance[3:])
-            # A sentence may begin within its first segment.
-            place[k] = torch.tensor([max(start - told, 0), untold - start])
+            told = self.said_from(clip, start, len(piece), chance[3:])
+            begun[k] = told < start
             turned[k] = self.turned(clip, told, start)
             sides[k] = self.sides(clip, start, len(piece), chance[3:])
             captions.append(self.say(clip, start, len(piece), chance[3:]))
             before.append(self.say(clip, max(start - n, 0), n, chance[3:]) if number else captions[-1])
-        return SegmentBatch(clean, valid, previous, first, index, place, turned, sides, captions, before)
+        return SegmentBatch(clean, valid, previous, first, index, begun, turned, sides, captions, before)
 
-    def _place(self, total: int, chance: Sequence[float]) -> tuple[int, int, int, int]:
+    def _place(self, clip: Row, chance: Sequence[float]) -> tuple[int, int, int, int]:
         """Where the sequence begins that a segment of a clip belongs to, first frame, end and index of the segment."""
-        n = self.frames
+        n, total = self.frames, len(clip)
         if self.cutting.aligned:
             shown = min(total, self.cutting.horizon)
             begin = int(chance[1] * (total - shown + 1))
@@ -240,10 +239,16 @@ class SegmentSet(ClipSet):
             start, number = (0 if chance[1] < 0.75 else int(chance[2] * (inside + 1))), 0
         else:
             start = n + int(chance[1] * (room + 1))
+            if chance[5] < self.cutting.livelier:
+                start = max(start, n + int(chance[2] * (room + 1)), key=lambda at: self._movement(clip, at))
             # The segment before is a first one only where the clip begins with it; beyond that the number has no
             # meaning.
             number = 1 if start == n else 2
         return 0, start, start + n, number
+
+    def _movement(self, clip: Row, start: int) -> float:
+        """How much joints move in a segment."""
+        return float(np.abs(clip.cut(start, start + self.frames)[:, self._moving]).mean())
 
 
 def _part(clip: Row, start: int, frames: int) -> int:

@@ -27,8 +27,6 @@ class PastSegment:
         frames: (B, m, D) the segment before it; of no meaning in rows of index 0.
         level: (B,) its noise level, 0 for clean.
         index: (B,) number of the segment that is conditioned; 0 is the first, which has none before it.
-        timing: (B, 2) frames from where the sentence begins to where the segment does, and from there to where the
-            sentence ends; negative where that is not known.
         heading_change: (B,) radians by which the heading has changed since the sentence began, as the features' yaw
             steps have them; NaN where that is not known.
     """
@@ -36,7 +34,6 @@ class PastSegment:
     frames: Tensor
     level: Tensor
     index: Tensor
-    timing: Tensor | None = None
     heading_change: Tensor | None = None
 
     @classmethod

@@ -31,10 +31,6 @@ from moveset.models.registry import ModelConfig, register, require_range, requir
 
 _WAVES = 256
 _SCHEDULE = linear()
-LONGEST = 196
-"""Frames of the longest sentence that a network is told its place in: as many as the longest clip of training has."""
-UNKNOWN = -1
-"""Of a segment whose place in the time of its sentence is not known."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -46,9 +42,8 @@ class SegmentTransformerConfig(ModelConfig):
     data: frames are made by one token each, and what little they disagree in is worth nothing to a squared error and
     all to the eye. ``tremor`` is c where it is larger, for the frequencies above a third of the highest, in which
     nobody moves on purpose: with one c for all that is strong enough against trembling, feet swing too low. 0 leaves
-    all as it is. ``alone`` takes every segment for a first one, whatever is told of the one before it. ``timing`` reads
-    where a segment lies in the time of its sentence, and ``heading_change`` how far the way has turned since the
-    sentence began, wherever that is told.
+    all as it is. ``alone`` takes every segment for a first one, whatever is told of the one before it.
+    ``heading_change`` reads how far the way has turned since the sentence began, wherever that is told.
     """
 
     features: int = 269
@@ -63,7 +58,6 @@ class SegmentTransformerConfig(ModelConfig):
     tremor: float = 0.0
     guided: bool = False
     alone: bool = False
-    timing: bool = False
     heading_change: bool = False
 
     def __post_init__(self) -> None:
@@ -91,9 +85,8 @@ class Context:
 class SegmentTransformer(Denoiser):
     """Predicts the clean segment (B, n, D) of a noisy one at level 0 … 1000, from text and what it goes on from.
 
-    Segment numbers beyond ``max_index`` are all alike. Only networks with ``timing`` read the timing, and none of a
-    sentence that is longer than ``LONGEST``; only those with ``heading_change`` read the change of heading, and none of
-    more than a turn. ``taps`` collect every block's output (B, n, W).
+    Segment numbers beyond ``max_index`` are all alike. Only networks with ``heading_change`` read the change of
+    heading, and none of more than a turn. ``taps`` collect every block's output (B, n, W).
     """
 
     def __init__(self, config: SegmentTransformerConfig) -> None:
@@ -119,11 +112,8 @@ class SegmentTransformer(Denoiser):
         self.time = nn.Sequential(nn.Linear(_WAVES, c.width), nn.SiLU(), nn.Linear(c.width, c.width))
         self.index = nn.Embedding(c.max_index + 1, c.width)
         nn.init.normal_(self.index.weight, std=0.02)
-        if c.timing:
-            # Zero at the start, so that a network may learn it after the rest.
-            self.place = nn.Linear(2 * _WAVES, c.width, bias=False)
-            nn.init.zeros_(self.place.weight)
         if c.heading_change:
+            # Zero at the start, so that a network may learn it after the rest.
             self.course = nn.Linear(_WAVES, c.width, bias=False)
             nn.init.zeros_(self.course.weight)
         if c.guided:
@@ -170,8 +160,6 @@ class SegmentTransformer(Denoiser):
             bias = torch.zeros(context.shape[:2], dtype=torch.float32, device=context.device)
             bias[:, :length].masked_fill_(~mask_BL, -1e4)
         modulation = pooled + self.index(index_B.clamp(max=self.config.max_index)) + level
-        if self.config.timing and past.timing is not None:
-            modulation = modulation + self.place(place_waves(past.timing))
         if self.config.heading_change and past.heading_change is not None:
             modulation = modulation + self.course(course_waves(past.heading_change))
         pairs = tuple(cast(Block, block).read(context) for block in self.blocks)
@@ -227,13 +215,6 @@ class SegmentTransformer(Denoiser):
         keys = context.pairs[0][0].shape[2]
         told = x.new_zeros(len(x), keys) if context.bias is None else context.bias.to(x.dtype)
         return torch.cat((own, told), dim=1)[:, None, None, :]
-
-
-def place_waves(place_B2: Tensor) -> Tensor:
-    """Sinusoids (B, 512) of both numbers of a place, in frames; zero where it is not known, or too far from a take."""
-    told_B = torch.cat((waves(place_B2[:, 0]), waves(place_B2[:, 1])), dim=-1)
-    known_B = (place_B2.amin(dim=1) >= 0) & (place_B2.sum(dim=1) <= LONGEST)
-    return told_B * known_B[:, None]
 
 
 def course_waves(turned_B: Tensor) -> Tensor:

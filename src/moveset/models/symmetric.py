@@ -41,9 +41,8 @@ class Symmetric(Denoiser):
         if past is None or condition.mirror_text is None:
             raise InputError("a network averaged with its mirror image needs a past and what the mirror image is told")
         heading = past.heading_change
-        image = PastSegment(
-            self.flipped(past.frames), past.level, past.index, past.timing, None if heading is None else -heading
-        )
+        mirrored_heading = None if heading is None else -heading
+        image = PastSegment(self.flipped(past.frames), past.level, past.index, mirrored_heading)
         mirrored = replace(condition, text=condition.mirror_text, past=image, mirror_text=None)
         return self.network.prepare(replace(condition, mirror_text=None).joined(mirrored))
 

@@ -1,4 +1,4 @@
-"""What a network of segments is told of each, bound to it: text, timing, heading change, guidance, mirror image.
+"""What a network of segments is told of each, bound to it: text, heading change, guidance, mirror image.
 
 Shapes: B rows (one a segment), n frames of a segment, D features, L text tokens, C text width.
 """
@@ -27,7 +27,6 @@ class SegmentCondition:
 
     Args:
         mirrored: what it says of the mirror image, encoded, where the network is symmetric.
-        timing: segments since the sentence began, and until it ends; negative where that is not known.
         behind: segments before it of the same sentence.
         guidance: scale w.
     """
@@ -35,7 +34,6 @@ class SegmentCondition:
     prompt: str
     text: TextEmbedding
     mirrored: TextEmbedding | None
-    timing: tuple[float, float]
     behind: int
     guidance: float
 
@@ -54,11 +52,11 @@ class Conditioning:
         self, line: Timeline, number: int, guidance: float, before: SegmentCondition | None = None
     ) -> SegmentCondition:
         """The condition of a timeline's segment; texts are taken from ``before`` if they are the same."""
-        prompt, timing, behind = line.at(number), line.place(number), line.behind(number)
+        prompt, behind = line.at(number), line.behind(number)
         if before is not None and before.prompt == prompt and (before.mirrored is not None) == self._symmetric:
-            return replace(before, timing=timing, behind=behind, guidance=guidance)
+            return replace(before, behind=behind, guidance=guidance)
         mirrored = self._encoded(mirror_text(prompt)) if self._symmetric else None
-        return SegmentCondition(prompt, self._encoded(prompt), mirrored, timing, behind, guidance)
+        return SegmentCondition(prompt, self._encoded(prompt), mirrored, behind, guidance)
 
     def evaluations(self, guidance: float) -> int:
         """Rows of the network that one evaluation of a segment takes."""
@@ -78,14 +76,12 @@ class Conditioning:
         w = w_B if self._network.takes_scale or bool(w_B.any()) else None
         text = stack([one.text for one in conditions])
         mirrored = [one.mirrored for one in conditions if one.mirrored is not None]
-        n = float(self._bundle.config.segment)
-        timing_B2 = torch.tensor([one.timing for one in conditions], device=self._device) * n
         bound: Prediction | None = None
 
         def denoise(x_BnD: Tensor, t_B: Tensor, past_BnD: Tensor, past_t_B: Tensor) -> Tensor:
             nonlocal bound
             if bound is None or not same_past:
-                past = PastSegment(past_BnD, past_t_B, index_B, timing_B2, turned_B)
+                past = PastSegment(past_BnD, past_t_B, index_B, turned_B)
                 condition = Condition(text, past=past, mirror_text=stack(mirrored) if mirrored else None)
                 bound = guided(self._network, condition, w, self._empty)
             return bound(x_BnD, t_B)

@@ -63,7 +63,7 @@ class Overlapping:
         told = {j: one for j, [one] in self._conditions.items()}
         numbers = {
             "prompts": {str(j): one.prompt for j, one in told.items()},
-            "places": {str(j): (*one.timing, one.behind) for j, one in told.items()},
+            "behind": {str(j): one.behind for j, one in told.items()},
             "course": self._course.state(),
         }
         return numbers, self._sampler.progress
@@ -75,9 +75,8 @@ class Overlapping:
             self._course.restored(numbers["course"])
         [stream] = self._streams
         for segment, prompt in numbers["prompts"].items():
-            *timing, behind = numbers["places"][segment]
             condition = self._model.conditioning.of(held(prompt, stages=False), 0, stream.guidance)
-            self._conditions[int(segment)] = [replace(condition, timing=tuple(timing), behind=behind)]
+            self._conditions[int(segment)] = [replace(condition, behind=numbers["behind"][segment])]
 
     @one_thread()
     def step(self) -> list[Segment]:

@@ -282,7 +282,7 @@ class OneByOne:
         stream, settings = self._stream, self._batch.settings
         waves = settings.staircase().begin(stream.number)
         pooled = None if settings.past_lag is None else stream.left_pooled
-        numbers = {"prompts": {}, "places": {}, "course": {"before": stream.turned, "turns": {}}}
+        numbers = {"prompts": {}, "behind": {}, "course": {"before": stream.turned, "turns": {}}}
         return numbers, StreamState(waves, waves, stream.number, left=stream.left, left_pooled=pooled)
 
     def go_on(self, numbers: Mapping[str, Any], state: StreamState) -> None:

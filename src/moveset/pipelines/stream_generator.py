@@ -125,4 +125,4 @@ def timeline(request: Request, segment: int, fps: float, stages: bool = True) ->
         for stop in share_evenly(frames, end, len(said))[1:]:
             starts.append(max(starts[-1] + 1, round(stop / fps / seconds)))
         frames = end
-    return Timeline(tuple(prompts), tuple(starts[:-1]), frames / fps / seconds, timed=True)
+    return Timeline(tuple(prompts), tuple(starts[:-1]), frames / fps / seconds)

@@ -223,7 +223,7 @@ def _timeline(
         starts += share_evenly(begin, end, len(parts))[:-1]
         bounds.append(end)
     counts = tuple(end - begin for begin, end in pairwise(bounds))
-    timeline = Timeline(tuple(chain.from_iterable(said)), tuple(starts), bounds[-1], loop, seconds is not None)
+    timeline = Timeline(tuple(chain.from_iterable(said)), tuple(starts), bounds[-1], loop)
     return timeline, given, counts
 
 

@@ -1,9 +1,8 @@
-"""``Timeline``: which prompt each segment of a stream has, and where in the time of its prompt it lies."""
+"""``Timeline``: which prompt each segment of a stream has."""
 
 from bisect import bisect_right
 from dataclasses import dataclass, replace
 
-from moveset.models.segment_transformer import UNKNOWN
 from moveset.pipelines.request import check_prompt
 from moveset.text.stages import split_stages
 
@@ -19,7 +18,6 @@ class Timeline:
         starts: number of the segment with which each begins; the first is 0.
         end: segments in all, the last not always whole; after them the last prompt is held.
         loop: begin again instead.
-        timed: the last prompt was given a time of its own, though it may be held beyond it.
         origin: number of the segment with which the first prompt was taken up.
     """
 
@@ -27,7 +25,6 @@ class Timeline:
     starts: tuple[int, ...]
     end: float
     loop: bool = False
-    timed: bool = False
     origin: int = 0
 
     def at(self, segment: int) -> str:
@@ -38,20 +35,6 @@ class Timeline:
         ['walk', 'bow', 'bow']
         """
         return self.prompts[self._part(segment)]
-
-    def place(self, segment: int) -> tuple[float, float]:
-        """Where a segment lies in the time of its prompt: segments behind it, and those from it on.
-
-        Of a prompt that is held nobody knows when it ends.
-
-        >>> line = Timeline(("walk", "bow"), (0, 3), 4)
-        >>> [line.place(k) for k in (0, 2, 3)]
-        [(0, 3), (2, 1), (-1, -1)]
-        """
-        part, segment = self._part(segment), self._within(segment)
-        begin, end = (self.origin, *self.starts[1:], self.end)[part : part + 2]
-        known = begin <= segment < end and (end < self.end or self.timed or self.loop)
-        return (segment - begin, end - segment) if known else (UNKNOWN, UNKNOWN)
 
     def behind(self, segment: int) -> int:
         """How many segments before this one belong to the same saying of its prompt.

@@ -12,7 +12,6 @@ from torch import Tensor
 from moveset.data.segments import SegmentBatch
 from moveset.diffusion.steps import add_noise, denoise_step
 from moveset.models.condition import Condition, Denoiser, PastSegment, Prediction, guided
-from moveset.models.segment_transformer import UNKNOWN
 from moveset.rdm.transport import Transport
 from moveset.text.encoder import TextEmbedding
 from moveset.training.adversarial import of_another
@@ -52,10 +51,9 @@ class BoundSegments:
 
     def alone(self, rows_B: Tensor) -> "BoundSegments":
         """The same with some segments as first ones: without a past, and in the coordinates of such."""
-        # Their example is of the sentence and of no time in it.
-        place_B2 = self.batch.place.masked_fill(rows_B[:, None], UNKNOWN)
+        # Their example is of the sentence and of no way before it.
         turned_B = self.batch.turned.masked_fill(rows_B, torch.nan)
-        batch = replace(self.batch, index=self.batch.index.masked_fill(rows_B, 0), place=place_B2, turned=turned_B)
+        batch = replace(self.batch, index=self.batch.index.masked_fill(rows_B, 0), turned=turned_B)
         return BoundSegments(batch, self.text, self.empty, self.transport, self.teacher)
 
     def push(self, y: Tensor) -> Tensor:
@@ -91,7 +89,7 @@ class BoundSegments:
         """Of a clean past, unless another is given."""
         b = self.batch
         previous, level_B = (b.previous, self.clean_level) if previous is None else (previous, level_B)
-        return Condition(text, past=PastSegment(previous, level_B, b.index, b.place, b.turned), valid=b.valid)
+        return Condition(text, past=PastSegment(previous, level_B, b.index, b.turned), valid=b.valid)
 
     def _past_at(self, t_B: Tensor) -> tuple[Tensor, Tensor]:
         """The previous segments as the teacher is told them when it is asked at these levels, and their levels."""

@@ -6,7 +6,6 @@ Shapes: B rows, n frames of a segment, D features.
 import torch
 from torch import Tensor
 
-from moveset.models.segment_transformer import UNKNOWN
 from moveset.motion.features import FeatureCodec, Normalizer
 
 CORRECTED = 0.5
@@ -14,21 +13,15 @@ CORRECTED = 0.5
 _STANDS, _WALKS = 0.2, 0.6  # metres a second: whoever is slower takes nothing back, whoever is faster all of the share
 
 
-def drop_timing(place_B2: Tensor, share: float, generator: torch.Generator) -> Tensor:
-    """Places (B, 2) of segments, in frames, of which about this share is told and the others are ``UNKNOWN``.
+def drop_heading_change(turned_B: Tensor, share: float, generator: torch.Generator) -> Tensor:
+    """Turns (B,), of which about this share is told and the others are NaN.
 
     Drawn on the generator's device; for a share of 0 nothing is drawn, so that such trainings stay what they were.
     """
     if not share:
-        return torch.full_like(place_B2, UNKNOWN)
-    return place_B2.masked_fill(_hidden(place_B2, share, generator)[:, None], UNKNOWN)
-
-
-def drop_heading_change(turned_B: Tensor, share: float, generator: torch.Generator) -> Tensor:
-    """Turns (B,), of which about this share is told and the others are NaN; drawn as ``drop_timing`` draws."""
-    if not share:
         return torch.full_like(turned_B, torch.nan)
-    return turned_B.masked_fill(_hidden(turned_B, share, generator), torch.nan)
+    hidden_B = torch.rand(len(turned_B), generator=generator, device=generator.device) < 1 - share
+    return turned_B.masked_fill(hidden_B.to(turned_B.device), torch.nan)
 
 
 def perturb_heading(
@@ -89,7 +82,3 @@ def perturb_past(
     bent = previous_BnD.clone()
     bent[..., yaw] += turn_B[:, None, None] / normalizer.std[yaw].to(previous_BnD.device)
     return bent
-
-
-def _hidden(rows: Tensor, share: float, generator: torch.Generator) -> Tensor:
-    return (torch.rand(len(rows), generator=generator, device=generator.device) < 1 - share).to(rows.device)

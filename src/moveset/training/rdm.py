@@ -28,7 +28,7 @@ from moveset.rdm.losses import flow_loss, jacobian_weight, masked_mse, velocity_
 from moveset.rdm.transport import Transport
 from moveset.text.encoder import TextEmbedding
 from moveset.text.sides import with_sides
-from moveset.training.condition_dropout import drop_heading_change, drop_timing, perturb_heading, perturb_past
+from moveset.training.condition_dropout import drop_heading_change, perturb_heading, perturb_past
 from moveset.training.ema import Ema, ema_warmup
 from moveset.training.engine import Loop, Task
 from moveset.training.momo import MomoAdam
@@ -84,10 +84,8 @@ class RDMConfig(NetworkConfig):
             ``rdm.prediction.clean_from_noise``.
         md_condition: what an autoregressive baseline (``grid.condition="clean"``, no flow) is told of the past: the
             segment before, or nothing; then every segment counts as a first one.
-        timing: share of segments that are told where they lie in the time of their sentence (the segment transformer);
-            the others are for streams, whose sentences have no end.
-        heading_change: share of segments that are told how far the heading has turned since their sentence began,
-            likewise.
+        heading_change: share of segments that are told how far the heading has turned since their sentence began (the
+            segment transformer).
         sides: share of samples that are told, beside their sentence, the sides favoured by what it is said to
             (``text.sides``).
         side_weight: at the beginning, of that by which limbs that are told to move more fail to, in clean predictions
@@ -134,7 +132,6 @@ class RDMConfig(NetworkConfig):
     augmentation: TextAugmentation = field(default_factory=TextAugmentation)
     predict: Prediction = "x0"
     md_condition: Told = "clean_prev"
-    timing: float = 0.0
     heading_change: float = 0.0
     heading_noise: float = 0.0
     sides: float = 0.0
@@ -288,9 +285,8 @@ class RDMTask(Task):
         first = batch.first if config.grid.anchor == "first" else None
         clean, previous, turned_B = batch.clean, batch.previous, batch.turned
         if config.heading_noise:
-            begun_B = batch.place[:, 0] > 0
             clean, turned_B = perturb_heading(
-                clean, turned_B, begun_B, config.heading_noise, self.data.codec, self.normalizer, generator
+                clean, turned_B, batch.begun, config.heading_noise, self.data.codec, self.normalizer, generator
             )
         if config.past_perturbation:
             size = config.past_perturbation
@@ -301,9 +297,8 @@ class RDMTask(Task):
             if config.jacobian:
                 of_flow_B = jacobian_weight(transport, clean, batch.valid, batch.index, said, config.jacobian)
                 weight_B = weight_B * of_flow_B
-        timing_B2 = drop_timing(batch.place, config.timing, generator) if config.timing else None
         heading_B = drop_heading_change(turned_B, config.heading_change, generator) if config.heading_change else None
-        past = PastSegment(cell.prev_BnD, cell.prev_t_B, batch.index, timing_B2, heading_B)
+        past = PastSegment(cell.prev_BnD, cell.prev_t_B, batch.index, heading_B)
         made = denoiser(cell.x_BnD, cell.t_B, Condition(text, past=past, valid=batch.valid)).float()
         root_B = weight_B.sqrt()[:, None, None] * self.feature_weight.sqrt()
         target = draws.noise_BnD if config.predict == "eps" else clean
@@ -359,11 +354,12 @@ def _sized(config: RDMConfig, data: SegmentData) -> RDMConfig:
     """With the sizes that follow from the codec, the segment and the text encoder filled in."""
     features, text = data.codec.dim, data.text
     model = replace(config.model, features=features, frames=config.grid.frames, text_dim=text.widths[0])
-    for name in ("timing", "heading_change"):
-        if getattr(config, name):
-            if not isinstance(model, SegmentTransformerConfig):
-                raise InputError(f"{name} is for the segment transformer, and {describe(model)[0]!r} cannot read it")
-            model = replace(model, **{name: True})
+    if config.heading_change:
+        if not isinstance(model, SegmentTransformerConfig):
+            raise InputError(
+                f"heading_change is for the segment transformer, and {describe(model)[0]!r} cannot read it"
+            )
+        model = replace(model, heading_change=True)
     if config.md_condition == "none":
         # Whoever samples it tells it of the segment before: the network itself must not listen.
         if isinstance(model, SegmentTransformerConfig):

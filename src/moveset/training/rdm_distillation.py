@@ -31,7 +31,7 @@ from moveset.text.encoder import TextEmbedding
 from moveset.text.sides import forget, with_sides
 from moveset.training.adversarial import discriminator_step
 from moveset.training.bound_segments import BoundSegments
-from moveset.training.condition_dropout import drop_heading_change, drop_timing, perturb_heading, perturb_past
+from moveset.training.condition_dropout import drop_heading_change, perturb_heading, perturb_past
 from moveset.training.distillation import StudentConfig
 from moveset.training.ema import Ema
 from moveset.training.engine import Loop
@@ -59,8 +59,6 @@ class RDMStudentConfig(StudentConfig):
         rollout_share: share of a batch's rows that are told what the student made itself (``training.rollout``). They
             are asked at the top of each phase in turn, and judged without their past: not whether a segment goes on as
             takes do, but whether it shows what is said as takes do.
-        timing: share of takes' segments that are told where they lie in the time of their sentence, and of the
-            sentences of ``rollout_share`` that have an end, for a teacher that was told so (``RDMConfig.timing``).
         heading_change, heading_noise: as in the teacher's training, for a teacher that was told how far its way has
             turned; streams of ``rollout_share`` are told it where the takes are that they begin with, or whose
             sentences they are given.
@@ -80,7 +78,6 @@ class RDMStudentConfig(StudentConfig):
     past_perturbation: float = 0.0
     context_noise_rollout: bool = False
     rollout_share: float = 0.0
-    timing: float = 0.0
     heading_change: float = 0.0
     heading_noise: float = 0.0
     sides: float = 0.0
@@ -114,9 +111,8 @@ class RDMStudentTask(SingleNetworkTask):
         if teacher.task["flow"] is not None:
             flow = load_trained(sources.teacher, "flow_ema", loop.device, part="coupling_flow").module
         self.transport = Transport(flow, teacher.task["depth_cap"])
-        for name in ("timing", "heading_change"):
-            if getattr(config, name) and not getattr(self.teacher.config, name):
-                raise InputError(f"{name} is for a teacher that was trained with {name}; leave it out")
+        if config.heading_change and not self.teacher.config.heading_change:
+            raise InputError("heading_change is for a teacher that was trained with heading_change; leave it out")
         shared = RDMConfig(
             grid=GridConfig(frames=teacher.task["grid"]["frames"]),
             codec=teacher.task["codec"],
@@ -162,12 +158,11 @@ class RDMStudentTask(SingleNetworkTask):
         batch = self.data.training_batch(config.batch, step)
         if config.heading_noise:
             about = (config.heading_noise, self.data.codec, self.normalizer, self.draws)
-            clean, turned_B = perturb_heading(batch.clean, batch.turned, batch.place[:, 0] > 0, *about)
+            clean, turned_B = perturb_heading(batch.clean, batch.turned, batch.begun, *about)
             batch = replace(batch, clean=clean, turned=turned_B)
-        place_B2 = drop_timing(batch.place, config.timing, self.draws)
         turned_B = drop_heading_change(batch.turned, config.heading_change, self.draws)
         sides_B3 = forget(batch.sides, 1 - config.sides, self.draws)
-        batch = replace(batch, place=place_B2, turned=turned_B, sides=sides_B3)
+        batch = replace(batch, turned=turned_B, sides=sides_B3)
         if config.past_perturbation:
             size, codec = config.past_perturbation, self.data.codec
             past = perturb_past(batch.previous, batch.index, size, codec, self.normalizer, self.draws)

@@ -32,8 +32,8 @@ STAYING = 0.5
 
 @dataclass(frozen=True, eq=False)
 class _Streams:
-    """What streams are told (S, …): past, segment number, place in the time of the sentence, turn since it began,
-    sides beside the sentence, guidance scale, sentence; and an example of the sentence.
+    """What streams are told (S, …): past, segment number, turn since the sentence began, sides beside it,
+    guidance scale, sentence; and an example of the sentence.
 
     ``phase`` is the one that is next, ``landed`` the noisy segment there, of no meaning where one begins, and ``noise``
     the one that the segment began with.
@@ -41,7 +41,6 @@ class _Streams:
 
     previous: Tensor
     index: Tensor
-    place: Tensor
     turned: Tensor
     sides: Tensor
     w: Tensor
@@ -87,20 +86,15 @@ class Rollout:
         if self._streams is None:
             self._streams = offered
         old = self._streams
-        over_S = (old.place[:, 0] >= 0) & (old.place[:, 1] <= 0)
-        ends_S = ((ends < 1 / SEGMENTS) | over_S) & (old.phase == self.grid.phases - 1)
+        ends_S = (ends < 1 / SEGMENTS) & (old.phase == self.grid.phases - 1)
         begins_S = ends_S & (stays >= STAYING)
         new_captions = zip(ends_S.tolist(), offered.captions, old.captions, strict=True)
         # What is said to a running stream begins then.
-        whole_S2 = torch.stack((torch.zeros_like(ends), offered.place.sum(dim=1)), dim=1)
-        said_S2 = torch.where(offered.place >= 0, whole_S2, offered.place)
-        place_S2 = _mixed(ends_S, _mixed(begins_S, offered.place, said_S2), old.place)
         anew_S = offered.turned * 0.0  # unknown stays so
         turned_S = _mixed(ends_S, _mixed(begins_S, offered.turned, anew_S), old.turned)
         now = self._streams = _Streams(
             _mixed(begins_S, offered.previous, old.previous),
             _mixed(begins_S, offered.index, old.index),
-            place_S2,
             turned_S,
             _mixed(ends_S, offered.sides, old.sides),
             _mixed(begins_S, offered.w, old.w),
@@ -119,7 +113,6 @@ class Rollout:
             valid=batch.valid.index_fill(0, rows, True),
             previous=batch.previous.index_copy(0, rows, now.previous),
             index=batch.index.index_copy(0, rows, now.index),
-            place=batch.place.index_copy(0, rows, now.place),
             turned=batch.turned.index_copy(0, rows, now.turned),
             sides=batch.sides.index_copy(0, rows, now.sides),
             captions=captions,
@@ -167,13 +160,10 @@ class Rollout:
         old, rows = self._streams, self.rows.to(made_BnD.device)
         made, landed = (x.detach()[rows].to(old.previous.dtype) for x in (made_BnD, landed_BnD))
         done_S, self._moving = old.phase == 0, True
-        frames = made_BnD.shape[1]
-        on_S2 = torch.where(old.place >= 0, old.place + torch.tensor([frames, -frames], device=rows.device), old.place)
         self._streams = replace(
             old,
             previous=_mixed(done_S, made, old.previous),
             index=old.index + done_S.long(),
-            place=_mixed(done_S, on_S2, old.place),
             turned=old.turned + turn_B[rows] * done_S,
             phase=torch.where(done_S, self.grid.phases - 1, old.phase - 1),
             landed=landed,
@@ -198,7 +188,7 @@ class Rollout:
         rows = whole[torch.arange(self.count, device=whole.device) % len(whole)]
         captions = [batch.captions[row] for row in rows.tolist()]
         clean, phase = batch.clean[rows], self._turns().to(batch.index.device)
-        named = (batch.previous, batch.index, batch.place, batch.turned, batch.sides, w_B)
+        named = (batch.previous, batch.index, batch.turned, batch.sides, w_B)
         return _Streams(*(part[rows] for part in named), clean, phase, clean, clean, captions)
 
     def _in_the_middle(self) -> Tensor:
