@@ -18,6 +18,7 @@ def test_suggestions_stand_for_all_and_what_is_said_most_comes_first():
     assert representative(names, around, 2) == ["north-east", "north-west"]
     assert sorted(representative(names, around)) == sorted(names)
     assert representative(["x" * 100, "short"], around[:2], 2) == ["short"]
+    assert representative(["one. two", "one"], around[:2], 2) == ["one"]
     assert representative(["x" * 100], around[:1], 2) == ["x" * 100]
 
 

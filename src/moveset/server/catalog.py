@@ -21,7 +21,7 @@ from moveset.server.failures import RequestError
 from moveset.text.encoder import TextEncoder, get_text_encoder
 
 SUGGESTIONS = 24
-_LONGEST = 60  # characters of a suggestion
+_LONGEST = 40  # characters of a suggestion
 _BATCHES = 32  # of settings that streams are made by: clients choose them
 _SHIPPED_LICENSE = "CC-BY-4.0"  # weights/LICENSE.md
 
@@ -152,7 +152,8 @@ class Catalog:
 def representative(sentences: Sequence[str], pooled: torch.Tensor, count: int = SUGGESTIONS) -> list[str]:
     """Sentences that stand for all, each time the one that brings the others nearest to one that is chosen.
 
-    What is said often comes first, and each thing once; sentences far from all others, slips among them, do not come.
+    What is said often comes first, and each thing once; sentences far from all others, slips among them, do not come,
+    nor do two sentences in one, or long ones, while there are others.
 
     Args:
         sentences: K of them.
@@ -161,7 +162,8 @@ def representative(sentences: Sequence[str], pooled: torch.Tensor, count: int = 
 
     Source: greedy facility location (Nemhauser, Wolsey and Fisher 1978), by cosines.
     """
-    short = [k for k, text in enumerate(sentences) if len(text) <= _LONGEST] or list(range(len(sentences)))
+    short = [k for k, text in enumerate(sentences) if len(text) <= _LONGEST and ". " not in text]
+    short = short or list(range(len(sentences)))
     like_KK = (pooled[short].float() @ pooled[short].float().T).clamp_min(0.0)
     nearest_K = torch.zeros(len(short))
     left, chosen = set(range(len(short))), list[int]()
