@@ -241,18 +241,16 @@ def test_who_walks_goes_on_walking():
 
 
 def test_a_stream_sits_down_and_stands_up_again():
+    """Each within two segments, for most seeds."""
     down, up = [], []
     for seed in SEEDS:
         stream = MotionStream.from_pretrained(prompt="a person stands still", seed=seed, device="cpu")
         next(stream)
-        found = []
-        for prompt in ("a person sits down", "a person stands up"):
+        for prompt, found in (("a person sits down", down), ("a person stands up", up)):
             stream.prompt(prompt)
-            found.append([hips(next(stream).motion) for _ in range(3)][-1])
-        down.append(found[0])
-        up.append(found[1])
+            found.append([hips(next(stream).motion) for _ in range(2)][-1])
     assert sum(height < 0.7 for height in down) >= 4, down
-    assert sum(after - before > 0.2 for before, after in zip(down, up, strict=True)) >= 4, (down, up)
+    assert sum(height > 0.8 for height in up) >= 4, up
 
 
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.stem)
