@@ -28,7 +28,7 @@ def begin(buffer=2.0, commit=None):
     config = SimpleNamespace(fps=20.0, segment=28)
     codec = get_codec("native")
     text = TextEmbedding(torch.zeros(1, 1, 4), torch.ones(1, 1, dtype=torch.bool), torch.zeros(1, 4))
-    condition = SegmentCondition("walk", text, None, (-1, -1), 0, 1.0)
+    condition = SegmentCondition("walk", text, None, 0, 1.0)
     stream = Stream(0, 1.0, held("walk"), StreamDecoder(codec), condition)
     session.started(SimpleNamespace(bundle=SimpleNamespace(config=config)), stream)
     return session
