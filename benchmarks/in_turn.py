@@ -1,6 +1,6 @@
 """Does a stream do in turn what it is told, how soon, and is it still right when the next sentence comes?
 
-    python benchmarks/in_turn.py rdm-small rdm-small:pcm-1 --out in-turn.json
+    python benchmarks/in_turn.py rdm-small rdm-small:pcm-1 --segments 5 --out in-turn.json
 
 So many streams, of seeds 0, 1, …, are told one sentence after another, each for the same number of segments. Of each
 sentence the share of them that have done what it says (``DONE``) by the end of its first segment, its second, …, and of
@@ -52,14 +52,16 @@ DONE: dict[str, Callable[[Tensor], bool]] = {
 }
 
 
-def segments(model: str, network: str | None, copies: int, each: int) -> dict[str, list[list[Motion]]]:
+def segments(
+    model: str, network: str | None, copies: int, each: int, sentences: Sequence[str] = tuple(DONE)
+) -> dict[str, list[list[Motion]]]:
     """Of each sentence its segments, of each of these one motion a stream, which stood before."""
     bundle = ModelFolder.open(model, StreamConfig)
     batch = StreamBatch(bundle, check_stream(bundle.config, network=network).settings, device="cpu")
     lanes = [batch.open("a person stands still", seed) for seed in range(copies)]
     batch.step(lanes)
     found = {}
-    for sentence in DONE:
+    for sentence in sentences:
         for lane in lanes:
             batch.prompt(lane, sentence)
         found[sentence] = [[segment.motion for segment in batch.step(lanes)] for _ in range(each)]
@@ -79,13 +81,15 @@ def main() -> None:
     parser.add_argument("model", nargs="+", help="MODEL or MODEL:NETWORK; a shipped one, or a folder")
     parser.add_argument("--copies", type=at_least(1), default=20)
     parser.add_argument("--segments", type=at_least(1), default=4, help="of each sentence")
+    parser.add_argument("--sentences", nargs="+", choices=DONE, default=list(DONE), help="each once, in this order")
     parser.add_argument("--out", type=report_path)
     given = parser.parse_args()
     torch.set_num_threads(1)
     rows = {}
     for asked in given.model:
         model, _, network = asked.partition(":")
-        for sentence, shown in segments(model, network or None, given.copies, given.segments).items():
+        made = segments(model, network or None, given.copies, given.segments, given.sentences)
+        for sentence, shown in made.items():
             rows[f"{asked}: {sentence}"] = shares(DONE[sentence], shown)
             print(asked, sentence, rows[f"{asked}: {sentence}"], flush=True)
     if given.out:

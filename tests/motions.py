@@ -79,3 +79,24 @@ def sliding(motion: Motion, planted: torch.Tensor) -> float:
     speed = torch.diff(motion.joints.double()[:, [10, 11]], dim=0)[..., [0, 2]].norm(dim=-1) * motion.fps
     down = planted[:, [1, 3]]
     return speed[down[1:] & down[:-1]].mean().item()
+
+
+def standing(frames: int) -> Motion:
+    """Somebody who stands still on the floor with hanging arms."""
+    turned = rotations.identity(frames, len(HML22)).clone()
+    for side, down in (("left", -75.0), ("right", 75.0)):
+        turned[:, HML22.index(f"{side}_shoulder")] = rotations.about("z", torch.tensor(down))
+    still = Motion(turned, torch.zeros(frames, 3), 20.0, HML22)
+    return Motion(turned, still.root - still.joints[..., 1].amin() * torch.tensor((0.0, 1.0, 0.0)), 20.0, HML22)
+
+
+def seated(bend: torch.Tensor) -> Motion:
+    """Somebody who sits on nothing, thighs and shins bent by so many degrees, feet where they are."""
+    still = standing(len(bend))
+    turned = still.rotations.clone()
+    for side in ("left", "right"):
+        turned[:, HML22.index(f"{side}_hip")] = rotations.about("x", -bend)
+        turned[:, HML22.index(f"{side}_knee")] = rotations.about("x", bend)
+    low = Motion(turned, still.root, 20.0, HML22)
+    ankle = low.joints[:, HML22.index("left_ankle")]
+    return Motion(turned, low.root + still.joints[:1, HML22.index("left_ankle")] - ankle, 20.0, HML22)

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from moveset.motion.skeleton import HML22
-from tests.data.test_compose import seated, standing
+from tests.motions import seated, standing
 from tests.synthetic import synthetic_motion
 
 FOLDER = Path(__file__).resolve().parents[2] / "benchmarks"

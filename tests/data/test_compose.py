@@ -12,7 +12,7 @@ from moveset.data.corpus import Corpus, CorpusWriter
 from moveset.data.passages import find_rises
 from moveset.motion import rotations
 from moveset.motion.clip import Motion
-from moveset.motion.skeleton import HML22
+from tests.motions import seated, standing
 from tests.synthetic import TakeEntry, add_take, synthetic_motion
 
 SENTENCES = {
@@ -21,26 +21,6 @@ SENTENCES = {
     "run": ("the person runs",),
     "stand": ("a person stands still", "standing"),
 }
-
-
-def standing(frames: int) -> Motion:
-    turned = rotations.identity(frames, len(HML22)).clone()
-    for side, down in (("left", -75.0), ("right", 75.0)):
-        turned[:, HML22.index(f"{side}_shoulder")] = rotations.about("z", torch.tensor(down))
-    still = Motion(turned, torch.zeros(frames, 3), 20.0, HML22)
-    return Motion(turned, still.root - still.joints[..., 1].amin() * torch.tensor((0.0, 1.0, 0.0)), 20.0, HML22)
-
-
-def seated(bend: torch.Tensor) -> Motion:
-    """Somebody who sits on nothing, thighs and shins bent by so many degrees, feet where they are."""
-    still = standing(len(bend))
-    turned = still.rotations.clone()
-    for side in ("left", "right"):
-        turned[:, HML22.index(f"{side}_hip")] = rotations.about("x", -bend)
-        turned[:, HML22.index(f"{side}_knee")] = rotations.about("x", bend)
-    low = Motion(turned, still.root, 20.0, HML22)
-    ankle = low.joints[:, HML22.index("left_ankle")]
-    return Motion(turned, low.root + still.joints[:1, HML22.index("left_ankle")] - ankle, 20.0, HML22)
 
 
 def rising(rest: int, rise: int, stand: int) -> Motion:

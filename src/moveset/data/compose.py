@@ -1,9 +1,9 @@
 """Which compositions a corpus gets: recipes out of its clips, each within one split, told by their parts' sentences.
 
 One thing after another, joined where both are most alike; somebody who goes, and then stops and stands; arms of one on
-the legs of another; a way that is bent onto a circle, round a corner or back; a gait that goes on; somebody
-who gets up; another pace. Every choice comes from a random generator seeded by a string, so that the same clips give
-the same recipes.
+the legs of another; a way that is bent onto a circle, round a corner or back; a gait that goes on; somebody who gets
+up; another pace. Every choice comes from a random generator seeded by a string, so that the same clips give the same
+recipes.
 """
 
 import math

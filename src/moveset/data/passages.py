@@ -9,7 +9,7 @@ from torch import Tensor
 from moveset.data.augment import MAX_FRAMES
 from moveset.motion import rotations
 from moveset.motion.clip import Motion
-from moveset.motion.contacts import spans
+from moveset.motion.contacts import spans, stands_on
 from moveset.motion.skeleton import HML22
 from moveset.motion.smoothing import gaussian_smooth
 
@@ -24,8 +24,7 @@ STRAIGHT = 0.9
 _LOW, _RESTING, _UP, _UPRIGHT = 0.6, 0.4, 0.92, 0.85
 _RISING, _LEAST, _SHOWN = 60, 8, 32
 _TRUNK = [HML22.index(name) for name in ("pelvis", "neck")]
-_HIPS, _ANKLES = ([HML22.index(f"{side}_{name}") for side in ("left", "right")] for name in ("hip", "ankle"))
-_LEG = float(HML22.offsets[[HML22.index("left_knee"), HML22.index("left_ankle")]].norm(dim=-1).sum())
+_HIPS = [HML22.index(f"{side}_hip") for side in ("left", "right")]
 
 
 def find_gait(motion: Motion, poses: Tensor, blend: int) -> tuple[int, int] | None:
@@ -60,30 +59,28 @@ def find_gait(motion: Motion, poses: Tensor, blend: int) -> tuple[int, int] | No
 
 
 def find_rises(motion: Motion) -> list[tuple[int, int]]:
-    """Frames [start, stop) of each time that somebody gets up: from 1.6 s of rest, at most, until after the first .4 s
-    upright.
+    """Frames [start, stop) of each time that somebody gets up: from at most 1.6 s before rest ends until at most .8 s
+    after the body is upright.
 
     Rest is low and hardly moves, whether on a chair, on the knees or lying; what never rests, like a roll or a dance on
     the floor, is no getting up.
+
+    Args:
+        motion: (F, J) at 20 frames a second.
     """
-    joints, found = motion.joints, []
+    joints, found = motion.joints, list[tuple[int, int]]()
     if len(joints) < 2 * _LEAST:
         return found
-    hips = joints[:, _HIPS, 1].mean(dim=1)
     trunk = joints[:, _TRUNK[1]] - joints[:, _TRUNK[0]]
-    upright = trunk[:, 1] > _UPRIGHT * trunk.norm(dim=1)
-    tall = (hips - joints[:, _ANKLES, 1].amin(dim=1) > _UP * _LEG) & upright
+    tall = stands_on(joints, HML22, _UP) & (trunk[:, 1] > _UPRIGHT * trunk.norm(dim=1))
     speed = joints.diff(dim=0).norm(dim=-1).mean(dim=1) * motion.fps
     speed = gaussian_smooth(torch.cat((speed, speed[-1:]))[:, None], 2.0)[:, 0]
-    low = hips < _LOW
-    lows = [(a, b) for a, b in spans(low) if b - a >= _LEAST]
+    low = joints[:, _HIPS, 1].mean(dim=1) < _LOW
+    lows = [span for span in spans(low) if span[1] - span[0] >= _LEAST]
+    rests = [(since, frame) for since, until in lows for frame in range(since, until) if speed[frame] < _RESTING]
     for begin, end in spans(tall):
-        resting = [
-            (a, int(at[-1]) + a) for a, b in lows if b <= begin and len(at := (speed[a:b] < _RESTING).nonzero()[:, 0])
-        ]
-        if end - begin < _LEAST or not resting:
-            continue
-        since, rest = resting[-1]
-        if rest - since >= _LEAST and begin - rest <= _RISING and not tall[rest:begin].any():
-            found.append((max(since, rest - _SHOWN), min(end, begin + 2 * _LEAST)))
+        since, last = max((rest for rest in rests if rest[1] < begin), default=(0, 0))
+        rested = last - since >= _LEAST and begin - last <= _RISING and not tall[last:begin].any()
+        if rested and end - begin >= _LEAST:
+            found.append((max(since, last - _SHOWN), min(end, begin + 2 * _LEAST)))
     return found

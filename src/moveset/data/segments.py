@@ -39,8 +39,8 @@ class CuttingConfig:
         composed_share: share of segments from compositions.
         take_share: share of segments from takes of which several clips in a row are told, so that one sentence follows
             another as it did when people moved.
-        livelier: share of segments for which two places are drawn and the one is taken where more happens: of a jump
-            that was captured for ten seconds, most shows somebody who stands.
+        livelier: when not aligned, share of later segments for which two places are drawn and the one is taken where
+            more happens: of a jump that was captured for ten seconds, most shows somebody who stands.
     """
 
     aligned: bool = False
@@ -247,7 +247,7 @@ class SegmentSet(ClipSet):
         return 0, start, start + n, number
 
     def _movement(self, clip: Row, start: int) -> float:
-        """How much joints move in a segment."""
+        """How much joints move in a segment: mean size of their velocities, normalised."""
         return float(np.abs(clip.cut(start, start + self.frames)[:, self._moving]).mean())
 
 

@@ -46,16 +46,17 @@ def stances(joints: Tensor, fps: float, skeleton: Skeleton, contacts: Tensor | N
     return _without_short_runs(~closed, round(0.14 * fps) - 1, ends=True)
 
 
-def stands_on(joints: Tensor, skeleton: Skeleton) -> Tensor:
+def stands_on(joints: Tensor, skeleton: Skeleton, least: float = _CARRYING) -> Tensor:
     """(F,) bool: whether the hips of (F, J, 3) are so high above the lower foot that legs carry the body.
 
-    At least half of the length of thigh and shin, which a deep lunge has, and who kneels or sits on the floor has not.
+    Args:
+        least: share of the length of thigh and shin. A deep lunge has half, who kneels or sits on the floor has not.
     """
     ankles = [skeleton.feet[0], skeleton.feet[2]]
     knees = [skeleton.parents[ankle] for ankle in ankles]
     hips = [skeleton.parents[knee] for knee in knees]
     leg = skeleton.offsets[[*knees, *ankles]].norm(dim=-1).sum() / 2
-    return joints[:, hips, 1].mean(dim=1) - joints[:, ankles, 1].amin(dim=1) > _CARRYING * leg.to(joints)
+    return joints[:, hips, 1].mean(dim=1) - joints[:, ankles, 1].amin(dim=1) > least * leg.to(joints)
 
 
 def spans(marks: Tensor) -> list[tuple[int, int]]:
