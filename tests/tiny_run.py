@@ -1,6 +1,10 @@
 """Every training and every model folder of the recipe "tiny", made once a process from motions by formulas."""
 
+import os
 import pickle
+import signal
+import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -13,7 +17,7 @@ import pytest
 
 from moveset.data.segments import SegmentSet
 from moveset.training import pipeline
-from moveset.training.engine import EngineConfig, run
+from moveset.training.engine import EngineConfig, noted_signals, run
 from moveset.training.pipeline import Place, Report, train_all
 from moveset.training.tasks import load_recipe, task_maker, with_settings
 from tests.synthetic import synthetic_corpus
@@ -30,16 +34,46 @@ def briefly_validated() -> Iterator[None]:
         yield
 
 
-def side_by_side(corpus: str, out: str, only: list[str]) -> None:
-    """Two trainings at once, in processes that are forked and told everything as those that start anew are."""
+def forked() -> None:
+    """Trainings side by side are in processes that are forked, and told everything as those that start anew are."""
     fork = get_context("fork")
 
     def process(target: Callable[..., None], args: tuple) -> Any:
         return fork.Process(target=target, args=pickle.loads(pickle.dumps(args)))
 
     pipeline.get_context = lambda _: SimpleNamespace(Process=process)
+
+
+def side_by_side(corpus: str, out: str, only: list[str]) -> None:
+    """Two trainings at once."""
+    forked()
     report = train_all("tiny", Path(corpus), Path(out), only=only, jobs=2, say=lambda line: None)
     assert sorted(report.trained) == sorted(only)
+
+
+def side_by_side_until_a_signal(corpus: str, out: str, only: list[str]) -> None:
+    """The same, of trainings that wait for one, which this process alone gets as soon as all have begun."""
+    begun, ended = ([Path(out, f"{name}.{what}") for name in only] for what in ("begun", "ended"))
+
+    def until_a_signal(stage: pipeline.Stage, key: str, place: Place) -> str:
+        with noted_signals() as received:
+            Path(out, f"{stage.name}.begun").touch()
+            while not received:
+                time.sleep(0.01)
+        Path(out, f"{stage.name}.ended").touch()
+        return "SIGTERM"
+
+    def tell() -> None:
+        while not all(path.exists() for path in begun):
+            time.sleep(0.01)
+        os.kill(os.getpid(), signal.SIGTERM)
+
+    pipeline.train_stage = until_a_signal
+    forked()
+    threading.Thread(target=tell, daemon=True).start()
+    report = train_all("tiny", Path(corpus), Path(out), only=only, jobs=2, say=lambda line: None)
+    assert (report.stopped_by, report.trained) == ("SIGTERM", ())
+    assert all(path.exists() for path in ended)
 
 
 @dataclass(frozen=True)

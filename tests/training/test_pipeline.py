@@ -87,3 +87,8 @@ def test_trainings_side_by_side_are_those_alone(forks, tiny_run, tmp_path):
     for name in only:
         one, other = (checkpoint.read_tensors(x / name / "step_4", name) for x in (tiny_run.folder, tmp_path))
         assert all(one[key].equal(other[key]) for key in one)
+
+
+def test_a_signal_to_the_command_alone_stops_trainings_side_by_side(forks, tiny_run, tmp_path):
+    given = str(tiny_run.corpus), str(tmp_path), ["movement", "length"]
+    assert forks.run("tests.tiny_run:side_by_side_until_a_signal", *given) == 0, forks.said

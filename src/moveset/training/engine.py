@@ -243,7 +243,7 @@ def run(
             for tensor in resume.shared_tensors(task):
                 torch.distributed.broadcast(tensor, src=0)
         # Not before: a task may take minutes to prepare its data, and a signal should end that at once.
-        signals = stack.enter_context(_signals())
+        signals = stack.enter_context(noted_signals())
         return _train(task, loop, folder, start, signals, stack)
 
 
@@ -359,7 +359,7 @@ def _autocast(loop: Loop) -> Iterator[None]:
 
 
 @contextmanager
-def _signals() -> Iterator[list[int]]:
+def noted_signals() -> Iterator[list[int]]:
     """Collects SIGTERM and SIGINT instead of dying; a second one of a kind acts as usual."""
     received: list[int] = []
     if threading.current_thread() is not threading.main_thread():

@@ -7,6 +7,7 @@ or other data would have made differently, and whatever is stopped goes on where
 
 import hashlib
 import json
+import signal
 import sys
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -19,7 +20,7 @@ from moveset.data.dataset import open_for_training
 from moveset.errors import InputError, MovesetError
 from moveset.io.limits import write_text
 from moveset.training import checkpoint
-from moveset.training.engine import EngineConfig, run
+from moveset.training.engine import EngineConfig, noted_signals, run
 from moveset.training.export import Export, export
 from moveset.training.tasks import TASKS, Sources, load_exports, load_recipes, task_maker
 
@@ -134,14 +135,18 @@ def train_all(
     log(f"{recipe}: {len(open_stages)} of {len(chosen)} stages to do ({', '.join(skipped) or 'none'} done)")
     trainings, exports = ([stage for stage in open_stages if (stage.model is not None) == is_model] for is_model in
                           (False, True))  # fmt: skip
-    trained, stopped = (_one_by_one if jobs == 1 else _side_by_side)(trainings, keys, place, log, jobs)
+    if jobs == 1:
+        trained, stopped = _one_by_one(trainings, keys, place, log)
+    else:
+        with noted_signals() as received:
+            trained, stopped = _side_by_side(trainings, keys, place, log, jobs, received)
     models = [] if stopped else [_export(stage, keys, place, log) for stage in exports]
     log("stopped" if stopped else "all done")
     return Report(tuple(trained), skipped, tuple(models), stopped)
 
 
 def _one_by_one(
-    trainings: Sequence[Stage], keys: Mapping[str, str], place: Place, log: "_Log", jobs: int
+    trainings: Sequence[Stage], keys: Mapping[str, str], place: Place, log: "_Log"
 ) -> tuple[list[str], str | None]:
     trained: list[str] = []
     for stage in trainings:
@@ -154,13 +159,18 @@ def _one_by_one(
 
 
 def _side_by_side(
-    trainings: Sequence[Stage], keys: Mapping[str, str], place: Place, log: "_Log", jobs: int
+    trainings: Sequence[Stage], keys: Mapping[str, str], place: Place, log: "_Log", jobs: int, received: Sequence[int]
 ) -> tuple[list[str], str | None]:
-    """As many at once as there are jobs, each in a process of its own as soon as what it needs is done."""
+    """As many at once as there are jobs, each in a process of its own as soon as what it needs is done.
+
+    A signal stops all of them: none goes on when this process has ended.
+    """
     waiting, running, trained = list(trainings), dict[Any, tuple[Stage, Any]](), list[str]()
     spawn = get_context("spawn")
     try:
         while waiting or running:
+            if received:
+                return trained, signal.Signals(received[0]).name
             undone = {stage.name for stage in waiting} | {stage.name for stage, _ in running.values()}
             for stage in [stage for stage in waiting if not undone.intersection(stage.needs)][: jobs - len(running)]:
                 waiting.remove(stage)
@@ -168,7 +178,7 @@ def _side_by_side(
                 process = spawn.Process(target=_in_a_process, args=(stage, keys[stage.name], place))
                 process.start()
                 running[process.sentinel] = stage, process
-            for sentinel in connection.wait(list(running)):
+            for sentinel in connection.wait(list(running), _LOOK):
                 stage, process = running.pop(sentinel)
                 process.join()
                 if process.exitcode == _STOPPED:
@@ -186,6 +196,7 @@ def _side_by_side(
 
 
 _STOPPED = 75
+_LOOK = 0.5  # seconds between two looks at signals
 
 
 def _in_a_process(stage: Stage, key: str, place: Place) -> None:
