@@ -108,14 +108,16 @@ def test_a_student_must_fit_its_name(tiny_run, tmp_path):
         exported(open_for_training(tiny_run.corpus), tiny_run.runs, tmp_path / "wrong", **{"pcm-2": "pcm-1"})
 
 
-def test_a_latent_of_one_token_is_learned_exported_and_sampled(tiny_run, tmp_path):
-    sizes = ("model.tokens=1", "model.token_dim=24")
-    tiny_run.train("vae", tmp_path / "vae", *sizes, "model.slots=6", steps=1)
-    sources = {"vae": tmp_path / "vae", "cache": tmp_path / "cache"}
-    tiny_run.train("teacher", tmp_path / "teacher", *sizes, "normalised_latents=false", steps=1, sources=sources)
-    out = exported(open_for_training(tiny_run.corpus), tmp_path, tmp_path / "one")
-    made = TextToMotion.from_pretrained(out, device="cpu")("a person walks", seconds=2.0, steps=3, solver="teacher")
-    assert len(made.motion) == 40
+def test_a_latent_of_one_token_is_learned_distilled_exported_and_sampled(tiny_run, tmp_path):
+    shutil.copytree(tiny_run.runs / "mld-vae", tmp_path / "vae")
+    sources = {"cache": tmp_path / "cache"}
+    tiny_run.train("mld", tmp_path / "teacher", "normalised_latents=false", steps=1, sources=sources)
+    sources |= {"vae": tmp_path / "vae", "teacher": tmp_path / "teacher"}
+    tiny_run.train("lcm-1", tmp_path / "lcm-1", steps=1, sources=sources)  # MotionLCM-V1
+    out = exported(open_for_training(tiny_run.corpus), tmp_path, tmp_path / "one", **{"lcm-1": "lcm-1"})
+    sampled = TextToMotion.from_pretrained(out, device="cpu")
+    for solver, steps in (("teacher", 3), ("lcm", 1)):
+        assert len(sampled("a person walks", seconds=2.0, steps=steps, solver=solver).motion) == 40
     statistics = ModelFolder.open(out).normalizer
     assert not statistics["latent_mean"].any()
     assert (statistics["latent_std"] == 1).all()

@@ -10,15 +10,15 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 
 from moveset.errors import InputError
-from moveset.training.tasks import TASKS, Sources, load_exports, load_recipe, task_maker, with_settings
+from moveset.training.tasks import TASKS, load_exports, load_recipe, task_maker, with_settings
 
 if TYPE_CHECKING:
     from moveset.training.engine import TrainResult
 
 What = Literal[
-    "all", "movement", "evaluator", "length", "sides", "vae", "decoder", "teacher", "lcm-1", "pcm-1", "pcm-2", "pcm-4",
-    "pcm-1-k20", "pcm-1-no-ema", "pcm-1-no-discriminator", "rdm-1", "rdm-4", "rdm-7", "rdm-14", "md-4", "md-7",
-    "md-7-alone", "rdm-student", "rdm-student-2", "light-rdm-1", "motiondiffuse", "dip", "export",
+    "all", "movement", "evaluator", "length", "sides", "vae", "decoder", "teacher", "mld-vae", "mld", "lcm-1", "pcm-1",
+    "pcm-2", "pcm-4", "pcm-1-k20", "pcm-1-no-ema", "pcm-1-no-discriminator", "rdm-1", "rdm-4", "rdm-7", "rdm-14",
+    "md-4", "md-7", "md-7-alone", "rdm-student", "rdm-student-2", "light-rdm-1", "motiondiffuse", "dip", "export",
 ]  # fmt: skip
 
 
@@ -60,10 +60,11 @@ def train(
     Args:
         what: all: every training of the recipe and all of its models, one after the other; what is done is skipped.
             vae: the autoencoder. decoder: more of its decoder, with its latents kept. teacher: the latent diffusion
-            model. lcm-1, pcm-N: students of N steps. rdm-N: the recurrent model, of endless streams, with the
-            longest clip in N segments; rdm-7 ships. light-rdm-1: rdm-1 with Light-T2M's network. rdm-student: a
-            recurrent model with few steps. md-N, motiondiffuse, dip: what it is compared with. pcm-1-k20, pcm-1-no-…,
-            md-7-alone, rdm-student-2: another with one setting changed, for the tables.
+            model. mld-vae, mld: both with one latent token. lcm-1, pcm-N: students of N steps. rdm-N: the recurrent
+            model, of endless streams, with the longest clip in N segments; rdm-7 ships. light-rdm-1: rdm-1 with
+            Light-T2M's network. rdm-student: a recurrent model with few steps. md-N, motiondiffuse, dip: what it is
+            compared with. pcm-1-k20, pcm-1-no-…, md-7-alone, rdm-student-2: another with one setting changed, for the
+            tables.
             movement, evaluator: the judge of them all, in two stages. length: how long a sentence lasts. sides: which
             of left and right it names. export: no training: model folders of all of the recipe's models whose networks
             are there.
@@ -79,7 +80,7 @@ def train(
         only: Of all: a stage, or the beginning of the names of several, such as rdm; may be given several times.
         jobs: Of all: trainings side by side.
         tables: Of all: evaluate the models, too, and write the papers' tables to OUT/results.
-        vae: Checkpoint or run folder of the autoencoder; by default runs/RECIPE/vae.
+        vae: Checkpoint or run folder of the autoencoder; by default runs/RECIPE/vae, or runs/RECIPE/mld-vae for mld.
         teacher: Checkpoint or run folder of the teacher; by default runs/RECIPE/teacher, or runs/RECIPE/rdm-7
             for rdm-student, runs/RECIPE/movement for evaluator.
         steps: Steps in all.
@@ -113,8 +114,8 @@ def train(
     chosen = load_recipe(recipe, what)
     engine = replace(chosen.engine, **{name: value for name, value in given.items() if value is not None})
     config = with_settings(chosen.task, set)
-    teacher = teacher or runs / (TASKS[what].teacher or "teacher")
-    sources = Sources(corpus=corpus, vae=vae or runs / "vae", teacher=teacher, cache=runs / "cache")
+    sources = TASKS[what].sources(corpus, runs)
+    sources = replace(sources, vae=vae or sources.vae, teacher=teacher or sources.teacher)
 
     result = run(task_maker(what, config, sources), engine, folder, resume, init)
     if int(os.environ.get("RANK", "0")) == 0:

@@ -79,6 +79,18 @@ def train_teacher() -> Recipe:
     return Recipe(task=task, engine=_engine(1_150_000))
 
 
+def train_mld_vae() -> Recipe:
+    """MLD's latent, one token of 256 numbers, in the autoencoder and the training of MotionLCM-V2."""
+    chosen = train_vae()
+    return replace(chosen, task=replace(chosen.task, model=TokenVAEConfig(tokens=1, token_dim=256)))
+
+
+def train_mld() -> Recipe:
+    """Its noise."""
+    chosen = train_teacher()
+    return replace(chosen, task=replace(chosen.task, model=TokenDenoiserConfig(token_dim=256)))
+
+
 def train_lcm() -> Recipe:
     """MotionLCM-V2: 1000 epochs, batch 128, w in [5, 15], c = 0.5, k = 100."""
     return Recipe(task=DistillationConfig(text_encoder=train_teacher().task.text_encoder), engine=_engine(192_000))
@@ -170,6 +182,8 @@ TRAINING: dict[str, Callable[[], Recipe]] = {
     "length": train_length,
     "vae": train_vae,
     "teacher": train_teacher,
+    "mld-vae": train_mld_vae,
+    "mld": train_mld,
     "lcm-1": train_lcm,
     **{f"pcm-{phases}": partial(train_pcm, phases) for phases in (1, 2, 4)},
     **{f"rdm-{n}": partial(train_rdm, n) for n in SEGMENT_FRAMES},
@@ -198,6 +212,10 @@ EXPORTS: tuple[Export, ...] = (
             last=True,
         )
         for name in ("k20", "no-ema", "no-discriminator")
+    ),
+    ClipExport(
+        name="mld-paper", runs={"vae": "mld-vae", "teacher": "mld", "length": "length"}, guidance={"teacher": 6.5},
+        last=True,
     ),
     *(
         StreamExport(

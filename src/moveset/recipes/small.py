@@ -48,6 +48,20 @@ def teacher() -> Recipe:
     return Recipe(task=task, engine=_engine(10000))
 
 
+def mld_vae() -> Recipe:
+    """MLD's single latent: one token of 256 numbers for a whole clip, in an otherwise equal autoencoder."""
+    chosen = vae()
+    model = replace(_VAE, tokens=1, slots=48, token_dim=256)
+    return replace(chosen, task=replace(chosen.task, model=model))
+
+
+def mld() -> Recipe:
+    """Its noise, which is carried past the layers (docs/decisions/clips.md)."""
+    chosen = teacher()
+    model = replace(chosen.task.model, tokens=1, token_dim=256, carried=True)
+    return replace(chosen, task=replace(chosen.task, model=model))
+
+
 def lcm() -> Recipe:
     """The one-step baseline: PCM of one phase without its discriminator; guidance around the teacher's best."""
     task = DistillationConfig(
@@ -229,6 +243,8 @@ TRAINING: dict[str, Callable[[], Recipe]] = {
     "vae": vae,
     "decoder": decoder,
     "teacher": teacher,
+    "mld-vae": mld_vae,
+    "mld": mld,
     "lcm-1": lcm,
     **{f"pcm-{phases}": partial(pcm, phases) for phases in (1, 2, 4)},
     **{f"rdm-{n}": partial(rdm, n) for n in SEGMENT_FRAMES},
@@ -259,6 +275,11 @@ EXPORTS: tuple[Export, ...] = (
             compact=("teacher",),
         )
         for name in ("k20", "no-ema", "no-discriminator")
+    ),
+    ClipExport(
+        name="mld-small",
+        runs={"vae": "mld-vae", "teacher": "mld", "length": "length", "sides": "sides"},
+        guidance={"teacher": 2.5},
     ),
     StreamExport(
         name="rdm-small",

@@ -51,6 +51,18 @@ def teacher() -> Recipe:
     return Recipe(task=TeacherConfig(model=model, batch=4, warmup=1, augmentation=_ROUGH), engine=_ENGINE)
 
 
+def mld_vae() -> Recipe:
+    """One latent token."""
+    return Recipe(task=replace(vae().task, model=replace(_VAE, tokens=1, slots=6, token_dim=24)), engine=_ENGINE)
+
+
+def mld() -> Recipe:
+    """Its noise."""
+    chosen = teacher()
+    model = replace(chosen.task.model, tokens=1, token_dim=24, carried=True)
+    return replace(chosen, task=replace(chosen.task, model=model))
+
+
 def student(phases: int = 1) -> Recipe:
     """LCM, or MotionPCM with its discriminator."""
     task = DistillationConfig(phases=phases, guidance=(1.0, 5.0), batch=4, warmup=1, augmentation=_ROUGH)
@@ -170,6 +182,8 @@ TRAINING: dict[str, Callable[[], Recipe]] = {
     "vae": vae,
     "decoder": decoder,
     "teacher": teacher,
+    "mld-vae": mld_vae,
+    "mld": mld,
     "lcm-1": student,
     **{f"pcm-{phases}": partial(student, phases) for phases in (1, 2, 4)},
     **{f"rdm-{n}": partial(rdm, n) for n in SEGMENT_FRAMES},
@@ -189,6 +203,9 @@ EXPORTS: tuple[Export, ...] = (
         },
         guidance=dict.fromkeys(("teacher", "lcm-1", "pcm-1", "pcm-2", "pcm-4"), 2.0),
         compact=("teacher",),
+    ),
+    ClipExport(
+        name="mld-tiny", runs={"vae": "mld-vae", "teacher": "mld", "length": "length"}, guidance={"teacher": 2.0}
     ),
     StreamExport(
         name="rdm-tiny",

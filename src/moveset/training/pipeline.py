@@ -61,8 +61,7 @@ class Place:
 
     def sources(self, name: str) -> Sources:
         """What a training reads."""
-        teacher = self.out / (TASKS[name].teacher or "teacher")
-        return Sources(corpus=self.data, vae=self.out / "vae", teacher=teacher, cache=self.out / "cache")
+        return TASKS[name].sources(self.data, self.out)
 
 
 @dataclass(frozen=True)

@@ -24,22 +24,27 @@ class Trainable:
 
     Args:
         target: module and class, which is called with (task config, Sources, Loop).
-        vae: whether it needs the autoencoder.
+        vae: the autoencoder that it needs.
         teacher: what else must be trained before.
     """
 
     target: str
-    vae: bool = False
+    vae: str = ""
     teacher: str = ""
 
     @property
     def needs(self) -> tuple[str, ...]:
         """Names of what must be trained before."""
-        return ("vae",) * self.vae + ((self.teacher,) if self.teacher else ())
+        return tuple(name for name in (self.vae, self.teacher) if name)
+
+    def sources(self, corpus: Path, runs: Path) -> "Sources":
+        """Where it finds them, if every training has a folder by its name."""
+        vae, teacher = runs / (self.vae or "vae"), runs / (self.teacher or "teacher")
+        return Sources(corpus=corpus, vae=vae, teacher=teacher, cache=runs / "cache")
 
 
 _RDM = Trainable("moveset.training.rdm:RDMTask")
-_PCM = Trainable("moveset.training.distillation:PCMTask", vae=True, teacher="teacher")
+_PCM = Trainable("moveset.training.distillation:PCMTask", vae="vae", teacher="teacher")
 #: Trainings like another but for one setting: MotionPCM's Table 2, and rows of RDM's table.
 VARIANTS = {
     "pcm-1-k20": ("pcm-1", "points=50"),
@@ -54,9 +59,11 @@ TASKS = {
     "length": Trainable("moveset.training.length:LengthTask"),
     "sides": Trainable("moveset.training.sides:SidesTask"),
     "vae": Trainable("moveset.training.vae:VAETask"),
-    "decoder": Trainable("moveset.training.vae:DecoderTask", vae=True),
-    "teacher": Trainable("moveset.training.teacher:TeacherTask", vae=True),
-    "lcm-1": Trainable("moveset.training.distillation:LCMTask", vae=True, teacher="teacher"),
+    "decoder": Trainable("moveset.training.vae:DecoderTask", vae="vae"),
+    "teacher": Trainable("moveset.training.teacher:TeacherTask", vae="vae"),
+    "mld-vae": Trainable("moveset.training.vae:VAETask"),
+    "mld": Trainable("moveset.training.teacher:TeacherTask", vae="mld-vae"),
+    "lcm-1": Trainable("moveset.training.distillation:LCMTask", vae="vae", teacher="teacher"),
     **dict.fromkeys(("pcm-1", "pcm-2", "pcm-4"), _PCM),
     **dict.fromkeys(("rdm-1", "rdm-4", "rdm-7", "rdm-14", "light-rdm-1", "md-4", "md-7", "motiondiffuse"), _RDM),
     "rdm-student": Trainable("moveset.training.rdm_distillation:RDMStudentTask", teacher="rdm-7"),
