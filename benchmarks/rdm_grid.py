@@ -74,11 +74,13 @@ FLOW = (f"depth_cap={N - 1}", f"flow.max_index={N - 1}", "flow.bound=hardtanh")
 PUBLISHED = ("flow.blocks=6", "flow.hidden=256")
 IDENTITY = ("flow=null",)
 ENTANGLED = ("grid.entangled=0.5",)
+ALGORITHM_2 = ("grid.anchor=first", "grid.share_noise=true", "grid.condition=previous")
 # Eq. 13 and 31 weigh by 1 / |det|, which overflows for 28 frames of 269 features: here its mean for a number of them.
 JOINT = ("joint=true", "weight=x0", f"jacobian={1 / (SEGMENT_FRAMES[N] * 269):.3g}")
 BARE = ("heading_change=0", "heading_noise=0", "model.heading_change=false")
 
 VARIANTS = {
+    "printed": Variant(settings=(*NUMBERED, *FLOW, *ALGORITHM_2)),
     "anchored": Variant(settings=(*NUMBERED, *FLOW)),
     "anchored-identity": Variant(settings=(*NUMBERED, *IDENTITY)),
     "entangled": Variant(settings=(*NUMBERED, *FLOW, *ENTANGLED)),
@@ -223,45 +225,48 @@ def gather(out: Path) -> dict[str, Any]:
 
 
 def draw(found: dict[str, Any], metric: str, label: str, path: Path) -> None:
-    """One metric against calls of a clip of N segments, a panel a sampler; dashed are parallelograms."""
+    """One metric against calls of a clip of N segments, a panel a variant; dashed are parallelograms."""
     import matplotlib
     from matplotlib.figure import Figure
     from matplotlib.ticker import LogLocator, NullFormatter, ScalarFormatter
 
-    panels: dict[str, list[dict[str, Any]]] = {}
-    for curve in sorted(found["curves"], key=lambda c: (not VARIANTS[c["variant"]].teacher, c["K"], c["variance"])):
-        sampler = f"K = {curve['K']}{', ' if curve['variance'] else ''}{curve['variance']}"
-        panels.setdefault("students" if VARIANTS[curve["variant"]].teacher else sampler, []).append(curve)
-    names = list(dict.fromkeys(c["variant"] for c in found["curves"]))
-    looks = {
-        name: {"color": COLOURS[k % len(COLOURS)], "marker": "os^"[k // len(COLOURS)]} for k, name in enumerate(names)
-    }
+    def sampler(curve: dict[str, Any]) -> tuple[bool, int, str]:
+        return bool(VARIANTS[curve["variant"]].teacher), curve["K"], curve["variance"]
+
+    samplers = sorted({sampler(curve) for curve in found["curves"]})
+    panels = {name: [c for c in found["curves"] if (VARIANTS[c["variant"]].teacher or c["variant"]) == name]
+              for name in VARIANTS}  # fmt: skip
+    panels = {name: shown for name, shown in panels.items() if shown}
+    names = [f"{'student, ' * student}K = {k}{', ' * bool(v)}{v}" for student, k, v in samplers]
+    colours = {kind: COLOURS[k % len(COLOURS)] for k, kind in enumerate(samplers)}
     with matplotlib.rc_context(STYLE):
-        rows = -(-len(panels) // 3)
-        figure = Figure(figsize=(12, 1.5 + 3 * rows), layout="constrained")
-        axes = figure.subplots(rows, min(3, len(panels)), sharey=True, squeeze=False).flatten()
+        columns = min(4, len(panels))
+        rows = -(-len(panels) // columns)
+        figure = Figure(figsize=(3 * columns, 1 + 2.5 * rows), layout="constrained")
+        axes = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False).flatten()
         for axis in axes[len(panels) :]:
             axis.set_visible(False)
         for axis, (title, shown) in zip(axes, panels.items(), strict=False):
-            for name in names:
+            for kind in samplers:
                 for shape, line in (("triangle", "-"), ("parallelogram", "--")):
-                    line_of = [c for c in shown if (c["variant"], c["shape"]) == (name, shape)]
+                    line_of = [c for c in shown if (sampler(c), c["shape"]) == (kind, shape)]
                     values = [Interval.from_json(c["metrics"][metric]) for c in line_of]
                     halves = [value.half_width if value.half_width < float("inf") else 0.0 for value in values]
                     axis.errorbar(
-                        [c["calls"] for c in line_of], [value.mean for value in values], halves, ls=line, ms=4, lw=1.2,
-                        capsize=2, **looks[name],
+                        [c["calls"] for c in line_of], [value.mean for value in values], halves, ls=line, marker="o",
+                        ms=3, lw=1.2, capsize=2, color=colours[kind],
                     )  # fmt: skip
-            axis.set(xscale="log", xlabel="network calls", title=title)
+            axis.set(xscale="log", title=title)
             axis.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
             axis.xaxis.set_major_formatter(ScalarFormatter())
             axis.xaxis.set_minor_formatter(NullFormatter())
             axis.grid()
-        if metric == "fid":
-            axes[0].set_yscale("log")
+        axes[0].set_ylim(bottom=0)
+        for axis in axes[-columns:]:
+            axis.set_xlabel("network calls")
         figure.supylabel(label)
-        handles = [axes[0].plot([], [], ls="", **looks[name])[0] for name in names]
-        figure.legend(handles, names, loc="outside lower center", ncols=5)
+        handles = [axes[0].plot([], [], "o-", color=colours[kind])[0] for kind in samplers]
+        figure.legend(handles, names, loc="outside lower center", ncols=2 * columns)
         with atomic_write(path) as file:
             figure.savefig(file, format=path.suffix[1:], transparent=True)
 
