@@ -191,7 +191,8 @@ def common(given: argparse.Namespace) -> EvaluationConfig:
 
 
 def gather(out: Path) -> dict[str, Any]:
-    """All points that are there: means over seeds with intervals, in the order of the grid.
+    """All points that are there: means over seeds with intervals, in the order of the grid; ``minus_whole`` is what a
+    late start makes of R = K, paired by seeds.
 
     Raises:
         InputError: there is none.
@@ -212,12 +213,15 @@ def gather(out: Path) -> dict[str, Any]:
     for key in sorted(rows, key=lambda key: (order.index(key[0]), *key[1:])):
         name, steps, start, lag, shape, variance = key
         seeds = dict(sorted(rows[key].items()))
+        whole = rows.get((name, steps, steps, lag, shape, variance), {})
         first = next(iter(seeds.values()))
+        late = {m: [seeds[s][m] - whole[s][m] for s in seeds if s in whole and start < steps] for m in first}
         curves.append(
             {
                 "variant": name, "K": steps, "R": start, "lag": lag, "shape": shape, "variance": variance,
                 "calls": Staircase(steps, N, start, shape, lag).calls,
                 "metrics": {metric: Interval.of([one[metric] for one in seeds.values()]).to_json() for metric in first},
+                "minus_whole": {metric: Interval.of(found).to_json() for metric, found in late.items() if found},
                 "seeds": seeds,
             }
         )  # fmt: skip
@@ -318,7 +322,9 @@ def main() -> None:
     for metric, label in (("fid", "FID"), ("r3", "R@3")):
         draw(found, metric, label, given.out / f"curves-{metric}.svg")
     for row in found["curves"]:
-        values = (f"{metric} {Interval.from_json(row['metrics'][metric]).format()}" for metric in ("fid", "r3"))
+        values = [f"{metric} {Interval.from_json(row['metrics'][metric]).format()}" for metric in ("fid", "r3")]
+        if late := row["minus_whole"]:
+            values.append(f"fid less that of R = K {Interval.from_json(late['fid']).format()}")
         sampler = Point(row["K"], row["R"], row["shape"], row["variance"]).name
         print(f"{row['variant']:24} {sampler:32} {row['calls']:5} calls  {'  '.join(values)}  ({len(row['seeds'])})")
 

@@ -124,6 +124,10 @@ def test_points_that_are_there_are_kept_and_curves_have_intervals(grid, tiny_str
         assert len(seeds) == 2
         assert curve["metrics"]["fid"] == Interval.of(seeds).to_json()
         assert {"r3", "jerk", "boundary_jerk"} <= set(curve["metrics"])
+        assert bool(curve["minus_whole"]) == (curve["R"] < 2)
+    late, whole = (found["curves"][at]["seeds"] for at in (0, 2))
+    expected = Interval.of([late[seed]["fid"] - whole[seed]["fid"] for seed in late])
+    assert found["curves"][0]["minus_whole"]["fid"] == expected.to_json()
     asked.clear()
     more = run("--variants", "md", "anchored", "--seeds", "1")
     assert asked == ["md.0.K2-R2-parallelogram"]
