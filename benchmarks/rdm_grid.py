@@ -255,7 +255,11 @@ def draw(found: dict[str, Any], metric: str, label: str, path: Path) -> None:
                 for shape, line in (("triangle", "-"), ("parallelogram", "--")):
                     line_of = [c for c in shown if (sampler(c), c["shape"]) == (kind, shape)]
                     values = [Interval.from_json(c["metrics"][metric]) for c in line_of]
-                    halves = [value.half_width if value.half_width < float("inf") else 0.0 for value in values]
+                    # Student's t of two seeds is 12.7: it would hide all else.
+                    halves = [
+                        value.half_width if len(c["seeds"]) > 2 else 0.0
+                        for c, value in zip(line_of, values, strict=True)
+                    ]
                     axis.errorbar(
                         [c["calls"] for c in line_of], [value.mean for value in values], halves, ls=line, marker="o",
                         ms=3, lw=1.2, capsize=2, color=colours[kind],
