@@ -270,8 +270,9 @@ def draw(found: dict[str, Any], metric: str, label: str, path: Path) -> None:
             axis.xaxis.set_minor_formatter(NullFormatter())
             axis.grid()
         axes[0].set_ylim(bottom=0)
-        for axis in axes[-columns:]:
+        for axis in axes[len(panels) - columns : len(panels)]:
             axis.set_xlabel("network calls")
+            axis.tick_params(labelbottom=True)
         figure.supylabel(label)
         handles = [axes[0].plot([], [], "o-", color=colours[kind])[0] for kind in samplers]
         figure.legend(handles, names, loc="outside lower center", ncols=2 * columns)
