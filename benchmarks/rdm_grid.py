@@ -307,7 +307,7 @@ def main() -> None:
     parser.add_argument("--train-steps", type=at_least(1), help="of each training; by default the recipe's")
     parser.add_argument("--set", action="append", default=[], help="a setting of all variants but students")
     parser.add_argument("--steps", type=at_least(1), nargs="+", default=list(STEPS), help="K; 1000 is DDPM")
-    parser.add_argument("--late", type=at_least(1), nargs="+", default=list(LATE), help="R of K = 1000")
+    parser.add_argument("--late", type=at_least(0), nargs="+", default=list(LATE), help="R of K = 1000, 0 the flow")
     parser.add_argument("--items", type=at_least(1), help="at most so many of val; by default all")
     parser.add_argument("--repeats", type=at_least(1), default=1, help="of each point and seed, in processes")
     parser.add_argument("--evaluator", default=DEFAULT_EVALUATOR)
