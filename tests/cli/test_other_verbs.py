@@ -1,4 +1,4 @@
-"""``convert``, ``models`` and ``doctor``."""
+"""``convert``, ``models``, ``doctor``, and what ``train all`` is not told."""
 
 import json
 import os
@@ -168,3 +168,10 @@ def test_doctor_names_what_is_damaged(model, tmp_path, monkeypatch, capsys):
     assert "FAIL  weights: error" in out
     assert "FAIL  self_test" in out
     assert "vae.safetensors is damaged" in out
+
+
+def test_what_is_of_one_training_is_not_silently_left_out_of_all(tmp_path, capsys):
+    for option in (("--steps", "5"), ("--set", "lr=1"), ("--seed", "1"), ("--save-every", "5"), ("--vae", "runs/vae")):
+        assert main(["train", "all", "--out", str(tmp_path / "runs"), *option]) == 2
+        assert f"{option[0]} is of one training, not of 'all'" in capsys.readouterr().err
+    assert not (tmp_path / "runs").exists()

@@ -61,7 +61,7 @@ def test_what_was_cut_off_goes_on_and_only_that(tiny_run, tmp_path):
 def test_what_other_settings_made_is_refused_with_all_that_stands_on_it(tiny_run, monkeypatch):
     folder, every = tiny_run.folder, stages("tiny")
 
-    def changed(recipe, device="auto"):
+    def changed(recipe, device="auto", share=1.0):
         return tuple(
             replace(stage, task=replace(stage.task, lr=1e-2)) if stage.name == "vae" else stage for stage in every
         )
@@ -74,9 +74,33 @@ def test_what_other_settings_made_is_refused_with_all_that_stands_on_it(tiny_run
 
 
 def test_a_stage_needs_what_it_stands_on(tiny_run, tmp_path):
-    for only, words in ((["pcm-1"], "pcm-1 needs vae, which is not done"), (["pcm-3"], "there is no stage 'pcm-3'")):
+    for only, words in (
+        (["pcm-1"], "pcm-1 needs vae, which is not done"),
+        (["pcm-3"], "there is no stage or model 'pcm-3'"),
+    ):
         with pytest.raises(InputError, match=words):
             train_all("tiny", tiny_run.corpus, tmp_path, only=only)
+
+
+def test_a_model_is_asked_for_with_all_that_it_needs_and_a_stage_by_its_name_is_no_other(tiny_run):
+    needed = {"export motionpcm-tiny", "vae", "decoder", "teacher", "length", "sides", "lcm-1"}
+    needed |= {f"pcm-{phases}" for phases in (1, 2, 4)}
+    assert set(again(tiny_run.folder, only=["motionpcm-tiny"]).skipped) == needed
+    assert again(tiny_run.folder, only=["pcm-1"]).skipped == ("pcm-1",)
+    assert set(again(tiny_run.folder, only=["movement", "export rdm-1"]).skipped) == {"movement", "export rdm-1-tiny"}
+
+
+def test_a_share_of_all_steps_has_that_share_of_the_warm_up_and_is_another_training(tiny_run):
+    for whole, half in zip(stages("small"), stages("small", share=0.5), strict=True):
+        if whole.engine is not None:
+            assert half.engine.steps == round(whole.engine.steps / 2)
+            assert getattr(half.task, "warmup", 0) == round(getattr(whole.task, "warmup", 0) / 2)
+    assert stages("small", share=1.0) == stages("small")
+    for share in (0.0, 1.5, float("nan")):
+        with pytest.raises(InputError, match="above 0 and at most 1"):
+            stages("small", share=share)
+    with pytest.raises(InputError, match="length was trained by other settings"):
+        again(tiny_run.folder, only=["length"], share=0.5)
 
 
 def test_trainings_side_by_side_are_those_alone(forks, tiny_run, tmp_path):

@@ -33,6 +33,7 @@ def train(
     raw: Path | None = None,
     out: Path | None = None,
     only: tyro.conf.UseAppendAction[tuple[str, ...]] = (),
+    share: float = 1.0,
     jobs: int = 1,
     tables: tyro.conf.FlagCreatePairsOff[bool] = False,
     vae: Path | None = None,
@@ -77,7 +78,9 @@ def train(
         corpus: What `moveset data build` wrote, or a HumanML3D or KIT-ML folder.
         raw: Of all: the archives that the corpus is built from first, if it is not there, as by `moveset data build`.
         out: Of all: where runs, models and the log go; by default runs/RECIPE.
-        only: Of all: a stage, or the beginning of the names of several, such as rdm; may be given several times.
+        only: Of all: a model, with all that it needs; a stage; or the beginning of the names of several, such as rdm;
+            may be given several times.
+        share: Of all: this share of the steps of every training, to see soon how far it gets.
         jobs: Of all: trainings side by side.
         tables: Of all: evaluate the models, too, and write the papers' tables to OUT/results.
         vae: Checkpoint or run folder of the autoencoder; by default runs/RECIPE/vae, or runs/RECIPE/mld-vae for mld.
@@ -100,17 +103,21 @@ def train(
     """
     from moveset.training.engine import run
 
-    runs = Path("runs") / recipe
-    if what == "all":
-        return _all(recipe, out or runs, corpus, raw, only, device or "auto", jobs, tables)
-    if what == "export":
-        return _export(recipe, runs, corpus, folder or runs / "models")
-    folder = folder or runs / what
     given: dict[str, Any] = {
-        "steps": steps, "seed": seed, "device": device, "devices": devices, "precision": precision, "threads": threads,
+        "steps": steps, "seed": seed, "devices": devices, "precision": precision, "threads": threads,
         "workers": workers, "save_every": save_every, "validate_every": validate_every, "log_every": log_every,
         "keep_last": keep_last, "keep_every": keep_every, "tensorboard": tensorboard,
     }  # fmt: skip
+    runs = Path("runs") / recipe
+    if what in ("all", "export"):
+        of_one = given | {"init": init or None, "vae": vae, "teacher": teacher, "set": set or None}
+        if foreign := [name.replace("_", "-") for name, value in of_one.items() if value is not None]:
+            raise InputError(f"--{foreign[0]} is of one training, not of {what!r}; leave it out, or name the training")
+    if what == "all":
+        return _all(recipe, out or runs, corpus, raw, only, share, device or "auto", jobs, tables)
+    if what == "export":
+        return _export(recipe, runs, corpus, folder or runs / "models")
+    folder, given["device"] = folder or runs / what, device
     chosen = load_recipe(recipe, what)
     engine = replace(chosen.engine, **{name: value for name, value in given.items() if value is not None})
     config = with_settings(chosen.task, set)
@@ -124,8 +131,9 @@ def train(
 
 
 def _all(
-    recipe: str, out: Path, corpus: Path, raw: Path | None, only: Sequence[str], device: str, jobs: int, tables: bool
-) -> int:
+    recipe: str, out: Path, corpus: Path, raw: Path | None, only: Sequence[str], share: float, device: str, jobs: int,
+    tables: bool,
+) -> int:  # fmt: skip
     """Data, trainings, models and tables."""
     from moveset.data.build import build_corpus
     from moveset.training.pipeline import train_all
@@ -133,7 +141,7 @@ def _all(
     if raw is not None and not corpus.is_file():
         corpus.parent.mkdir(parents=True, exist_ok=True)
         build_corpus(raw, corpus, workers=os.cpu_count() or 1)
-    report = train_all(recipe, corpus, out, only=only, device=device, jobs=jobs)
+    report = train_all(recipe, corpus, out, only=only, share=share, device=device, jobs=jobs)
     if report.stopped_by:
         return 130
     for model in report.models:

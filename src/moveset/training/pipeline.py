@@ -22,7 +22,7 @@ from moveset.io.limits import write_text
 from moveset.training import checkpoint
 from moveset.training.engine import EngineConfig, noted_signals, run
 from moveset.training.export import Export, export
-from moveset.training.tasks import TASKS, Sources, load_exports, load_recipes, task_maker
+from moveset.training.tasks import TASKS, Recipe, Sources, load_exports, load_recipes, task_maker
 
 LOG = "train.log"
 
@@ -74,24 +74,28 @@ class Report:
     stopped_by: str | None = None
 
 
-def stages(recipe: str, device: str = "auto") -> tuple[Stage, ...]:
-    """Those of a recipe, in order.
+def stages(recipe: str, device: str = "auto", share: float = 1.0) -> tuple[Stage, ...]:
+    """Those of a recipe, in order, with this share of their steps.
 
     Raises:
-        InputError: no such recipe.
+        InputError: no such recipe; a share that is not above 0 and at most 1.
     """
-    trainings = tuple(
-        Stage(
-            name=name, needs=TASKS[name].needs, task=chosen.task, engine=replace(chosen.engine, device=device),
-            hours=chosen.hours,
-        )
-        for name, chosen in load_recipes(recipe).items()
-    )  # fmt: skip
+    if not 0.0 < share <= 1.0:
+        raise InputError(f"the share {share} of all steps is not above 0 and at most 1; give one between, such as 0.1")
+    trainings = tuple(_training(name, chosen, device, share) for name, chosen in load_recipes(recipe).items())
     models = tuple(
         Stage(name=f"export {model.name}", needs=tuple(model.runs.values()), model=model)
         for model in load_exports(recipe)
     )
     return trainings + models
+
+
+def _training(name: str, chosen: Recipe, device: str, share: float) -> Stage:
+    steps, task = max(1, round(chosen.engine.steps * share)), chosen.task
+    if share < 1.0 and hasattr(task, "warmup"):
+        task = replace(task, warmup=round(task.warmup * share))
+    engine = replace(chosen.engine, steps=steps, device=device)
+    return Stage(name=name, needs=TASKS[name].needs, task=task, engine=engine, hours=chosen.hours * share)
 
 
 def train_all(
@@ -100,6 +104,7 @@ def train_all(
     out: Path,
     *,
     only: Sequence[str] = (),
+    share: float = 1.0,
     device: str = "auto",
     jobs: int = 1,
     say: Callable[[str], None] | None = None,
@@ -108,7 +113,9 @@ def train_all(
 
     Args:
         data: a corpus file, or a HumanML3D or KIT-ML folder.
-        only: names of stages, or of their beginnings ("rdm"); others must be done already where these need them.
+        only: names of models, with all that they need; of stages; or of their beginnings ("rdm"). What stages need
+            must be done already.
+        share: of the steps of every training, and of its warm-up.
         device: "auto", "cpu", "cuda" or "mps".
         jobs: trainings side by side, in processes of their own.
         say: told a line at a time what happens; by default stderr.
@@ -119,10 +126,9 @@ def train_all(
     """
     if jobs < 1:
         raise InputError(f"{jobs} trainings side by side are none; give at least 1")
-    every = stages(recipe, device)
-    chosen = [stage for stage in every if not only or any(stage.name.startswith(name) for name in only)]
-    if unknown := [name for name in only if not any(stage.name.startswith(name) for stage in every)]:
-        raise InputError(f"there is no stage {unknown[0]!r}; {recipe!r} has {', '.join(stage.name for stage in every)}")
+    every = stages(recipe, device, share)
+    names = {name for asked in only for name in _asked(every, asked, recipe)}
+    chosen = [stage for stage in every if not only or stage.name in names]
     place = Place(data=data, out=out)
     for folder in ("stages", "models"):
         (out / folder).mkdir(parents=True, exist_ok=True)
@@ -142,6 +148,20 @@ def train_all(
     models = [] if stopped else [_export(stage, keys, place, log) for stage in exports]
     log("stopped" if stopped else "all done")
     return Report(tuple(trained), skipped, tuple(models), stopped)
+
+
+def _asked(every: Sequence[Stage], name: str, recipe: str) -> set[str]:
+    """Names of stages that one of ``only`` means."""
+    by_name = {stage.name: stage for stage in every}
+    if (model := f"export {name}") in by_name:
+        found, more = set[str](), {model}
+        while more:
+            found |= more
+            more = {needed for stage in more for needed in by_name[stage].needs} - found
+        return found
+    if found := {stage for stage in by_name if stage == name} or {stage for stage in by_name if stage.startswith(name)}:
+        return found
+    raise InputError(f"there is no stage or model {name!r}; {recipe!r} has {', '.join(by_name)}")
 
 
 def _one_by_one(
