@@ -136,8 +136,9 @@ def _all(
 ) -> int:  # fmt: skip
     """Data, trainings, models and tables."""
     from moveset.data.build import build_corpus
-    from moveset.training.pipeline import train_all
+    from moveset.training.pipeline import choose, stages, train_all
 
+    choose(stages(recipe, share=share), only)  # what is wrong with these is said before minutes of data
     if raw is not None and not corpus.is_file():
         corpus.parent.mkdir(parents=True, exist_ok=True)
         build_corpus(raw, corpus, workers=os.cpu_count() or 1)

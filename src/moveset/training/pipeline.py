@@ -90,6 +90,28 @@ def stages(recipe: str, device: str = "auto", share: float = 1.0) -> tuple[Stage
     return trainings + models
 
 
+def choose(every: Sequence[Stage], only: Sequence[str]) -> list[Stage]:
+    """Those of some stages that are asked for: by a model with all that it needs, a name, or the beginning of names.
+
+    Raises:
+        InputError: none is meant.
+    """
+    by_name, found = {stage.name: stage for stage in every}, set[str]()
+    for name in only:
+        if (model := f"export {name}") in by_name:
+            asked = _with_needs(model, by_name)
+        else:
+            asked = {name} & set(by_name) or {stage for stage in by_name if stage.startswith(name)}
+        if not asked:
+            raise InputError(f"there is no stage or model {name!r}; there are {', '.join(by_name)}")
+        found |= asked
+    return [stage for stage in every if not only or stage.name in found]
+
+
+def _with_needs(name: str, by_name: Mapping[str, Stage]) -> set[str]:
+    return {name}.union(*(_with_needs(needed, by_name) for needed in by_name[name].needs))
+
+
 def _training(name: str, chosen: Recipe, device: str, share: float) -> Stage:
     steps, task = max(1, round(chosen.engine.steps * share)), chosen.task
     if share < 1.0 and hasattr(task, "warmup"):
@@ -127,8 +149,7 @@ def train_all(
     if jobs < 1:
         raise InputError(f"{jobs} trainings side by side are none; give at least 1")
     every = stages(recipe, device, share)
-    names = {name for asked in only for name in _asked(every, asked, recipe)}
-    chosen = [stage for stage in every if not only or stage.name in names]
+    chosen = choose(every, only)
     place = Place(data=data, out=out)
     for folder in ("stages", "models"):
         (out / folder).mkdir(parents=True, exist_ok=True)
@@ -148,20 +169,6 @@ def train_all(
     models = [] if stopped else [_export(stage, keys, place, log) for stage in exports]
     log("stopped" if stopped else "all done")
     return Report(tuple(trained), skipped, tuple(models), stopped)
-
-
-def _asked(every: Sequence[Stage], name: str, recipe: str) -> set[str]:
-    """Names of stages that one of ``only`` means."""
-    by_name = {stage.name: stage for stage in every}
-    if (model := f"export {name}") in by_name:
-        found, more = set[str](), {model}
-        while more:
-            found |= more
-            more = {needed for stage in more for needed in by_name[stage].needs} - found
-        return found
-    if found := {stage for stage in by_name if stage == name} or {stage for stage in by_name if stage.startswith(name)}:
-        return found
-    raise InputError(f"there is no stage or model {name!r}; {recipe!r} has {', '.join(by_name)}")
 
 
 def _one_by_one(
