@@ -48,11 +48,13 @@ class Variant:
     Args:
         what: as for ``moveset train``.
         settings: that differ from the recipe's.
+        base: the variant that it is another of, and is compared with.
         teacher: the variant that a student learns from.
     """
 
     what: str = "rdm-7"
     settings: tuple[str, ...] = ()
+    base: str = ""
     teacher: str = ""
 
     @property
@@ -80,19 +82,22 @@ JOINT = ("joint=true", "weight=x0", f"jacobian={1 / (SEGMENT_FRAMES[N] * 269):.3
 BARE = ("heading_change=0", "heading_noise=0", "model.heading_change=false")
 
 VARIANTS = {
-    "printed": Variant(settings=(*NUMBERED, *FLOW, *ALGORITHM_2)),
+    "printed": Variant(base="anchored", settings=(*NUMBERED, *FLOW, *ALGORITHM_2)),
     "anchored": Variant(settings=(*NUMBERED, *FLOW)),
-    "anchored-identity": Variant(settings=(*NUMBERED, *IDENTITY)),
-    "entangled": Variant(settings=(*NUMBERED, *FLOW, *ENTANGLED)),
-    "entangled-identity": Variant(settings=(*NUMBERED, *IDENTITY, *ENTANGLED)),  # joint training of no flow is this
-    "joint": Variant(settings=(*NUMBERED, *FLOW, *ENTANGLED, *JOINT)),
-    "entangled-published": Variant(settings=(*NUMBERED, *FLOW, *ENTANGLED, *PUBLISHED)),
-    "entangled-free": Variant(settings=(*NUMBERED, *FLOW, *ENTANGLED, *PUBLISHED, "flow.log_scale=1.0")),
+    "anchored-identity": Variant(base="anchored", settings=(*NUMBERED, *IDENTITY)),
+    "entangled": Variant(base="anchored", settings=(*NUMBERED, *FLOW, *ENTANGLED)),
+    # Joint training of no flow is this.
+    "entangled-identity": Variant(base="entangled", settings=(*NUMBERED, *IDENTITY, *ENTANGLED)),
+    "joint": Variant(base="entangled", settings=(*NUMBERED, *FLOW, *ENTANGLED, *JOINT)),
+    "entangled-published": Variant(base="entangled", settings=(*NUMBERED, *FLOW, *ENTANGLED, *PUBLISHED)),
+    "entangled-free": Variant(
+        base="entangled", settings=(*NUMBERED, *FLOW, *ENTANGLED, *PUBLISHED, "flow.log_scale=1.0")
+    ),
     # What one of RDM-7 and MD-7 is told or both are: the course; the past.
-    "anchored-bare": Variant(settings=(*NUMBERED, *FLOW, *BARE)),
-    "md": Variant(what="md-7", settings=NUMBERED),
-    "md-bare": Variant(what="md-7", settings=(*NUMBERED, *BARE)),
-    "md-alone": Variant(what="md-7", settings=(*NUMBERED, "md_condition=none")),
+    "anchored-bare": Variant(base="anchored", settings=(*NUMBERED, *FLOW, *BARE)),
+    "md": Variant(base="anchored", what="md-7", settings=NUMBERED),
+    "md-bare": Variant(base="md", what="md-7", settings=(*NUMBERED, *BARE)),
+    "md-alone": Variant(base="md", what="md-7", settings=(*NUMBERED, "md_condition=none")),
     # Few evaluations a segment, told a finished past, in the coordinates of the teacher's flow or of none.
     **{
         f"{teacher}-pcm-{k}": Variant(what="rdm-student", teacher=teacher, settings=(*ALIGNED, f"phases={k}"))
@@ -191,8 +196,8 @@ def common(given: argparse.Namespace) -> EvaluationConfig:
 
 
 def gather(out: Path) -> dict[str, Any]:
-    """All points that are there: means over seeds with intervals, in the order of the grid; ``minus_whole`` is what a
-    late start makes of R = K, paired by seeds.
+    """All points that are there: means over seeds with intervals, in the order of the grid. Paired by seeds:
+    ``minus_whole`` is what a late start makes of R = K, ``minus_base`` what a training makes of that of its base.
 
     Raises:
         InputError: there is none.
@@ -214,18 +219,26 @@ def gather(out: Path) -> dict[str, Any]:
         name, steps, start, lag, shape, variance = key
         seeds = dict(sorted(rows[key].items()))
         whole = rows.get((name, steps, steps, lag, shape, variance), {})
+        base = VARIANTS[name].base
+        base_lag = steps if base and not VARIANTS[base].overlaps else 1
         first = next(iter(seeds.values()))
-        late = {m: [seeds[s][m] - whole[s][m] for s in seeds if s in whole and start < steps] for m in first}
         curves.append(
             {
-                "variant": name, "K": steps, "R": start, "lag": lag, "shape": shape, "variance": variance,
+                "variant": name, "base": base, "K": steps, "R": start, "lag": lag, "shape": shape, "variance": variance,
                 "calls": Staircase(steps, N, start, shape, lag).calls,
                 "metrics": {metric: Interval.of([one[metric] for one in seeds.values()]).to_json() for metric in first},
-                "minus_whole": {metric: Interval.of(found).to_json() for metric, found in late.items() if found},
+                "minus_whole": _paired(seeds, whole if start < steps else {}),
+                "minus_base": _paired(seeds, rows.get((base, steps, start, base_lag, shape, variance), {})),
                 "seeds": seeds,
             }
         )  # fmt: skip
     return {"state": json_object((out / "state.json").read_bytes(), out / "state.json"), "curves": curves}
+
+
+def _paired(seeds: dict[int, dict[str, float]], base: dict[int, dict[str, float]]) -> dict[str, Any]:
+    both = [seed for seed in seeds if seed in base]
+    metrics = seeds[both[0]] if both else ()
+    return {metric: Interval.of([seeds[s][metric] - base[s][metric] for s in both]).to_json() for metric in metrics}
 
 
 def draw(found: dict[str, Any], metric: str, label: str, path: Path) -> None:
@@ -328,8 +341,9 @@ def main() -> None:
         draw(found, metric, label, given.out / f"curves-{metric}.svg")
     for row in found["curves"]:
         values = [f"{metric} {Interval.from_json(row['metrics'][metric]).format()}" for metric in ("fid", "r3")]
-        if late := row["minus_whole"]:
-            values.append(f"fid less that of R = K {Interval.from_json(late['fid']).format()}")
+        for base, words in (("minus_whole", "R = K"), ("minus_base", row["base"])):
+            if less := row[base]:
+                values.append(f"fid less that of {words} {Interval.from_json(less['fid']).format()}")
         sampler = Point(row["K"], row["R"], row["shape"], row["variance"]).name
         print(f"{row['variant']:24} {sampler:32} {row['calls']:5} calls  {'  '.join(values)}  ({len(row['seeds'])})")
 

@@ -133,6 +133,9 @@ def test_points_that_are_there_are_kept_and_curves_have_intervals(grid, tiny_str
     assert asked == ["md.0.K2-R2-parallelogram"]
     assert more["curves"][:4] == found["curves"]
     assert [(c["variant"], c["lag"], c["calls"]) for c in more["curves"][4:]] == [("md", 2, 14)]
+    of_md, of_anchored = (more["curves"][at]["seeds"]["0"]["fid"] for at in (4, 2))
+    assert [(c["base"], bool(c["minus_base"])) for c in more["curves"][3:]] == [("", False), ("anchored", True)]
+    assert more["curves"][4]["minus_base"]["fid"] == Interval.of([of_md - of_anchored]).to_json()
     before = (out / "curves.json").read_bytes()
     run("--plot")
     assert (out / "curves.json").read_bytes() == before
