@@ -11,7 +11,7 @@ from moveset import MotionStream, TextToMotion
 from moveset.errors import InputError
 from moveset.evaluation.evaluator import Evaluator
 from moveset.training import checkpoint, pipeline
-from moveset.training.pipeline import Report, stages, train_all
+from moveset.training.pipeline import Report, Stage, stages, train_all
 
 
 def again(folder: Path, **options) -> Report:
@@ -116,3 +116,17 @@ def test_trainings_side_by_side_are_those_alone(forks, tiny_run, tmp_path):
 def test_a_signal_to_the_command_alone_stops_trainings_side_by_side(forks, tiny_run, tmp_path):
     given = str(tiny_run.corpus), str(tmp_path), ["movement", "length"]
     assert forks.run("tests.tiny_run:side_by_side_until_a_signal", *given) == 0, forks.said
+
+
+def test_the_log_says_how_much_is_left_by_the_pace_so_far_and_less_what_has_run(tmp_path, monkeypatch):
+    now, lines = [0.0], list[str]()
+    monkeypatch.setattr(pipeline.time, "monotonic", lambda: now[0])
+    one, two, three = (Stage(name=name, needs=(), hours=hours) for name, hours in (("a", 1), ("b", 2), ("c", 1)))
+    log = pipeline._Log(tmp_path / "train.log", (one, two, three), lines.append)
+    log.begin(one)
+    log.begin(two)
+    now[0] = 2 * 3600.0  # twice as long as was expected
+    log.end(one)
+    log.begin(three)
+    assert lines[0] == "a: begins, about 4 h 0 min of one core left"
+    assert lines[2:] == ["a: done in 2 h 0 min", "c: begins, about 4 h 0 min of one core left"]

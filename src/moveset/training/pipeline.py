@@ -331,10 +331,12 @@ class _Log:
         self(f"{stage.name}: done in {_duration(took)}")
 
     def _left(self) -> str:
-        """By what stages took so far, in terms of what was expected."""
-        hours = sum(stage.hours for stage in self._todo.values())
-        pace = self._spent / self._expected if self._expected else 1.0
-        return f", about {_duration(hours * pace)} of one core left" if hours else ""
+        """By what stages took so far, in terms of what was expected, and how long those that run have been running."""
+        pace, now = self._spent / self._expected if self._expected else 1.0, time.monotonic()
+        whole = {stage.name: stage.hours * pace for stage in self._todo.values()}
+        run = {name: (now - began) / 3600 for name, began in self._began.items() if name in whole}
+        hours = sum(max(0.0, took - run.get(name, 0.0)) for name, took in whole.items())
+        return f", about {_duration(hours)} of one core left" if hours else ""
 
 
 def _duration(hours: float) -> str:
