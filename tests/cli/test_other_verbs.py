@@ -170,8 +170,13 @@ def test_doctor_names_what_is_damaged(model, tmp_path, monkeypatch, capsys):
     assert "vae.safetensors is damaged" in out
 
 
-def test_what_is_of_one_training_is_not_silently_left_out_of_all(tmp_path, capsys):
-    for option in (("--steps", "5"), ("--set", "lr=1"), ("--seed", "1"), ("--save-every", "5"), ("--vae", "runs/vae")):
+def test_what_a_training_or_all_of_them_would_ignore_is_refused(tmp_path, capsys):
+    of_one = (("--steps", "5"), ("--set", "lr=1"), ("--seed", "0"), ("--save-every", "5"), ("--vae", "runs/vae"))
+    for option in (*of_one, ("--folder", str(tmp_path)), ("--tensorboard", "True")):
         assert main(["train", "all", "--out", str(tmp_path / "runs"), *option]) == 2
         assert f"{option[0]} is of one training, not of 'all'" in capsys.readouterr().err
+    for option in (("--share", "0.5"), ("--only", "vae"), ("--jobs", "2"), ("--raw", str(tmp_path)), ("--tables",)):
+        for what in ("vae", "export"):
+            assert main(["train", what, "--folder", str(tmp_path / "runs"), *option]) == 2
+            assert f"{option[0]} is of 'all', not of '{what}'" in capsys.readouterr().err
     assert not (tmp_path / "runs").exists()

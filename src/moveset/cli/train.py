@@ -2,7 +2,7 @@
 
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -111,8 +111,13 @@ def train(
     runs = Path("runs") / recipe
     if what in ("all", "export"):
         of_one = given | {"init": init or None, "vae": vae, "teacher": teacher, "set": set or None}
-        if foreign := [name.replace("_", "-") for name, value in of_one.items() if value is not None]:
-            raise InputError(f"--{foreign[0]} is of one training, not of {what!r}; leave it out, or name the training")
+        _refuse(of_one | {"folder": folder if what == "all" else None}, f"is of one training, not of {what!r}")
+    if what != "all":
+        of_all = {"share": share if share != 1.0 else None, "jobs": jobs if jobs != 1 else None}
+        _refuse(
+            of_all | {"raw": raw, "out": out, "only": only or None, "tables": tables or None},
+            f"is of 'all', not of {what!r}",
+        )
     if what == "all":
         return _all(recipe, out or runs, corpus, raw, only, share, device or "auto", jobs, tables)
     if what == "export":
@@ -128,6 +133,12 @@ def train(
     if int(os.environ.get("RANK", "0")) == 0:
         print(_summary(what, result, engine.steps), file=sys.stderr)
     return 130 if result.stopped_by == "SIGINT" else 0
+
+
+def _refuse(given: Mapping[str, Any], why: str) -> None:
+    """Raises InputError for what would be ignored: all that is not None."""
+    if foreign := [name.replace("_", "-") for name, value in given.items() if value is not None]:
+        raise InputError(f"--{foreign[0]} {why}; leave it out")
 
 
 def _all(
