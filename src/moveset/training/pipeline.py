@@ -114,7 +114,7 @@ def _with_needs(name: str, by_name: Mapping[str, Stage]) -> set[str]:
 
 def _training(name: str, chosen: Recipe, device: str, share: float) -> Stage:
     steps, task = max(1, round(chosen.engine.steps * share)), chosen.task
-    if share < 1.0 and hasattr(task, "warmup"):
+    if hasattr(task, "warmup"):
         task = replace(task, warmup=round(task.warmup * share))
     engine = replace(chosen.engine, steps=steps, device=device)
     return Stage(name=name, needs=TASKS[name].needs, task=task, engine=engine, hours=chosen.hours * share)
