@@ -1,4 +1,4 @@
-"""``convert``, ``models``, ``doctor``, and what ``train all`` is not told."""
+"""``convert``, ``models``, ``doctor``, and what ``train`` refuses."""
 
 import json
 import os
