@@ -7,7 +7,7 @@ import torch
 
 from moveset.motion.features import Normalizer, get_codec
 from moveset.training.condition_dropout import perturb_past
-from moveset.training.segment_losses import KNEE, heading_error, side_shortfall
+from moveset.training.segment_losses import KNEE, heading_error, placed, side_shortfall
 from tests.evaluation.test_sides import moving
 from tests.synthetic import synthetic_motion
 
@@ -102,7 +102,8 @@ def test_who_moves_the_limb_that_is_told_falls_short_by_nothing_and_the_mirror_i
     valid, evenly = torch.ones(2, 28, dtype=torch.bool), torch.ones(2)
 
     def short(made, told, weight=evenly):
-        return float(side_shortfall(made, real, valid, torch.tensor(told), weight, CODEC, normalizer))
+        joints = (placed(x, CODEC, normalizer) for x in (made, real))
+        return float(side_shortfall(*joints, valid, torch.tensor(told), weight, CODEC.skeleton))
 
     nan, left = float("nan"), [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]
     assert short(real, left) == 0
@@ -113,7 +114,8 @@ def test_who_moves_the_limb_that_is_told_falls_short_by_nothing_and_the_mirror_i
     # … and no more of it than there.
     little = real.lerp(other, 0.45)
     assert 0 < short(little, left) < short(other, left)
-    assert float(side_shortfall(little, little, valid, torch.tensor(left), evenly, CODEC, normalizer)) == 0
+    joints = placed(little, CODEC, normalizer)
+    assert float(side_shortfall(joints, joints, valid, torch.tensor(left), evenly, CODEC.skeleton)) == 0
     mixed = torch.stack((other[0], real[1]))
     assert short(mixed, left, torch.tensor([0.0, 1.0])) == 0
     assert short(mixed, left) == pytest.approx(short(mixed, left, torch.tensor([1.0, 0.0])) / 2)

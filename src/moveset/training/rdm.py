@@ -35,7 +35,7 @@ from moveset.training.momo import MomoAdam
 from moveset.training.optim import cosine_lr
 from moveset.training.reading import MAX_TOKENS, told_sides
 from moveset.training.segment_data import SegmentData, forecast, spectrum
-from moveset.training.segment_losses import foot_error, heading_error, side_shortfall
+from moveset.training.segment_losses import foot_error, heading_error, placed, side_shortfall
 from moveset.training.single_network import NetworkConfig
 from moveset.training.tasks import Sources
 
@@ -309,13 +309,14 @@ class RDMTask(Task):
                 made * root_B, clean * root_B, last * root_B[:, 0], later, batch.valid
             )
         seen_B = SCHEDULE.alpha(cell.t_B).square()  # what noise still hides has no feet to judge, and no course
+        if config.feet or asked is not None:
+            codec = self.data.codec
+            joints, real = (placed(x, codec, self.normalizer) for x in (made, clean))
         if config.feet:
-            with torch.autocast(made.device.type, enabled=False):
-                feet_B = foot_error(made, clean, batch.valid, self.data.codec, self.normalizer)
+            feet_B = foot_error(joints, real, batch.valid, codec.fps, codec.skeleton)
             loss = loss + config.feet * (feet_B * seen_B).mean()
         if asked is not None:
-            with torch.autocast(made.device.type, enabled=False):
-                short = side_shortfall(made, clean, batch.valid, asked[0], seen_B, self.data.codec, self.normalizer)
+            short = side_shortfall(joints, real, batch.valid, asked[0], seen_B, codec.skeleton)
             loss = loss + asked[1] * short
         if config.heading:
             turn_B = heading_error(made, clean, batch.valid, self.data.codec, self.normalizer)

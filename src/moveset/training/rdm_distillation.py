@@ -38,7 +38,7 @@ from moveset.training.engine import Loop
 from moveset.training.rdm import SCHEDULE, RDMConfig, feature_weights
 from moveset.training.rollout import Rollout
 from moveset.training.segment_data import SegmentData
-from moveset.training.segment_losses import heading_error, side_shortfall
+from moveset.training.segment_losses import heading_error, placed, side_shortfall
 from moveset.training.single_network import SingleNetworkTask
 from moveset.training.tasks import Sources
 from moveset.training.trained import load_trained
@@ -191,9 +191,9 @@ class RDMStudentTask(SingleNetworkTask):
             loss = loss + config.heading * (turn_B * share_B).mean()
             report["heading"] = turn_B.mean().detach()
         if config.side_weight:
-            about = (batch.sides, torch.ones_like(batch.turned), self.data.codec, self.normalizer)
-            with torch.autocast(made.device.type, enabled=False):
-                short = side_shortfall(made, batch.clean, batch.valid, *about)
+            joints, real = (placed(x, self.data.codec, self.normalizer) for x in (made, batch.clean))
+            evenly_B = torch.ones_like(batch.turned)
+            short = side_shortfall(joints, real, batch.valid, batch.sides, evenly_B, self.data.codec.skeleton)
             loss = loss + config.side_weight * short
             report["sides"] = short.detach()
         if config.trajectory_rows:

@@ -3,30 +3,30 @@
 A squared error of features lets root and legs err apart, and feet that stand slide by the difference. Nor does it see a
 turn of five degrees a second, a tenth of the deviation that the yaw step has in all motion; who watches a straight walk
 does.
-Shapes: B rows, n frames, D features.
+Shapes: B rows, n frames, D features, J joints.
 """
 
+import torch
 from torch import Tensor
 
 from moveset.motion.features import FeatureCodec, Normalizer
 from moveset.motion.sides import MORE, more_left, shortfall
+from moveset.motion.skeleton import Skeleton
 from moveset.pcm.losses import huber
 
 KNEE = 0.1  # radians above which an error counts in proportion only: how far a turn goes can seldom be known
 
 
-def foot_error(
-    made_BnD: Tensor, real_BnD: Tensor, valid_Bn: Tensor, codec: FeatureCodec, normalizer: Normalizer
-) -> Tensor:
-    """Mean squared error (B,) of the world velocities of ankles and toes, in (m/s)², over valid steps.
+def placed(features_BnD: Tensor, codec: FeatureCodec, normalizer: Normalizer) -> Tensor:
+    """Joints (B, n, J, 3) in metres, in float32 under autocast too; every row by its own root path, starting alike."""
+    with torch.autocast(features_BnD.device.type, enabled=False):
+        return codec.joints(normalizer.denormalize(features_BnD.float()))
 
-    Both sequences are placed by their own root path, starting alike.
-    """
-    feet = list(codec.skeleton.feet)
-    made, real = (
-        codec.joints(normalizer.denormalize(x.float()))[..., feet, :].diff(dim=1) * codec.fps
-        for x in (made_BnD, real_BnD)
-    )
+
+def foot_error(made_BnJ3: Tensor, real_BnJ3: Tensor, valid_Bn: Tensor, fps: float, skeleton: Skeleton) -> Tensor:
+    """Mean squared error (B,) of the world velocities of ankles and toes, in (m/s)², over valid steps."""
+    feet = list(skeleton.feet)
+    made, real = (x[..., feet, :].diff(dim=1) * fps for x in (made_BnJ3, real_BnJ3))
     error_Bn = (made - real).square().sum(dim=-1).mean(dim=-1)
     steps_Bn = (valid_Bn[:, 1:] & valid_Bn[:, :-1]).to(error_Bn.dtype)
     return (error_Bn * steps_Bn).sum(dim=1) / steps_Bn.sum(dim=1).clamp_min(1)
@@ -46,9 +46,8 @@ def heading_error(
 
 
 def side_shortfall(
-    made_BnD: Tensor, real_BnD: Tensor, valid_Bn: Tensor, told_B3: Tensor, weight_B: Tensor, codec: FeatureCodec,
-    normalizer: Normalizer,
-) -> Tensor:  # fmt: skip
+    made_BnJ3: Tensor, real_BnJ3: Tensor, valid_Bn: Tensor, told_B3: Tensor, weight_B: Tensor, skeleton: Skeleton
+) -> Tensor:
     """By how much arms and legs that are told to move more than the others fail to: a weighted mean, in shares of the
     ways of both.
 
@@ -60,10 +59,7 @@ def side_shortfall(
         weight_B: of each row.
     """
     frames_B = valid_Bn.sum(dim=1)
-    made_B2, real_B2 = (
-        more_left(codec.joints(normalizer.denormalize(x.float())), frames_B, codec.skeleton)
-        for x in (made_BnD, real_BnD)
-    )
+    made_B2, real_B2 = (more_left(x, frames_B, skeleton) for x in (made_BnJ3, real_BnJ3))
     told_B2 = told_B3[:, :2].nan_to_num().to(made_B2)
     asked_B2 = weight_B[:, None] * (told_B2 * real_B2 > MORE["arm"])
     return (shortfall(made_B2, told_B2, real_B2) * asked_B2).sum() / asked_B2.sum().clamp_min(1.0)
