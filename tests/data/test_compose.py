@@ -61,7 +61,7 @@ def test_only_training_clips_are_composed_and_lengths_are_right(corpus):
 
 def test_one_after_the_other_is_told_by_halves_of_both_sentences(corpus):
     for i in composed(corpus, "in_time"):
-        first, second = (corpus.records[part.clip].contents[0] for part in corpus.records[i].recipe.parts)
+        first, second = (corpus.records[part.clip].contents[0] for part in corpus.records[i].recipe.parts[:2])
         assert corpus.contents(i) == (first, second)
         stem = {"walk": "walk", "wave": "wave", "run": "run", "stand": ("stand", "stop", "halt")}
         for sentence in corpus.captions(i):
@@ -138,6 +138,23 @@ def test_a_gait_goes_on_straight_at_its_own_pace(corpus):
         assert (path[-1] - path[0]).norm() / (len(path) - 1) == pytest.approx(float(source), rel=0.1)
         steps = motion.joints.diff(dim=0).norm(dim=-1).amax(dim=1)
         assert steps.max() < 1.2 * corpus.motion(one.clip).joints.diff(dim=0).norm(dim=-1).max() + 0.01
+
+
+def test_who_stands_sets_off_and_goes_on(corpus):
+    found = [i for i in composed(corpus, "in_time") if len(corpus.records[i].recipe.parts) > 2]
+    assert found
+    for i in found:
+        record = corpus.records[i]
+        stands, sets_off, *gait = record.recipe.parts
+        assert corpus.contents(i)[0] == "stand"
+        assert len(set(gait)) == 1
+        assert (gait[0].clip, gait[0].stop) == (sets_off.clip, sets_off.stop)
+        assert record.frames > 196 - (gait[0].stop - gait[0].start)
+        path = corpus.motion(i).root[:, [0, 2]]
+        speed = path.diff(dim=0).norm(dim=1)
+        assert speed[: stands.stop - record.recipe.blend].max() < 0.01
+        source = corpus.motion(gait[0].clip).root[gait[0].start : gait[0].stop, [0, 2]].diff(dim=0).norm(dim=1).mean()
+        assert speed[record.recipe.seam + record.recipe.blend :].mean() == pytest.approx(float(source), rel=0.1)
 
 
 @pytest.mark.parametrize("frames", [(40, 20, 20), (20, 50, 20), (90, 12, 60)])

@@ -153,7 +153,8 @@ def test_a_part_of_a_clip_is_told_by_its_own_sentence(corpus):
     for clip, row in two:
         record, mirrored = opened.records[clip // 2], clip % 2 == 1
         assert record.kind == "in_time"
-        first, second = record.recipe.parts
+        first, second, *more = record.recipe.parts
+        assert {part.clip for part in more} <= {second.clip}
         assert row.said[0] == opened.captions(first.clip, first.mirrored != mirrored)
         assert row.said[1] == opened.captions(second.clip, second.mirrored != mirrored)
         seam, end = row.ends
@@ -231,6 +232,29 @@ def test_the_sentence_before_is_that_of_the_segment_before(corpus):
     said = found.batch(400, seed=0, step=0)
     pairs = set(zip(said.previous_captions, said.captions, strict=True))
     assert pairs == {("one", "one"), ("one", "two"), ("two", "two")}
+
+
+def test_segments_at_a_change_are_told_what_is_new_after_what_was_before(corpus):
+    found = corpus.cut(replace(PLAIN, changes=0.5))
+    frames = np.arange(200, dtype=np.float32)[:, None]
+    sides = torch.zeros(3, 3)
+    found.rows = [Row((frames,), (90, 200), (("one",), ("two",)), ("both",), sides)]
+    found.weights = torch.ones(1, dtype=torch.float64)
+    batch = found.batch(2000, seed=0, step=0)
+    starts = batch.clean[batch.index > 0, 0, 0]
+    near = (starts - 90).abs() <= N / 2
+    # By chance a twelfth of them would be.
+    assert 0.45 < float(near.float().mean()) < 0.6
+    assert set(starts[near].tolist()) == set(range(90 - N // 2, 90 + N // 2 + 1))
+    told = [caption for caption, k in zip(batch.captions, batch.index.tolist(), strict=True) if k]
+    assert {caption for caption, at in zip(told, near.tolist(), strict=True) if at} == {"two"}
+    # As near to the end as there is room; who is told one thing all the time has no change.
+    found.cutting = replace(PLAIN, changes=1.0)
+    for ends, said, lowest in (((195, 200), (("one",), ("two",)), 188), ((200,), (("one",),), N)):
+        found.rows = [Row((frames,), ends, said, (), sides[: len(ends) + 1])]
+        batch = found.batch(400, seed=0, step=0)
+        starts = batch.clean[batch.index > 0, 0, 0]
+        assert (float(starts.min()), float(starts.max())) == (lowest, 192)
 
 
 def test_batches_are_functions_of_seed_and_step(corpus):

@@ -1,9 +1,9 @@
 """Which compositions a corpus gets: recipes out of its clips, each within one split, told by their parts' sentences.
 
 One thing after another, joined where both are most alike; somebody who goes, and then stops and stands; arms of one on
-the legs of another; a way that is bent onto a circle, round a corner or back; a gait that goes on; somebody who gets
-up; another pace. Every choice comes from a random generator seeded by a string, so that the same clips give the same
-recipes.
+the legs of another; a way that is bent onto a circle, round a corner or back; a gait that goes on, also of who stands
+first; somebody who gets up; another pace. Every choice comes from a random generator seeded by a string, so that the
+same clips give the same recipes.
 """
 
 import math
@@ -34,6 +34,7 @@ _SHORTEST = 24
 _WORDS = 12  # of a sentence that becomes half of another
 _ORDER = re.compile(r"\b(then|after|before|while|finally|first|next|again|start|begin|end|stop)", re.IGNORECASE)
 _FAR = 1.6  # metres of a way that can be bent
+_LEFT = 0.15  # metres from where somebody stood who has set off
 _PACES = (0.85, 0.9, 1.1, 1.15)
 _ASIDE = re.compile(
     r"circle|turn|left|right|back|diagonal|curve|stop|start|steps|paces|side|stair|speeds|slows|few", re.IGNORECASE
@@ -208,16 +209,19 @@ def _add(writer: CorpusWriter, name: str, made: _Made) -> None:
     writer.add_clip(record, made.captions)
 
 
-def _joined(pool: _Pool, a: _Clip, b: _Clip, span: tuple[int, int] | None = None) -> tuple[Recipe, int] | None:
+def _joined(
+    pool: _Pool, a: _Clip, b: _Clip, span: tuple[int, int] | None = None, since: int = 0
+) -> tuple[Recipe, int] | None:
     """``b`` after ``a`` where they are most alike, if they are alike enough.
 
     Args:
         span: first and last frame, exclusive, of ``a`` alone; by default all.
+        since: first frame of ``b``.
     """
     (begin, end), frames_b = span or (0, a.record.frames), b.record.frames
     # Actions keep their beginnings, and most of themselves.
     stops = range(begin + max(_SHORTEST, round(0.7 * (end - begin))), end + 1)
-    starts = range(max(1, round(0.2 * frames_b)))
+    starts = range(since, since + max(1, round(0.2 * (frames_b - since))))
     if not len(stops):
         return None
     half = _BLEND // 2
@@ -352,6 +356,29 @@ def _going_on(pool: _Pool, chance: random.Random) -> _Made | None:
     return _Made("going_on", recipe, count * longer + _BLEND, clip.record.contents, tuple(_ahead(clip)))
 
 
+def _setting_off(pool: _Pool, chance: random.Random) -> _Made | None:
+    """Who stands goes straight ahead and goes on: of takes that begin so, much is told it that still stands."""
+    still = pool.pick(chance, lambda r: r.contents == (STANDING,) and r.frames <= 80)
+    if still is None or not pool.gaits:
+        return None
+    gait, start, stop = chance.choice(pool.gaits)
+    told = [sentence for s in _ahead(gait) if (sentence := without_person(s))]
+    path = pool.motion(gait).root[:, [0, 2]]
+    leaves = int(((path - path[0]).norm(dim=1) > _LEFT).int().argmax())
+    if not told or (found := _joined(pool, still, gait, since=max(0, leaves - _SHORTEST))) is None:
+        return None
+    standing, going = found[0].parts
+    once, longer = stop - going.start, stop - start - _BLEND
+    frames = standing.stop + once - _BLEND
+    if once < _SHORTEST or frames > MAX_FRAMES:
+        return None
+    count = (MAX_FRAMES - frames) // longer
+    parts = (standing, Part(gait.number, going.start, stop), *(Part(gait.number, start, stop),) * count)
+    said = (way.format(s=chance.choice(_SUBJECTS), b=chance.choice(told).rstrip(". ")) for way in _STARTS)
+    contents = (STANDING, *gait.record.contents)
+    return _Made("in_time", Recipe(parts, blend=_BLEND), frames + count * longer, contents, tuple(dict.fromkeys(said)))
+
+
 def _rising(pool: _Pool, chance: random.Random) -> _Made | None:
     """Who rests low gets up and stands: sentences say so seldom, and then of much else, too."""
     if not pool.rises:
@@ -369,4 +396,4 @@ def _ahead(clip: _Clip) -> list[str]:
     return [told for told in clip.short() if not _ASIDE.search(told)]
 
 
-_WAYS = {_then: 6, _stop: 3, _start: 1, _body: 1, _bent: 4, _paced: 4, _going_on: 4, _rising: 4}
+_WAYS = {_then: 6, _stop: 3, _start: 1, _body: 1, _bent: 4, _paced: 4, _going_on: 4, _setting_off: 6, _rising: 4}

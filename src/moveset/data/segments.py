@@ -39,6 +39,8 @@ class CuttingConfig:
         composed_share: share of segments from compositions.
         take_share: share of segments from takes of which several clips in a row are told, so that one sentence follows
             another as it did when people moved.
+        changes: when not aligned, share of later segments that lie where the sentence changes, in clips in which it
+            does: most of a clip lies elsewhere, and to react is what streams are for.
         livelier: when not aligned, share of later segments for which two places are drawn and the one is taken where
             more happens: of a jump that was captured for ten seconds, most shows somebody who stands.
     """
@@ -49,6 +51,7 @@ class CuttingConfig:
     whole_caption: float = 0.2
     composed_share: float = 0.35
     take_share: float = 0.0
+    changes: float = 0.0
     livelier: float = 0.0
 
 
@@ -238,8 +241,12 @@ class SegmentSet(ClipSet):
             inside = max(total - n, 0)
             start, number = (0 if chance[1] < 0.75 else int(chance[2] * (inside + 1))), 0
         else:
-            start = n + int(chance[1] * (room + 1))
-            if chance[5] < self.cutting.livelier:
+            start, seams = n + int(chance[1] * (room + 1)), clip.ends[:-1]
+            if chance[5] < self.cutting.changes and seams:
+                # Anywhere where at least half of the segment is told the new sentence, and half of the past was not.
+                around = seams[int(chance[1] * len(seams))] + int((chance[2] - 0.5) * (n + 1))
+                start = min(max(around, n), n + room)
+            elif chance[5] > 1 - self.cutting.livelier:
                 start = max(start, n + int(chance[2] * (room + 1)), key=lambda at: self._movement(clip, at))
             # The segment before is a first one only where the clip begins with it; beyond that the number has no
             # meaning.

@@ -219,7 +219,7 @@ _VAE = TimedVAEConfig(token_dim=64)
 HEADING, BENT = 5.0, 0.1
 # Half of the segments are told how far their way has turned (docs/decisions/streams.md).
 TOLD = {"heading_change": 0.5, "heading_noise": 0.45}
-STREAMED = CuttingConfig(take_share=0.3, livelier=0.7)
+STREAMED = CuttingConfig(take_share=0.3, changes=0.25, livelier=0.6)
 
 
 def _volume(task: RDMConfig) -> Recipe:
