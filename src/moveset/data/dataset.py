@@ -206,10 +206,10 @@ class CorpusDataset:
         captions, contents = corpus.captions(number, mirrored), corpus.contents(number, mirrored)
         parts: tuple[Span, ...] = ()
         own = bool(record.captions) and not self._shared.intersection(record.captions)
-        shown = record.recipe.parts if record.kind == "in_time" and record.recipe is not None else ()
-        if record.recipe is not None and len({part.clip for part in shown}) == 2:  # the second may go on
-            stops = (record.recipe.seam, record.frames)
-            said = (corpus.captions(part.clip, part.mirrored != mirrored) for part in shown[:2])
+        recipe = record.recipe if record.kind == "in_time" else None
+        if recipe is not None and len({part.clip for part in recipe.parts}) == 2:  # the second may go on
+            stops = (recipe.seam, record.frames)
+            said = (corpus.captions(part.clip, part.mirrored != mirrored) for part in recipe.parts[:2])
             parts = tuple(Span(stop, sentences) for stop, sentences in zip(stops, said, strict=True))
         return Clip(
             name=record.name + " mirrored" * mirrored,
