@@ -1,5 +1,7 @@
 """Steps against diffusers' schedulers, and their broadcasting."""
 
+from itertools import pairwise
+
 import pytest
 import torch
 
@@ -149,6 +151,23 @@ def test_deterministic_step_equals_the_one_by_noise():
     t, s = torch.tensor([1000, 500, 40, 2]), torch.tensor([999, 100, 20, 1])
     by_noise = ddim_step(schedule, z, predict_eps(schedule, z, z0, t), t, s)
     torch.testing.assert_close(denoise_step(schedule, z, z0, t, s), by_noise, atol=2e-5, rtol=1e-4)
+
+
+def test_scaled_noise_gives_back_variety_that_a_timid_network_averages_away():
+    """Data N(0, 1), and a denoiser that says .98 of what is to be expected."""
+    schedule, deviation = linear(), {}
+    for scale in (1.0, 1.03):
+        z = torch.randn(4000, 1, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+        for t, s in pairwise(torch.linspace(1000, 0, 11).long()):
+            z0 = 0.98 * schedule.alpha(t, z.dtype) * z
+            stepped = denoise_step(schedule, z, z0, t.expand(4000), s.expand(4000), eps_scale=scale)
+            eps = (z - schedule.alpha(t, z.dtype) * z0) / schedule.sigma(t, z.dtype)
+            wanted = schedule.alpha(s, z.dtype) * z0 + scale * schedule.sigma(s, z.dtype) * eps if s else z0
+            torch.testing.assert_close(stepped, wanted)
+            z = stepped
+        deviation[scale] = float(z.std())
+    assert deviation[1.0] < 0.92
+    assert abs(deviation[1.03] - 1) < 0.05
 
 
 def test_an_unknown_variance_is_refused():

@@ -96,6 +96,7 @@ def test_what_is_written_is_read(folder):
         ({"travelling": float("nan")}, "travelling nan"),
         ({"eta": float("nan")}, "eta nan"),
         ({"variance": "learned"}, "variance 'learned'"),
+        ({"eps_scale": float("nan")}, "eps_scale nan"),
         ({"fps": 0.0}, "frame rate"),
         ({"symmetric": ("rdm",)}, "'rdm' is no guided network"),
         ({"symmetric": ("pcm-8",)}, "'pcm-8' is no guided network"),

@@ -71,7 +71,7 @@ def stored(runs, run, name):
 
 
 def stream(dataset, runs, out, networks, **more):
-    own = {name: more.pop(name) for name in ("guidance", "smoothing", "last", "differences", "compact") if name in more}
+    own = {name: more.pop(name) for name in ("guidance", "tremor", "last", "differences", "compact") if name in more}
     what = StreamExport(name="tried", runs=networks, sampling=more, **own)
     return ModelFolder(export(what, dataset, runs, runs / "cache", out), StreamConfig)
 
@@ -81,13 +81,13 @@ def test_a_stream_holds_averaged_networks_and_what_it_does_by_default(dataset, r
     sampling = {"network": "pcm-2", "sampler_steps": 12, "start": 5, "lag": 2, "past_lag": 1, "eta": 0.5,
                 "variance": "beta"}  # fmt: skip
     scales = {"rdm": 1.5, "md": 1.5, "pcm-1": 2.5, "pcm-2": 1.5}
-    given = {**sampling, "idle": "stand", "travelling": 0.5, "guidance": scales, "smoothing": {"pcm-1": 0.6}}
+    given = {**sampling, "idle": "stand", "travelling": 0.5, "guidance": scales, "tremor": {"pcm-1": 0.6}}
     bundle = stream(dataset, runs, tmp_path / "made", networks, **given)
     config = bundle.config
-    assert all(getattr(config, name) == value for name, value in given.items() if name != "smoothing")
+    assert all(getattr(config, name) == value for name, value in given.items() if name != "tremor")
     assert (config.name, config.segment, config.depth_cap, config.points) == ("tried", FRAMES, 2, 20)
     assert (config.codec, config.fps, config.denoisers) == ("native", 20.0, ("rdm", "md", "pcm-1", "pcm-2"))
-    assert config.models["pcm-1"].config["smoothing"] == 0.6 != config.models["rdm"].config["smoothing"]
+    assert config.models["pcm-1"].config["tremor"] == 0.6 != config.models["rdm"].config["tremor"]
     assert config.provenance["pcm-2"] == "rdm-pcm-2, step 7"
     assert 0.0 < config.far_prompt < 1.0
     whole = {"rdm": ("rdm-7", "denoiser_ema"), "md": ("md-7", "denoiser_ema"), "flow": ("rdm-7", "flow_ema")}
@@ -123,7 +123,7 @@ def test_students_can_be_whole_and_their_last_weights(dataset, runs, tmp_path):
         ({"rdm": "nowhere"}, {}, "no usable checkpoint"),
         ({"rdm": "rdm-7", "pcm-1": "rdm-pcm-2"}, {}, "'pcm-1' would be a student of 2 phases"),
         ({"rdm": "rdm-7", "pcm-2": "rdm-pcm-2", "pcm-4": "rdm-pcm-4"}, {}, r"grids of \[10, 20\] points"),
-        ({"rdm": "rdm-7"}, {"smoothing": {"md": 0.4}}, "no network 'md' to smooth"),
+        ({"rdm": "rdm-7"}, {"tremor": {"md": 0.4}}, "no network 'md' to steady"),
         ({"rdm": "rdm-7"}, {"guidance": {"md": 0.4}}, "no network 'md' to guide"),
     ],
 )

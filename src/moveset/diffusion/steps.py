@@ -74,6 +74,7 @@ def denoise_step(
     eta: float = 0.0,
     noise: Tensor | None = None,
     variance: Variance = "posterior",
+    eps_scale: float = 1.0,
 ) -> Tensor:
     """From time t down to time s, given a prediction of the clean z_0 (DDIM, arXiv 2010.02502, Eq. 12 and 16).
 
@@ -85,6 +86,9 @@ def denoise_step(
         noise: standard normal, like z; needed unless ``eta`` is 0.
         variance: of the noise where ``eta`` is 1: the "posterior"'s, or "beta", that of the step from s up to t, the
             larger of DDPM's two (Ho et al. 2020, Section 3.2) and RDM's; the mean is the same.
+        eps_scale: factor of the noise that z and z_0 imply. What a network has not learned to tell apart it averages,
+            so samples vary too little, or with predicted noise too much (epsilon scaling, Ning et al. 2024, arXiv
+            2308.15321, who divide by theirs).
 
     Raises:
         InputError: ``eta`` out of range, or above 0 without noise; or an unknown variance.
@@ -94,7 +98,7 @@ def denoise_step(
         raise InputError(f"eta {eta} is not in 0 to 1, or there is no noise for it")
     alpha_t, sigma_t = _alpha_sigma(schedule, t, z)
     alpha_s, sigma_s = _alpha_sigma(schedule, s, z)
-    eps = (z - alpha_t * z0) / sigma_t
+    eps = eps_scale * (z - alpha_t * z0) / sigma_t
     if noise is None or eta == 0.0:
         out = alpha_s * z0 + sigma_s * eps
     else:

@@ -20,6 +20,7 @@ DEFAULT_MODEL, DEFAULT_STREAM = "motionpcm-small", "rdm-small"
 SOLVERS = ("pcm", "lcm", "teacher")
 SCHEDULES = {"linear": linear, "cosine": cosine}
 PREDICTIONS = ("x0", "eps")
+EPS_SCALES = (0.5, 2.0)
 FLOW, SIDES, DENOISER, IDLE = "flow", "sides", "denoiser", "idle"
 
 
@@ -195,6 +196,7 @@ class StreamConfig(FolderConfig):
         lag: by how many steps a segment stays behind the one before it.
         eta: noise that is put back at each step, 0 (none) to 1.
         variance: of that noise, as in ``diffusion.steps.denoise_step``.
+        eps_scale: likewise, at K steps; where more or fewer are asked for, the power with the same product.
         past_lag: where segments of ``rdm`` are made one after the other, by how many steps the finished one before is
             told to be ahead: it is noised again to that level (``rdm.sampler``). None tells it clean.
         idle: the prompt of a stream before it is given one.
@@ -217,6 +219,7 @@ class StreamConfig(FolderConfig):
     lag: int = 1
     eta: float = 0.0
     variance: Variance = "posterior"
+    eps_scale: float = 1.0
     past_lag: int | None = None
     idle: str = "a person stands still"
     travelling: float = 1.0
@@ -254,6 +257,8 @@ class StreamConfig(FolderConfig):
         if self.past_lag is not None:
             limits["past_lag"] = (1, self.sampler_steps)
         self.check_sampling(self.eta, self.variance, limits)
+        if not EPS_SCALES[0] <= self.eps_scale <= EPS_SCALES[1]:
+            raise ValueError(f"eps_scale {self.eps_scale} is not in {EPS_SCALES[0]} to {EPS_SCALES[1]}")
         if not 0 <= self.travelling <= 1:
             raise ValueError(f"travelling {self.travelling} is not in 0 to 1")
         for name in self.symmetric:

@@ -14,7 +14,7 @@ from moveset.diffusion.steps import Variance, require_variance
 from moveset.errors import InputError
 from moveset.motion.features import FeatureCodec
 from moveset.motion.stream_decoder import StreamDecoder
-from moveset.pipelines.model_config import FLOW, StreamConfig
+from moveset.pipelines.model_config import EPS_SCALES, FLOW, StreamConfig
 from moveset.pipelines.request import MAX_GUIDANCE, MAX_PROMPTS, SEEDS, check_prompt, check_real, check_whole
 from moveset.pipelines.role import Role, is_student, named
 from moveset.pipelines.timeline import STAGE_SEGMENTS, Timeline, share_evenly
@@ -48,6 +48,7 @@ class StreamSettings:
     stages: bool = True
     past_lag: int | None = None
     variance: Variance = "posterior"
+    eps_scale: float = 1.0
 
     @property
     def one_by_one(self) -> bool:
@@ -81,7 +82,7 @@ class StreamSettings:
         colour = getattr(network, "colour", None)
         return Solver(
             schedule=get_schedule(config), levels=self.levels(config), eta=self.eta, variance=self.variance,
-            past_lag=self.past_lag, colour=colour,
+            eps_scale=self.eps_scale, past_lag=self.past_lag, colour=colour,
         )  # fmt: skip
 
 
@@ -117,6 +118,7 @@ def check_stream(
     past_lag: int | None = None,
     eta: float | None = None,
     variance: Variance | None = None,
+    eps_scale: float | None = None,
     guidance: float | None = None,
     buffer: int = 0,
     foot_lock: bool = True,
@@ -139,6 +141,8 @@ def check_stream(
             ahead, noised again to that level; all of the steps tell it clean.
         eta: 0 to 1, for networks that are no students.
         variance: of the noise that is put back, "posterior" or "beta" (the larger one), where ``eta`` is above 0.
+        eps_scale: factor of the predicted noise in every step, for networks that are no students: more than 1 makes
+            motion more various, and livelier.
         guidance: w; by default the model's choice for this network.
         buffer: segments made ahead of the reader, in a thread of their own; 0 makes them when they are asked for.
         blend_seconds: seam smoothing.
@@ -152,7 +156,8 @@ def check_stream(
     check_real("blend_seconds", blend_seconds)
     for name, value, check in (
         ("steps", steps, check_whole), ("start", start, check_whole), ("lag", lag, check_whole),
-        ("past_lag", past_lag, check_whole), ("eta", eta, check_real), ("guidance", guidance, check_real),
+        ("past_lag", past_lag, check_whole), ("eta", eta, check_real), ("eps_scale", eps_scale, check_real),
+        ("guidance", guidance, check_real),
     ):  # fmt: skip
         if value is not None:
             check(name, value)
@@ -175,7 +180,8 @@ def check_stream(
         raise InputError(f"guidance {w:g} is not in 0 to {MAX_GUIDANCE:g}; this model's own choice is "
                          f"{config.guidance.get(network, 0.0):g}")  # fmt: skip
     settings = StreamSettings(network, *plan, float(w), buffer, foot_lock, float(blend_seconds), stages, told,
-                              config.variance if variance is None else variance)  # fmt: skip
+                              config.variance if variance is None else variance,
+                              _eps_scale(config, network, plan[0], eps_scale))  # fmt: skip
     return StreamRequest(timeline, seed, settings, durations, counts)
 
 
@@ -298,3 +304,17 @@ def _past_lag(
     if not 1 <= past_lag <= steps:
         raise InputError(f"past_lag {past_lag} is not in 1 to {steps} steps; leave it out for the model's own")
     return None if past_lag == steps else past_lag
+
+
+def _eps_scale(config: StreamConfig, network: str, steps: int, eps_scale: float | None) -> float:
+    """The factor of each of these steps."""
+    if is_student(network):
+        if eps_scale not in (None, 1.0):
+            raise InputError(f"eps_scale {eps_scale:g} does not go with the student {network!r}; leave it out")
+        return 1.0
+    if eps_scale is None:
+        return config.eps_scale ** (config.sampler_steps / steps)
+    low, high = EPS_SCALES
+    if not low <= eps_scale <= high:
+        raise InputError(f"eps_scale {eps_scale:g} is not in {low:g} to {high:g}; leave it out for the model's own")
+    return float(eps_scale)

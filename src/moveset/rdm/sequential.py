@@ -40,7 +40,7 @@ class Solver:
         schedule: the noise schedule; its time 0 is clean.
         levels: K + 1 falling levels of it, the last 0: ``staircase.levels(K)``, or the phase edges of a student.
         eta: share of fresh noise in every step: 0 is DDIM, 1 is DDPM.
-        variance: of that noise, as in ``diffusion.steps.denoise_step``.
+        variance, eps_scale: as in ``diffusion.steps.denoise_step``.
         past_lag: how many steps a segment is told the finished one before it to be ahead: to the level of that step it
             is noised again, in y-space. None tells it clean.
         colour: what turns standard normal noise (B, n, D) into the noise that the network was trained on, if anything.
@@ -53,6 +53,7 @@ class Solver:
     levels: tuple[int, ...]
     eta: float = 0.0
     variance: Variance = "posterior"
+    eps_scale: float = 1.0
     past_lag: int | None = None
     colour: Callable[[Tensor], Tensor] | None = None
 
@@ -75,7 +76,7 @@ class Solver:
 
     def step(self, z: Tensor, z0: Tensor, t_B: Tensor, s_B: Tensor, noise: Tensor | None) -> Tensor:
         """From levels t down to s, given the clean z_0; noise as for ``denoise_step``."""
-        return denoise_step(self.schedule, z, z0, t_B, s_B, self.eta, noise, self.variance)
+        return denoise_step(self.schedule, z, z0, t_B, s_B, self.eta, noise, self.variance, self.eps_scale)
 
     def noise(self, seeds: Sequence[int], numbers: Sequence[int], step: int, shape: Sequence[int]) -> Tensor:
         """Noise (B, n, D), on the CPU, of segments with these seeds and numbers (``rdm.noise``)."""

@@ -14,6 +14,7 @@ from moveset.models.light_t2m import LightT2MConfig
 from moveset.models.segment_denoiser import SegmentDenoiserConfig
 from moveset.models.segment_transformer import SegmentTransformerConfig
 from moveset.models.timed_vae import TimedVAEConfig
+from moveset.pipelines.role import is_student
 from moveset.rdm.grid import GridConfig
 from moveset.training.dip import DiPConfig
 from moveset.training.distillation import DistillationConfig
@@ -285,17 +286,18 @@ EXPORTS: tuple[Export, ...] = (
         name="rdm-small",
         runs={"rdm": "rdm-7", "pcm-1": "rdm-student", "sides": "sides"},
         guidance={"rdm": 2.0, "pcm-1": 2.0},
-        smoothing={"rdm": 0.3},
+        tremor={"rdm": 1.0},
         sampling={
-            "network": "rdm", "sampler_steps": 10, "start": 10, "lag": 10, "past_lag": 1, "travelling": 0.25,
-            "symmetric": ("pcm-1",),
+            "network": "rdm", "sampler_steps": 10, "start": 10, "lag": 10, "past_lag": 1, "eps_scale": 1.05,
+            "travelling": 0.25, "symmetric": ("pcm-1",),
         },
         compact=("rdm",),
     ),
     *(
         StreamExport(
             name=f"{name}-small", runs=runs | {"sides": "sides"}, guidance=dict.fromkeys(runs, guidance),
-            sampling={"sampler_steps": 10, "start": 10, "lag": 10},
+            tremor={network: 1.0 for network in runs if not is_student(network)},
+            sampling={"sampler_steps": 10, "start": 10, "lag": 10, "eps_scale": 1.05},
         )
         for name, runs, guidance in (
             ("rdm-4", {"rdm": "rdm-4"}, 1.5),

@@ -72,11 +72,12 @@ class StreamExport(Export):
     """A stream's model of "rdm", with its flow, and any of "md", "sides", "pcm-1", "pcm-2" and "pcm-4".
 
     Args:
-        smoothing: of a network's output by its name, instead of that of its training; guidance makes it tremble.
+        tremor: damping of fast frequencies of a network's output by its name, instead of that of its training
+            (``SegmentTransformerConfig``); guidance and ``eps_scale`` make it tremble.
         sampling: fields of ``StreamConfig``: what a stream does by default.
     """
 
-    smoothing: Mapping[str, float] = field(default_factory=dict)
+    tremor: Mapping[str, float] = field(default_factory=dict)
     sampling: Mapping[str, Any] = field(default_factory=dict)
 
 
@@ -181,11 +182,11 @@ def _stream(
             if (ours := network.config[size]) != rdm.config[size]:
                 theirs = rdm.config[size]
                 raise InputError(f"{name!r} has {ours} {size} and {RDM!r} {theirs}; export networks of one kind")
-    if unknown := set(what.smoothing) - set(found):
-        raise InputError(f"there is no network {sorted(unknown)[0]!r} to smooth; choose {', '.join(found)}")
+    if unknown := set(what.tremor) - set(found):
+        raise InputError(f"there is no network {sorted(unknown)[0]!r} to steady; choose {', '.join(found)}")
     modules = {name: network.module for name, network in found.items()}
-    for name, value in what.smoothing.items():
-        modules[name].config = replace(modules[name].config, smoothing=value)
+    for name, value in what.tremor.items():
+        modules[name].config = replace(modules[name].config, tremor=value)
     if rdm.task["flow"] is not None:
         modules[FLOW] = load_trained(runs / what.runs[RDM], "flow_ema", part="coupling_flow").module
     points = _one_grid(found[name] for name in students)
