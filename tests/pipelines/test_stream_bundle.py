@@ -97,6 +97,7 @@ def test_what_is_written_is_read(folder):
         ({"eta": float("nan")}, "eta nan"),
         ({"variance": "learned"}, "variance 'learned'"),
         ({"eps_scale": float("nan")}, "eps_scale nan"),
+        ({"time_shift": 1.5}, "time_shift 1.5"),
         ({"fps": 0.0}, "frame rate"),
         ({"symmetric": ("rdm",)}, "'rdm' is no guided network"),
         ({"symmetric": ("pcm-8",)}, "'pcm-8' is no guided network"),

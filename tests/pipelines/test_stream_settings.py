@@ -44,6 +44,8 @@ ONE_BY_ONE = {"network": "rdm", "start": 6, "lag": 6}
         ({"network": "rdm", "eps_scale": 0.4}, "eps_scale 0.4 is not in 0.5 to 2"),
         ({"network": "rdm", "eps_scale": float("nan")}, "eps_scale nan"),
         ({"network": "pcm-1", "eps_scale": 1.1}, "eps_scale 1.1 does not go with the student 'pcm-1'"),
+        ({"network": "rdm", "time_shift": -0.1}, "time_shift -0.1 is not in 0 to 1"),
+        ({"network": "pcm-1", "time_shift": 0.1}, "time_shift 0.1 does not go with the student 'pcm-1'"),
         ({"guidance": float("nan")}, "guidance nan"),
         ({"guidance": -1.0}, "guidance -1"),
         ({"buffer": -1}, "buffer of -1"),
@@ -67,15 +69,16 @@ def test_the_model_says_which_variance_its_noise_has_unless_asked(bundle):
 
 
 def test_the_model_says_how_its_noise_is_scaled_and_more_steps_scale_it_as_much_in_all(bundle):
-    config = dataclasses.replace(bundle.config, sampler_steps=6, eps_scale=1.1)
+    config = dataclasses.replace(bundle.config, sampler_steps=6, eps_scale=1.1, time_shift=0.2)
     for options, wanted in (
-        ({"network": "rdm"}, 1.1),
-        ({"network": "md", "steps": 12}, 1.1**0.5),
-        ({"network": "rdm", "steps": 12, "eps_scale": 1.2}, 1.2),
-        ({"network": "pcm-1"}, 1.0),
+        ({"network": "rdm"}, (1.1, 0.2)),
+        ({"network": "md", "steps": 12}, (1.1**0.5, 0.2)),
+        ({"network": "rdm", "steps": 12, "eps_scale": 1.2, "time_shift": 0.0}, (1.2, 0.0)),
+        ({"network": "pcm-1"}, (1.0, 0.0)),
     ):
         settings = check_stream(config, WALK, **options).settings
-        assert settings.eps_scale == settings.solver(config, None).eps_scale == pytest.approx(wanted)
+        for corrected in (settings, settings.solver(config, None)):
+            assert (corrected.eps_scale, corrected.time_shift) == pytest.approx(wanted)
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,7 @@ from tests.samplers import IDENTITY, SCHEDULE, SEEDS, SHAPE, Denoiser, Scaled, n
 
 CLASSES = [
     {"eta": 0.0}, {"eta": 0.0, "init_noise": "shared"}, {"eta": 1.0, "entry": "refreshed"},
-    {"eta": 0.5, "variance": "beta"}, {"eps_scale": 1.1},
+    {"eta": 0.5, "variance": "beta"}, {"eps_scale": 1.1, "time_shift": 0.1},
 ]  # fmt: skip
 
 

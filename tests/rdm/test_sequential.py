@@ -3,9 +3,9 @@
 import pytest
 import torch
 
-from moveset.diffusion.schedule import cosine
+from moveset.diffusion.schedule import cosine, linear
 from moveset.errors import InputError
-from moveset.rdm.sequential import Past, idle_prefix, rollout_chunks, sample_segment
+from moveset.rdm.sequential import Past, Solver, idle_prefix, rollout_chunks, sample_segment
 from moveset.rdm.staircase import Staircase
 from moveset.rdm.transport import Transport
 from tests.samplers import IDENTITY, SEEDS, SHAPE, Denoiser, Scaled, run, solver, texts
@@ -84,6 +84,18 @@ def test_chunks_follow_the_last_frames(frames, chunks):
         assert torch.equal(seen, prefix if number == 0 else made[:, 40 * number - 20 : 40 * number])
     longer = rollout_chunks(denoise, schedule, prefix, frames + 40, SEEDS)
     assert torch.equal(longer[:, :frames], made)
+
+
+def test_a_network_is_told_more_noise_than_there_is_and_never_more_than_all():
+    shifted = Solver(schedule=linear(), levels=(1000, 500, 30, 0), time_shift=0.1)
+    seen = []
+
+    def denoise(x, t, *_):
+        seen.append(int(t))
+        return x
+
+    sample_segment(denoise, shifted, (0,), (0,), torch.zeros(1, 3, 1))
+    assert seen == [1000, 550, 33]
 
 
 def test_a_prefix_longer_than_a_chunk_keeps_its_newest_frames():

@@ -58,8 +58,8 @@ class EvaluationConfig:
             sentences of their own), or "nearest" (``evaluation.nearest``).
         network: of the folder; "pcm" and "lcm" mean the student of ``steps``.
         steps: of the sampler; None for the network's own.
-        settings: guidance, and start, lag, past_lag, eta, variance, eps_scale, init_noise, shape and stages of a
-            stream, where they are not the folder's own.
+        settings: guidance, and start, lag, past_lag, eta, variance, eps_scale, time_shift, init_noise, shape and
+            stages of a stream, where they are not the folder's own.
         motions: a folder of joints to judge instead of a model.
         prompts: its prompts, a JSONL file; None looks in the folder.
         data: a corpus, or a HumanML3D or KIT-ML folder.

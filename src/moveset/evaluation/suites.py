@@ -38,7 +38,7 @@ class Row:
         network: of that folder; RECONSTRUCTION is its autoencoder alone. None where there is no folder.
         steps: K; None where nothing is sampled.
         settings: of the sampler, where they are not the folder's: start, lag, past_lag, shape, guidance, eta,
-            variance, eps_scale, stages.
+            variance, eps_scale, time_shift, stages.
         repeats: at most so many, for rows that cost much more than others.
         against: keys of the rows that it is compared with.
     """

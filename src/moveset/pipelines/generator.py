@@ -55,7 +55,8 @@ class Sampler:
     """How to sample, where that is not the model's own choice (None).
 
     Args:
-        start, lag, past_lag, eta, variance, eps_scale, stages: of streams, as for ``stream_settings.check_stream``.
+        start, lag, past_lag, eta, variance, eps_scale, time_shift, stages: of streams, as for
+            ``stream_settings.check_stream``.
         shape: of a stream's staircase.
         init_noise: "shared" begins all segments of a stream with the first one's noise, carried by the flow, where they
             enter at the first step and overlap (RDM, Algorithm 1, line 2).
@@ -69,6 +70,7 @@ class Sampler:
     eta: float | None = None
     variance: Variance | None = None
     eps_scale: float | None = None
+    time_shift: float | None = None
     shape: Shape | None = None
     init_noise: InitNoise | None = None
     stages: bool | None = None

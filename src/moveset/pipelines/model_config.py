@@ -197,6 +197,7 @@ class StreamConfig(FolderConfig):
         eta: noise that is put back at each step, 0 (none) to 1.
         variance: of that noise, as in ``diffusion.steps.denoise_step``.
         eps_scale: likewise, at K steps; where more or fewer are asked for, the power with the same product.
+        time_shift: as in ``rdm.sequential.Solver``.
         past_lag: where segments of ``rdm`` are made one after the other, by how many steps the finished one before is
             told to be ahead: it is noised again to that level (``rdm.sampler``). None tells it clean.
         idle: the prompt of a stream before it is given one.
@@ -220,6 +221,7 @@ class StreamConfig(FolderConfig):
     eta: float = 0.0
     variance: Variance = "posterior"
     eps_scale: float = 1.0
+    time_shift: float = 0.0
     past_lag: int | None = None
     idle: str = "a person stands still"
     travelling: float = 1.0
@@ -259,6 +261,8 @@ class StreamConfig(FolderConfig):
         self.check_sampling(self.eta, self.variance, limits)
         if not EPS_SCALES[0] <= self.eps_scale <= EPS_SCALES[1]:
             raise ValueError(f"eps_scale {self.eps_scale} is not in {EPS_SCALES[0]} to {EPS_SCALES[1]}")
+        if not 0 <= self.time_shift <= 1:
+            raise ValueError(f"time_shift {self.time_shift} is not in 0 to 1")
         if not 0 <= self.travelling <= 1:
             raise ValueError(f"travelling {self.travelling} is not in 0 to 1")
         for name in self.symmetric:

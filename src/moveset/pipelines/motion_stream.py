@@ -99,6 +99,7 @@ class MotionStream(Iterator[Segment]):
         eta: float | None = None,
         variance: Variance | None = None,
         eps_scale: float | None = None,
+        time_shift: float | None = None,
         guidance: float | None = None,
         buffer: int = 0,
         foot_lock: bool = True,
@@ -119,8 +120,8 @@ class MotionStream(Iterator[Segment]):
         bundle = ModelFolder.open(name_or_path, StreamConfig)
         request = check_stream(
             bundle.config, prompt, seconds, loop=loop, seed=seed, network=network, steps=steps, start=start, lag=lag,
-            past_lag=past_lag, eta=eta, variance=variance, eps_scale=eps_scale, guidance=guidance, buffer=buffer,
-            foot_lock=foot_lock, blend_seconds=blend_seconds, stages=stages,
+            past_lag=past_lag, eta=eta, variance=variance, eps_scale=eps_scale, time_shift=time_shift,
+            guidance=guidance, buffer=buffer, foot_lock=foot_lock, blend_seconds=blend_seconds, stages=stages,
         )  # fmt: skip
         return cls(bundle, request, seed_motion=seed_motion, device=device)
 

@@ -54,7 +54,7 @@ class StreamGenerator:
     def describe(self) -> dict[str, Any]:
         settings = {k: v for k, v in asdict(self._settings).items() if k not in ("network", "steps", "buffer")}
         # Said where there is something to say, so that results from before it could be chosen are of the same settings.
-        for name, usual in (("past_lag", None), ("variance", "posterior"), ("eps_scale", 1.0)):
+        for name, usual in (("past_lag", None), ("variance", "posterior"), ("eps_scale", 1.0), ("time_shift", 0.0)):
             if settings[name] == usual:
                 del settings[name]
         if self._bundle.config.travelling != 1.0:

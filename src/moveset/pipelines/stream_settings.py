@@ -49,6 +49,7 @@ class StreamSettings:
     past_lag: int | None = None
     variance: Variance = "posterior"
     eps_scale: float = 1.0
+    time_shift: float = 0.0
 
     @property
     def one_by_one(self) -> bool:
@@ -82,7 +83,7 @@ class StreamSettings:
         colour = getattr(network, "colour", None)
         return Solver(
             schedule=get_schedule(config), levels=self.levels(config), eta=self.eta, variance=self.variance,
-            eps_scale=self.eps_scale, past_lag=self.past_lag, colour=colour,
+            eps_scale=self.eps_scale, time_shift=self.time_shift, past_lag=self.past_lag, colour=colour,
         )  # fmt: skip
 
 
@@ -119,6 +120,7 @@ def check_stream(
     eta: float | None = None,
     variance: Variance | None = None,
     eps_scale: float | None = None,
+    time_shift: float | None = None,
     guidance: float | None = None,
     buffer: int = 0,
     foot_lock: bool = True,
@@ -143,6 +145,7 @@ def check_stream(
         variance: of the noise that is put back, "posterior" or "beta" (the larger one), where ``eta`` is above 0.
         eps_scale: factor of the predicted noise in every step, for networks that are no students: more than 1 makes
             motion more various, and livelier.
+        time_shift: 0 to 1, for the same: share by which they are told more noise than there is; sentences show sooner.
         guidance: w; by default the model's choice for this network.
         buffer: segments made ahead of the reader, in a thread of their own; 0 makes them when they are asked for.
         blend_seconds: seam smoothing.
@@ -157,7 +160,7 @@ def check_stream(
     for name, value, check in (
         ("steps", steps, check_whole), ("start", start, check_whole), ("lag", lag, check_whole),
         ("past_lag", past_lag, check_whole), ("eta", eta, check_real), ("eps_scale", eps_scale, check_real),
-        ("guidance", guidance, check_real),
+        ("time_shift", time_shift, check_real), ("guidance", guidance, check_real),
     ):  # fmt: skip
         if value is not None:
             check(name, value)
@@ -181,7 +184,7 @@ def check_stream(
                          f"{config.guidance.get(network, 0.0):g}")  # fmt: skip
     settings = StreamSettings(network, *plan, float(w), buffer, foot_lock, float(blend_seconds), stages, told,
                               config.variance if variance is None else variance,
-                              _eps_scale(config, network, plan[0], eps_scale))  # fmt: skip
+                              *_corrections(config, network, plan[0], eps_scale, time_shift))  # fmt: skip
     return StreamRequest(timeline, seed, settings, durations, counts)
 
 
@@ -306,15 +309,18 @@ def _past_lag(
     return None if past_lag == steps else past_lag
 
 
-def _eps_scale(config: StreamConfig, network: str, steps: int, eps_scale: float | None) -> float:
-    """The factor of each of these steps."""
+def _corrections(
+    config: StreamConfig, network: str, steps: int, eps_scale: float | None, time_shift: float | None
+) -> tuple[float, float]:
+    """The factor of the noise of each of these steps, and by how much the network is told more than there is."""
     if is_student(network):
-        if eps_scale not in (None, 1.0):
-            raise InputError(f"eps_scale {eps_scale:g} does not go with the student {network!r}; leave it out")
-        return 1.0
-    if eps_scale is None:
-        return config.eps_scale ** (config.sampler_steps / steps)
-    low, high = EPS_SCALES
-    if not low <= eps_scale <= high:
-        raise InputError(f"eps_scale {eps_scale:g} is not in {low:g} to {high:g}; leave it out for the model's own")
-    return float(eps_scale)
+        for name, value, usual in (("eps_scale", eps_scale, 1.0), ("time_shift", time_shift, 0.0)):
+            if value not in (None, usual):
+                raise InputError(f"{name} {value:g} does not go with the student {network!r}; leave it out")
+        return 1.0, 0.0
+    scale = config.eps_scale ** (config.sampler_steps / steps) if eps_scale is None else float(eps_scale)
+    shift = config.time_shift if time_shift is None else float(time_shift)
+    for name, value, (low, high) in (("eps_scale", scale, EPS_SCALES), ("time_shift", shift, (0.0, 1.0))):
+        if not low <= value <= high:
+            raise InputError(f"{name} {value:g} is not in {low:g} to {high:g}; leave it out for the model's own")
+    return scale, shift

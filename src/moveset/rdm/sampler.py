@@ -136,7 +136,7 @@ class Stream(Iterator[Tensor]):
         t_B = self._levels(steps)
         x0_BnD = self._denoiser(
             torch.cat([x[j] for j in segments]),
-            t_B,
+            self._solver.told(t_B),
             torch.cat([torch.zeros_like(y_BnD[: len(self._seeds)]) if held is None else held for held in prev]),
             self._levels(past_steps),
             index_B,

@@ -41,6 +41,8 @@ class Solver:
         levels: K + 1 falling levels of it, the last 0: ``staircase.levels(K)``, or the phase edges of a student.
         eta: share of fresh noise in every step: 0 is DDIM, 1 is DDPM.
         variance, eps_scale: as in ``diffusion.steps.denoise_step``.
+        time_shift: share by which the network is told more noise than there is (time shift, Li et al. 2024, arXiv
+            2305.15583): what it makes itself is clearer than what it learned from, and it makes that slower.
         past_lag: how many steps a segment is told the finished one before it to be ahead: to the level of that step it
             is noised again, in y-space. None tells it clean.
         colour: what turns standard normal noise (B, n, D) into the noise that the network was trained on, if anything.
@@ -54,6 +56,7 @@ class Solver:
     eta: float = 0.0
     variance: Variance = "posterior"
     eps_scale: float = 1.0
+    time_shift: float = 0.0
     past_lag: int | None = None
     colour: Callable[[Tensor], Tensor] | None = None
 
@@ -73,6 +76,10 @@ class Solver:
     def steps(self) -> int:
         """K."""
         return len(self.levels) - 1
+
+    def told(self, t_B: Tensor) -> Tensor:
+        """The levels that a network is told of segments at levels t."""
+        return t_B if self.time_shift == 0.0 else ((1 + self.time_shift) * t_B).long().clamp(max=len(self.schedule) - 1)
 
     def step(self, z: Tensor, z0: Tensor, t_B: Tensor, s_B: Tensor, noise: Tensor | None) -> Tensor:
         """From levels t down to s, given the clean z_0; noise as for ``denoise_step``."""
@@ -146,10 +153,10 @@ def sample_segment(
     y_BnD = solver.noise(seeds, numbers, START, shape).to(device)
     for k, (t, s) in enumerate(pairwise(solver.levels)):
         t_B, s_B = torch.full_like(index_B, t), torch.full_like(index_B, s)
-        told = (x_BnD, clean_B)
+        past_told = (x_BnD, clean_B)
         if solver.past_lag is not None and isinstance(past, Past):
-            told = past.at(solver, transport, min(k + solver.past_lag, solver.steps))
-        x0_BnD = denoise(transport.push(y_BnD, index_B, pooled_BC), t_B, *told).to(y_BnD.dtype)
+            past_told = past.at(solver, transport, min(k + solver.past_lag, solver.steps))
+        x0_BnD = denoise(transport.push(y_BnD, index_B, pooled_BC), solver.told(t_B), *past_told).to(y_BnD.dtype)
         if s:  # a finished segment is wanted in x only
             y0_BnD = transport.pull(x0_BnD, index_B, pooled_BC)
             noise_BnD = solver.noise(seeds, numbers, k, shape).to(device) if solver.eta else None

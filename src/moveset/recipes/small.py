@@ -289,7 +289,7 @@ EXPORTS: tuple[Export, ...] = (
         tremor={"rdm": 1.0},
         sampling={
             "network": "rdm", "sampler_steps": 10, "start": 10, "lag": 10, "past_lag": 1, "eps_scale": 1.05,
-            "travelling": 0.25, "symmetric": ("pcm-1",),
+            "time_shift": 0.1, "travelling": 0.25, "symmetric": ("pcm-1",),
         },
         compact=("rdm",),
     ),
@@ -297,7 +297,7 @@ EXPORTS: tuple[Export, ...] = (
         StreamExport(
             name=f"{name}-small", runs=runs | {"sides": "sides"}, guidance=dict.fromkeys(runs, guidance),
             tremor={network: 1.0 for network in runs if not is_student(network)},
-            sampling={"sampler_steps": 10, "start": 10, "lag": 10, "eps_scale": 1.05},
+            sampling={"sampler_steps": 10, "start": 10, "lag": 10, "eps_scale": 1.05, "time_shift": 0.1},
         )
         for name, runs, guidance in (
             ("rdm-4", {"rdm": "rdm-4"}, 1.5),
