@@ -318,9 +318,11 @@ def _corrections(
             if value not in (None, usual):
                 raise InputError(f"{name} {value:g} does not go with the student {network!r}; leave it out")
         return 1.0, 0.0
-    scale = config.eps_scale ** (config.sampler_steps / steps) if eps_scale is None else float(eps_scale)
-    shift = config.time_shift if time_shift is None else float(time_shift)
-    for name, value, (low, high) in (("eps_scale", scale, EPS_SCALES), ("time_shift", shift, (0.0, 1.0))):
-        if not low <= value <= high:
+    for name, value, (low, high) in (("eps_scale", eps_scale, EPS_SCALES), ("time_shift", time_shift, (0.0, 1.0))):
+        if value is not None and not low <= value <= high:
             raise InputError(f"{name} {value:g} is not in {low:g} to {high:g}; leave it out for the model's own")
-    return scale, shift
+    own = config.eps_scale ** (config.sampler_steps / steps)
+    return (
+        own if eps_scale is None else float(eps_scale),
+        config.time_shift if time_shift is None else float(time_shift),
+    )
