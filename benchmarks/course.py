@@ -9,8 +9,8 @@ metres_a_second   from the first second to the last, along the ground
 bends             degrees a second by which the way turns, to the left; of steps of a second, so that gaits do not count
 turned            degrees by which the hips turn from the first frame to the last, to the left
 arms              the left wrist's way beside both wrists', seen from the pelvis
-right             the share of motions that go, turn or wave as their sentence says (``EXPECTED``), or, of another
-                  sentence that names a side, that are on it (``evaluation.sides``)
+right             the share of motions that go, stand, turn or wave as their sentence says (``EXPECTED``), or, of
+                  another sentence that names a side, that are on it (``evaluation.sides``)
 over_time         of streams of a minute and more: height, speed of joints, jerk and skating in the first and the last
                   minute, and what they change by in one (``motion.measures.windows``)
 """
@@ -47,7 +47,7 @@ EXPECTED: dict[str, Callable[[Row], bool]] = {
     "a person waves with the left hand": lambda row: row["arms"] > 0.6,
     "a person waves with the right hand": lambda row: row["arms"] < 0.4,
     "a person waves with both hands": lambda row: 0.3 < row["arms"] < 0.7,
-    "a person stands still": lambda row: row["metres_a_second"] < 0.05,
+    "a person stands still": lambda row: row["metres_a_second"] < 0.05 and row["lowest"] > 0.8,
 }
 TAKES = {"walk": "walks forward", "run": "runs"}
 
@@ -60,6 +60,7 @@ def measured(joints_FJ3: Tensor, fps: float) -> dict[str, float]:
         "bends": bends(joints_FJ3[:, 0], fps),
         "turned": turned(joints_FJ3, HML22) * 180 / torch.pi,
         "arms": (1 + float(arms)) / 2,
+        "lowest": float(joints_FJ3[:, 0, 1].min()),
         "skating": float(skating(joints_FJ3, fps)),
         "jerk": float(jerk(joints_FJ3, fps)),
     }

@@ -42,7 +42,7 @@ class Solver:
         eta: share of fresh noise in every step: 0 is DDIM, 1 is DDPM.
         variance, eps_scale: as in ``diffusion.steps.denoise_step``.
         time_shift: share by which the network is told more noise than there is (time shift, Li et al. 2024, arXiv
-            2305.15583): what it makes itself is clearer than what it learned from, and it makes that slower.
+            2305.15583): on its own way down a segment is not what noised data are.
         past_lag: how many steps a segment is told the finished one before it to be ahead: to the level of that step it
             is noised again, in y-space. None tells it clean.
         colour: what turns standard normal noise (B, n, D) into the noise that the network was trained on, if anything.
