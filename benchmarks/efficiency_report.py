@@ -17,7 +17,7 @@ COLOURS = {"RDM-4": "C0", "RDM-7": "C1", "RDM-14": "C2", "DiP": "k"}
 
 INTRODUCTION = """# What the recurrent model costs
 
-Made by `python benchmarks/efficiency.py --size small` and `--size paper`; the numbers: [`{name}.json`]({name}.json).
+Made by {made}; the numbers: [`{name}.json`]({name}.json).
 Costs only, of networks with random weights, which cost what trained ones cost: nothing here says how good a motion is.
 
 - K: sampler steps. *Calls* are evaluations of the network for one sample: of a segment of RDM and MD, of a chunk of
@@ -33,7 +33,7 @@ Costs only, of networks with random weights, which cost what trained ones cost: 
   (`torch.utils.flop_counter`). The frozen text encoder is in no number. *Text* is the network's own text layers: once a
   sample, or with every call where the network reads its text anew; its two numbers are those of the first and last K.
 - Times are medians (minima) of interleaved runs, of sampling alone, or of one run where it says so. ≈ marks an
-  estimate: the formula's calls of every wave, times the measured cost of a wave that wide.
+  estimate: the formula's calls of every wave, times the measured cost of a wave that wide.{lengths}
 """
 
 PUBLISHED = """## The paper's own numbers
@@ -69,13 +69,27 @@ def write(data: dict, out: Path) -> str:
     out.parent.mkdir(parents=True, exist_ok=True)
     out.with_suffix(".json").write_text(json.dumps(data, indent=1) + "\n")
     drawn = next((found["lengths"] for found in data.values() if found["lengths"]), None)
-    text = [INTRODUCTION.format(name=out.name)]
+    text = [introduction(data, out.name)]
     if drawn:
         plot(drawn, out.with_suffix(".png"))
         text.append(f"![time against length]({out.name}.png)\n")
     text += [section(name, found) for name, found in data.items()]
     out.with_suffix(".md").write_text("\n".join([*text, PUBLISHED]))
     return out.with_suffix(".md").read_text()
+
+
+def introduction(data: dict, name: str) -> str:
+    """What the numbers are, and which of them the file has."""
+    made = " and ".join(f"`python benchmarks/efficiency.py --size {size.replace(', ', ' --device ')}`" for size in data)
+    if not any(size.startswith("paper") for size in data):
+        made += " (published sizes were not run)"
+    items = [item for found in data.values() for item in found["lengths"]]
+    lengths = ""
+    if items and not any(_several(item) for item in items):
+        lengths = "\n- Time against length is of one run each, so it scatters with the machine's load."
+        if not any(map(_compared, items)):
+            lengths += "\n  An earlier version of the command made it, and compared nothing."
+    return INTRODUCTION.format(made=made, name=name, lengths=lengths)
 
 
 def section(name: str, found: dict) -> str:
@@ -189,23 +203,27 @@ def memory(found: dict) -> str:
 
 
 def lengths(found: dict) -> str:
-    """Time by length, and how many times longer DiP's ten steps take."""
+    """Time by length and, where it was compared, how many times longer DiP's ten steps take."""
     if not found["lengths"]:
         return ""
     frames = sorted({item["frames"] for item in found["lengths"]})
+    several, compared = (any(map(has, found["lengths"])) for has in (_several, _compared))
     lines, rows = curves(found["lengths"]), []
     for (label, steps), points in lines.items():
         cells = []
         for k in frames:
-            item = points.get(k)
-            faster = f", {_faster(item).format(2)} ×" if item and "times_as_fast" in item else ""
-            cells.append("–" if item is None else f"{_ms(item['median_ms'])} ({_ms(item['min_ms'])}{faster})")
+            if item := points.get(k):
+                more = [_ms(item["min_ms"])] * several
+                if _compared(item):
+                    more.append(f"{_faster(item).format(2)} ×")
+                cells.append(_ms(item["median_ms"]) + (f" ({', '.join(more)})" if more else ""))
+            else:
+                cells.append("–")
         rows.append([f"{label}, K = {steps}", *cells])
-    title = (
-        f"Time against length, ms: median (minimum, times as fast as DiP at K = {min(k for _, k in lines)} in the same "
-        "round, with its 95 % interval)"
-    )
-    return table(title, ["frames", *map(str, frames)], rows)
+    ratio = f"times as fast as DiP at K = {min(k for _, k in lines)} in the same round"
+    more = ["minimum"] * several + [ratio + ", with its 95 % interval" * several] * compared
+    title = "Time against length, ms: " + ("median" if several else "one run each")
+    return table(title + (f" ({', '.join(more)})" if more else ""), ["frames", *map(str, frames)], rows)
 
 
 def curves(items: list[dict]) -> dict[tuple[str, int], dict[int, dict]]:
@@ -217,10 +235,11 @@ def curves(items: list[dict]) -> dict[tuple[str, int], dict[int, dict]]:
 
 
 def plot(items: list[dict], path: Path) -> None:
-    """The paper's Figures 6, 9 and 10 in one, with DiP at its own number of steps: time, and times as fast as that."""
-    lines = curves(items)
+    """The paper's Figures 6, 9 and 10 in one: time and, if compared, times as fast as DiP at its own steps."""
+    lines, compared = curves(items), any(map(_compared, items))
     steps = sorted({k for _, k in lines}, reverse=True)
-    figure, axes = plt.subplots(1, 2, figsize=(11, 5.2))
+    figure, row = plt.subplots(1, 1 + compared, figsize=(11, 5.2), squeeze=False)
+    axes = row[0]
     for (label, k), points in lines.items():
         frames, model = sorted(points), label.split(",")[0]
         default = "parallelogram" in label
@@ -229,13 +248,14 @@ def plot(items: list[dict], path: Path) -> None:
             "marker": "s" if default else "o", "ms": 4, "label": f"{label}, K = {k}",
         }  # fmt: skip
         axes[0].plot(frames, [points[n]["min_ms"] / 1e3 for n in frames], **style)
-        if (label, k) != ("DiP", steps[-1]):
+        if compared and (label, k) != ("DiP", steps[-1]):
             ratios = [_faster(points[n]) for n in frames]
             halves = [ratio.half_width if ratio.half_width < float("inf") else 0.0 for ratio in ratios]
             axes[1].errorbar(frames, [ratio.mean for ratio in ratios], halves, capsize=2, **style)
-    axes[1].axhline(1.0, color=COLOURS["DiP"], lw=0.8)
-    axes[0].set_ylabel("s (minimum)")
-    axes[1].set_ylabel(f"times as fast as DiP, K = {steps[-1]}")
+    axes[0].set_ylabel("s (minimum)" if any(map(_several, items)) else "s (one run)")
+    if compared:
+        axes[1].axhline(1.0, color=COLOURS["DiP"], lw=0.8)
+        axes[1].set_ylabel(f"times as fast as DiP, K = {steps[-1]}")
     for axis in axes:
         axis.set_yscale("log")
         axis.set_xlabel("frames")
@@ -246,9 +266,18 @@ def plot(items: list[dict], path: Path) -> None:
     plt.close(figure)
 
 
+def _several(item: dict) -> bool:
+    return item["runs"] > 1
+
+
+def _compared(item: dict) -> bool:
+    """Whether it was compared with DiP of the same length and round; earlier versions of the command did not."""
+    return "times_as_fast" in item
+
+
 def _faster(item: dict) -> Interval:
-    """How many times as fast as DiP of the same length and round; of runs before rounds were compared, unknown."""
-    return Interval.from_json(item.get("times_as_fast", {"mean": float("nan"), "interval": None}))
+    """How many times as fast as that."""
+    return Interval.from_json(item["times_as_fast"])
 
 
 def _parameters(row: dict, found: dict) -> int:

@@ -44,7 +44,10 @@ class BoundSegments:
         self.clean_level = torch.zeros_like(batch.index)
 
     def mismatched(self) -> "BoundSegments":
-        """The same with the text of another segment that is told something else."""
+        """The same with the text of another segment that is told something else.
+
+        Sentences are compared, not labels as for clips: another wording of the same counts as something else.
+        """
         told = [(caption,) for caption in self.batch.captions]
         others = self.text[torch.tensor(of_another(told), device=self.batch.index.device)]
         return BoundSegments(self.batch, others, self.empty, self.transport, self.teacher)
