@@ -2,6 +2,7 @@
 
 import hashlib
 import os
+import shutil
 import tarfile
 import tempfile
 from collections.abc import Iterator
@@ -30,11 +31,35 @@ MEMBERS = {
         "cmu/trials.jsonl",
         *(f"cmu/subjects/{s}/{s}.asf" for s in ("01", "02", "07")),
         *(f"cmu/subjects/02/02_{k}.{form}" for k in ("01", "04", "07") for form in ("amc", "bvh")),
+        "cmu/subjects/01/01_07.amc",
         "cmu/subjects/01/01_08.amc",
         "cmu/subjects/01/01_08.bvh",
         "cmu/subjects/06/06_10.bvh",
         "cmu/subjects/07/07_03.amc",
+        "cmu/subjects/13/13_01.bvh",
         "cmu/subjects/13/13_18.bvh",
+    ),
+    "cmu-more.tar.xz": (
+        "cmu-more/trials.jsonl",
+        *(f"cmu-more/subjects/{k.split('_')[0]}/{k}.bvh" for k in ("23_03", "49_06", "83_24", "140_08")),
+    ),
+    "more-mocap.tar.xz": (
+        "more-mocap/takes.jsonl",
+        *(
+            f"more-mocap/takes/{name}.bvh"
+            for name in (
+                "deepmimic/humanoid3d_jump",
+                "greta/Fluid_gesture",
+                "human-foot/wd2_101",
+                "mass/kick",
+                "smartbody/ChrBrad-Idle01_ToIdle02",
+                "tennis/tennis_KangTennisF19",
+                "tilling-patch/itonic3_wd2_walktocrawl_1",
+                "time-critical/s_005_3_2",
+                "ys2010/wd2_Physics_Raise01",
+                "ys2010/wd2_WalkSameSame03",
+            )
+        ),
     ),
     "bandai-namco.tar.xz": (
         *(f"dataset-1/data/dataset-1_{name}.bvh" for name in ("walk-back_normal_001", "bow_active_001")),
@@ -49,6 +74,7 @@ MEMBERS = {
         ),
     ),
 }
+SPANS = "humanml3d-cmu.jsonl"  # lies beside the archives
 
 
 @pytest.hookimpl(tryfirst=True)
@@ -85,7 +111,10 @@ def tiny_streams(tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="session")
 def real_data() -> Path:
-    """Folder with real takes: cmu/, dataset-1/, dataset-2/. Tests that use it are skipped where there is none."""
+    """Folder with real takes: cmu/, cmu-more/, more-mocap/, dataset-1/, dataset-2/, and sentences of spans of them.
+
+    Tests that use it are skipped where there is none.
+    """
     if folder := os.environ.get("MOVESET_RAW"):
         return Path(folder)
     if (REPOSITORY / "data" / "raw" / "cmu").is_dir():
@@ -115,6 +144,8 @@ def _unpacked(archives: dict[str, Path]) -> Path:
                         break
             if wanted:
                 raise RuntimeError(f"{archive} lacks {sorted(wanted)}")
+        if (spans := archive.parent / SPANS).is_file():
+            shutil.copyfile(spans, fresh / SPANS)
         try:
             fresh.rename(cache)
         except OSError:

@@ -3,6 +3,7 @@
 from itertools import combinations
 from pathlib import Path
 
+import pytest
 import torch
 
 from moveset.data.build import _pieces, _Spans
@@ -51,6 +52,8 @@ def test_partners_and_overlapping_spans_are_on_one_side():
 
 def test_scenes_of_the_archives_keep_the_law(real_data):
     spans = find_spans(real_data)
+    if not spans:
+        pytest.skip("no sentences of spans here")
     refs = [ref for ref in find_takes(real_data) if ref.source.startswith("cmu")]
     scenes = [ref for ref in refs if "-" in ref.group][:60]
-    assert check([*scenes, *refs[::40]], spans, 300) > 100 or not spans
+    assert check([*scenes, *refs[::40]], spans, 300) > 100

@@ -55,8 +55,9 @@ def test_takes_of_many_skeletons_stand_upright(real_data):
     takes = {}
     for line in (folder / "takes.jsonl").read_text().splitlines():
         take = json.loads(line)
-        if take["seconds"] < 20:
+        if take["seconds"] < 20 and (folder / take["file"]).is_file():
             takes.setdefault(take["source"], take)
+    assert len(takes) >= 9
     for source, take in takes.items():
         motion = load(folder / take["file"], body=Body(unit=take["unit_m"]))
         motion = retarget(motion[:: max(1, len(motion) // 300)], "hml22")

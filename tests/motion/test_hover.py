@@ -40,7 +40,7 @@ def hover(frames: int, start: int, stop: int, height: float) -> torch.Tensor:
     return height * ramp.clamp(0.0, 1.0)
 
 
-def streamed(motion: Motion, size: int, planted: torch.Tensor | None = None) -> torch.Tensor:
+def streamed(motion: Motion, size: int, planted: torch.Tensor | None = None, carried: bool = True) -> torch.Tensor:
     """What a stream takes off, in pieces; by default of a body that plants no foot."""
     planted = torch.zeros(len(motion), 2, dtype=torch.bool) if planted is None else planted
     feet = motion.joints[:, list(HML22.feet), 1].unflatten(1, (2, 2)).amin(dim=2)
@@ -49,9 +49,16 @@ def streamed(motion: Motion, size: int, planted: torch.Tensor | None = None) -> 
     parts = []
     for k in range(0, len(motion), size):
         piece = slice(k, k + size)
-        parts.append(held(low[piece], feet[piece], planted[piece]))
+        legs = torch.full_like(planted[piece, 0], carried)
+        parts.append(held(low[piece], feet[piece], planted[piece], legs))
         held = Hovering(FPS, **json.loads(json.dumps(held.state())))
     return torch.cat(parts)
+
+
+def test_a_stream_leaves_alone_who_is_not_carried_by_legs():
+    up = above(jump(120, 20, 4 * LONGEST))
+    assert streamed(up, 14).max() > 0.1
+    assert not streamed(up, 14, carried=False).any()
 
 
 def test_who_stands_walks_or_jumps_is_left_alone():
@@ -77,6 +84,17 @@ def test_who_stays_up_is_set_down_and_what_a_jump_explains_is_left():
     # Only the root moves, and only down or up.
     assert torch.equal(set_down(motion).rotations, motion.rotations)
     assert torch.equal(set_down(motion).root[:, [0, 2]], motion.root[:, [0, 2]])
+
+
+def test_who_may_climb_is_set_down_only_after_flying_there_and_no_higher_than_people_jump():
+    rising = 0.15 * (torch.linspace(-1.0, 6.0, 80).clamp(0.0, 1.0))
+    carried, aloft = above(rising), above(torch.full((80,), 0.15))
+    flown, far_up = above(hover(112, 10, 100, 0.15)), above(hover(112, 10, 100, 0.4))
+    for motion in (carried, aloft, flown, far_up):
+        assert float(clearance(set_down(motion).joints).max()) < 0.09
+    for motion in (carried, aloft, far_up):
+        assert set_down(motion, climbs=True) is motion
+    assert torch.equal(set_down(flown, climbs=True).root, set_down(flown).root)
 
 
 def test_half_of_it():

@@ -10,7 +10,7 @@ from moveset.errors import InputError
 from moveset.motion import rotations
 from moveset.motion.clip import Motion
 from moveset.motion.contacts import stances, stands_on
-from moveset.motion.hover import HIGHEST, SOLE, set_down
+from moveset.motion.hover import SOLE, set_down
 from moveset.motion.kinematics import global_to_local
 from moveset.motion.positions import HINGES
 from moveset.motion.skeleton import Skeleton
@@ -33,7 +33,7 @@ def lock_feet(motion: Motion, strength: float = 1.0, contacts: Tensor | None = N
     foot that the body carries far off takes a step instead of sliding. Planted feet above the floor y = 0 come down to
     it, and feet below it are lifted onto it; otherwise they keep their height, and their orientation as long as legs
     reach (``move_feet``). A body that hovers is set down (``hover.set_down``); else nothing above the hips moves.
-    Feet of somebody who sits, kneels, lies or is upside down are free.
+    Feet of somebody who sits, kneels, lies or is upside down are free, under the floor too.
 
     Args:
         motion: on a skeleton with feet and known knees (hml22, kit21).
@@ -54,9 +54,10 @@ def lock_feet(motion: Motion, strength: float = 1.0, contacts: Tensor | None = N
     legs = _legs(motion.skeleton)
     if len(motion) < 4 or strength == 0.0:
         return motion
-    motion = set_down(motion, strength, HIGHEST)
+    motion = set_down(motion, strength, climbs=True)
     joints = motion.joints.double()
-    planted = stances(joints, motion.fps, motion.skeleton, contacts) & stands_on(joints, motion.skeleton)[:, None]
+    carried = stands_on(joints, motion.skeleton)
+    planted = stances(joints, motion.fps, motion.skeleton, contacts) & carried[:, None]
     shifts = []
     for side in range(len(legs)):
         pair = list(motion.skeleton.feet[2 * side : 2 * side + 2])
@@ -66,7 +67,7 @@ def lock_feet(motion: Motion, strength: float = 1.0, contacts: Tensor | None = N
         planted[:, own], height = _take_steps(joints[:, pair], planted[:, own], others, blend)
         lowest = joints[:, pair, 1].amin(dim=1)
         down = _touch_down(lowest, planted[:, own].any(dim=1), motion.fps)
-        up = height - down + _lift(lowest - down, motion.fps)
+        up = height - down + _lift((lowest - down) * carried, motion.fps)
         shifts.append(strength * (_pinned(joints[:, pair], planted[:, own], blend) + _upward(up)))
     locked = move_feet(motion, torch.stack(shifts, dim=1))
     return Motion(locked.rotations.float(), motion.root, motion.fps, motion.skeleton)

@@ -71,12 +71,14 @@ class FootLock:
         if tuple(contacts.shape) != (len(piece), 4):
             raise InputError(f"contacts must be (F, 4) = ({len(piece)}, 4), got {tuple(contacts.shape)}")
         joints = piece.joints.double()
-        known = self._contacts + (contacts.bool() & stands_on(joints, self.skeleton)[:, None]).tolist()
+        carried = stands_on(joints, self.skeleton)
+        known = self._contacts + (contacts.bool() & carried[:, None]).tolist()
         standing = stances(joints, self.fps, self.skeleton, torch.tensor(known))[len(self._contacts) :]
         self._contacts = known[-_HISTORY:]
         feet = joints[:, list(self.skeleton.feet)].unflatten(1, (2, 2))
         lowest = feet[..., 1].amin(dim=2)
-        height = self._hovering(joints[..., 1].amin(dim=1), lowest, standing.unflatten(1, (2, 2)).any(dim=2))
+        stands = standing.unflatten(1, (2, 2)).any(dim=2)
+        height = self._hovering(joints[..., 1].amin(dim=1), lowest, stands, carried)
         if bool(height.any()):
             piece, lowest = lowered(piece, height), lowest - height[:, None]
         shifts = []

@@ -2,25 +2,27 @@
 
 Networks that have seen few jumps make people who rise and stay up there. A body's clearance is how far its lowest joint
 is above the floor; of a clip's clearance no jump explains the morphological opening, the highest curve below it that is
-nowhere narrower than the longest jump. A stream, which does not know what comes, has a floor that rises: the body goes
-up as it was to, and then sinks.
+nowhere narrower than the longest jump. Somebody on stairs or a stool is up for as long, but got there without flying:
+of a body that is carried something rests, if only for a moment. A stream, which does not know what comes, has a floor
+that rises: the body goes up as it was to, and then sinks.
 Shapes: F frames, J joints.
 """
 
 from dataclasses import replace
-from math import exp, inf
+from math import exp
 
 import torch
 from torch import Tensor
 from torch.nn.functional import max_pool1d, pad
 
 from moveset.motion.clip import Motion
-from moveset.motion.contacts import spans, stands_on
+from moveset.motion.contacts import SPEED, spans, stands_on
 from moveset.motion.smoothing import gaussian_smooth
 
 SOLE = 0.02  # metres over the floor, below which the lowest joint of a standing foot is
 LONGEST = 0.6  # seconds in the air: a jump of 0.44 m
-HIGHEST = 0.2  # metres: who is higher for longer than that is on something
+_HIGHEST = 0.2  # metres: who is higher for longer than that is on something
+_FLIGHT = 0.25  # seconds, longer than the flights of somebody who runs; a jump of 8 cm
 _STANDING = 0.05  # metres over the floor, below which the lowest joint of a body on the floor is
 _SMOOTH = 0.05  # seconds
 _EASE = 0.1  # seconds in which a stream's floor comes up or goes down
@@ -32,28 +34,42 @@ def clearance(joints: Tensor) -> Tensor:
     return (joints[..., 1].amin(dim=-1) - _STANDING).clamp_min(0.0)
 
 
-def hovering(clearance_F: Tensor, fps: float, highest: float = inf) -> Tensor:
+def flying(joints: Tensor, fps: float) -> Tensor:
+    """(F,) bool: for ``_FLIGHT`` seconds no joint of (F, J, 3) rests, as one does of who stands, climbs or hangs."""
+    flies = (joints.diff(dim=0, prepend=joints[:1]).norm(dim=-1) * fps >= SPEED).all(dim=1)
+    for start, stop in spans(flies):
+        if stop - start < round(_FLIGHT * fps):
+            flies[start:stop] = False
+    return flies
+
+
+def hovering(clearance_F: Tensor, fps: float, flying_F: Tensor | None = None) -> Tensor:
     """How much (F,) of a clip's clearance lasts longer than ``LONGEST``, metres; a jump may go on beyond its ends.
 
-    Nothing of what rises beyond ``highest`` metres on the way.
+    Args:
+        flying_F: bool, where given who is up for that long is on something, but for those who fly and are not higher
+            than ``_HIGHEST``; so is who is up from the beginning, for nobody saw how.
     """
     width = min(_frames(fps), len(clearance_F))
     eroded = -max_pool1d(-clearance_F[None], width, stride=1)
     opened = max_pool1d(pad(eroded, (width - 1, width - 1)), width, stride=1)[0]
-    for start, stop in spans(opened > 0):
-        if float(opened[start:stop].max()) > highest:
-            opened[start:stop] = 0.0
+    if flying_F is not None:
+        for start, stop in spans(opened > 0):
+            up = slice(start, stop)
+            if start == 0 or not flying_F[up].any() or float(opened[up].max()) > _HIGHEST:
+                opened[up] = 0.0
     return gaussian_smooth(opened[:, None], _SMOOTH * fps)[:, 0]
 
 
-def set_down(motion: Motion, strength: float = 1.0, highest: float = inf) -> Motion:
+def set_down(motion: Motion, strength: float = 1.0, climbs: bool = False) -> Motion:
     """The clip without its hovering: the root sinks, nothing else changes.
 
-    Somebody whose legs do not carry the body, but who sits, lies or kneels, does not hover; nor does one who is higher
-    than ``highest`` metres for longer than a jump takes, as on a ladder, stairs or a chair.
+    Somebody whose legs do not carry the body, but who sits, lies or kneels, does not hover; nor, where somebody may
+    have climbed onto something (``climbs``), does one who got up without flying, or higher than people jump.
     """
     joints = motion.joints
-    height = hovering(clearance(joints) * stands_on(joints, motion.skeleton), motion.fps, highest)
+    flies = flying(joints, motion.fps) if climbs else None
+    height = hovering(clearance(joints) * stands_on(joints, motion.skeleton), motion.fps, flies)
     if not bool(height.any()):
         return motion
     return lowered(motion, strength * height)
@@ -83,18 +99,20 @@ class Hovering:
         self._ease, self._settle = (1.0 - exp(-1.0 / (seconds * fps)) for seconds in (_EASE, _SETTLE))
         self._height, self._aloft = height, aloft
 
-    def __call__(self, lowest: Tensor, feet: Tensor, planted: Tensor) -> Tensor:
+    def __call__(self, lowest: Tensor, feet: Tensor, planted: Tensor, carried: Tensor) -> Tensor:
         """How much (F,) of the next frames is to be taken off, metres, float64.
 
         Args:
             lowest: (F,) height of the body's lowest joint.
             feet: (F, 2) that of the lowest joint of each foot.
             planted: (F, 2) bool, which of them stand.
+            carried: (F,) bool, whether legs carry the body: who sits, lies or kneels does not hover.
         """
         heights = []
-        for low, at, stands in zip(lowest.tolist(), feet.tolist(), planted.tolist(), strict=True):
+        for low, at, stands, legs in zip(*(x.tolist() for x in (lowest, feet, planted, carried)), strict=True):
             standing = [height for height, stand in zip(at, stands, strict=True) if stand]
-            self._aloft = 0 if standing or low - self._height < _STANDING else self._aloft + 1
+            down = standing or not legs or low - self._height < _STANDING
+            self._aloft = 0 if down else self._aloft + 1
             if standing:
                 self._height += self._settle * max(min(standing) - _STANDING - self._height, 0.0)
             elif self._aloft >= self._frames:
