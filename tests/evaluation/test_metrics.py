@@ -61,6 +61,19 @@ def test_groups_are_lawful_and_as_many_as_possible(labels, seed):
     assert all(len({labels[i] for i in g}) == size for g in groups)
 
 
+@pytest.mark.parametrize("labelled", [False, True])
+def test_items_of_one_take_are_in_different_groups(labelled):
+    """400 clips of 150 takes, some of which were cut often, as those of a corpus."""
+    takes = [int(150 * (k / 400) ** 1.3) for k in range(400)]
+    labels = [k % 120 for k in range(400)] if labelled else None
+    for seed in range(5):
+        groups = metrics.group(labels, 400, seeded(seed), takes=takes)
+        assert len(groups) == 12
+        assert len({k for one in groups for k in one}) == 12 * 32
+        assert all(len({takes[k] for k in one}) == 32 for one in groups)
+        assert labels is None or all(len({labels[k] for k in one}) == 32 for one in groups)
+
+
 def test_labels_of_their_own_are_grouped_as_none():
     """Every pair of items meets as often as in plain shuffling: (size - 1) / (count - 1) of the time."""
     meetings = torch.zeros(12, 12)

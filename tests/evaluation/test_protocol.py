@@ -53,7 +53,7 @@ def test_numbers_are_those_of_the_pure_functions(items, oracle):
     draws = items.draw(random_of(QUICK, 1, "items"))
     made = encoded(painter.generate(painter.asked[: len(draws)], 20.0), items.codec)
     motion, text = oracle.embed_motions(made), oracle.embed_texts([d.caption for d in draws])
-    groups = metrics.group(items.labels, len(draws), random_of(QUICK, 1, "groups"))
+    groups = metrics.group(items.labels, len(draws), random_of(QUICK, 1, "groups"), takes=items.takes)
     assert found["r1"] == pytest.approx(metrics.r_precision(text, motion, groups)[0].item())
     assert found["mm_dist"] == pytest.approx(metrics.matching_score(text, motion, groups))
     real = oracle.embed_motions([d.features() for d in draws])

@@ -10,7 +10,7 @@ from moveset.errors import InputError
 from moveset.evaluation import metrics
 from moveset.evaluation.generators import Given
 from moveset.evaluation.protocol import Protocol, Session
-from moveset.evaluation.rollout import WINDOW, Rollout, apart, cut, drift, rollouts, run_rollout, spread_change, starts
+from moveset.evaluation.rollout import WINDOW, Rollout, cut, drift, rollouts, run_rollout, spread_change, starts
 from moveset.evaluation.samples import open_test_set, text_of
 from moveset.motion.features import get_codec
 from tests.data.test_humanml3d import folder as humanml3d
@@ -115,7 +115,7 @@ def test_windows_of_one_rollout_are_not_told_apart(seed, count, labelled):
     of = [k for k in range(count) for _ in range(5)]
     labels = torch.randint(0, 60, (len(of),), generator=generator).tolist() if labelled else list(range(len(of)))
     groups = metrics.group(labels, len(of), generator, 32)
-    found = apart(groups, labels, of)
+    found = metrics.apart(groups, labels, of)
     assert [len(group) for group in found] == [32] * len(groups)
     assert len({window for group in found for window in group}) == 32 * len(groups)
     for group in found:
@@ -128,8 +128,8 @@ def test_windows_of_one_rollout_are_not_told_apart(seed, count, labelled):
 
 def test_groups_of_different_rollouts_stay_as_they_were():
     groups, labels = [[0, 3, 4], [5, 8, 2]], list(range(9))
-    assert apart(groups, labels, [k // 2 for k in range(9)]) == groups
-    assert apart([[0, 1, 4], [5, 8, 3]], labels, [k // 2 for k in range(9)]) != [[0, 1, 4], [5, 8, 3]]
+    assert metrics.apart(groups, labels, [k // 2 for k in range(9)]) == groups
+    assert metrics.apart([[0, 1, 4], [5, 8, 3]], labels, [k // 2 for k in range(9)]) != [[0, 1, 4], [5, 8, 3]]
 
 
 def test_a_caption_with_tokens_is_read_with_them(tmp_path):

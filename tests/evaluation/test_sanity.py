@@ -24,6 +24,7 @@ class RealClip:
     captions: tuple[str, ...]
     label: tuple[str, ...] | None
     features: Callable[[], torch.Tensor]
+    take: None = None
 
 
 @pytest.fixture(scope="module")
@@ -93,6 +94,11 @@ def run(judge, items, seed=0):
     return sanity(judge(items), items, torch.Generator().manual_seed(seed))
 
 
+def value(report, name):
+    [check] = [check for check in report.checks if check.name == name]
+    return check.value
+
+
 def failed(report):
     return {check.name for check in report.checks if not check.passed}
 
@@ -112,11 +118,11 @@ def test_an_evaluator_that_sees_and_reads_holds(report):
     assert report.passed
     assert (report.items, report.labels, report.groups) == (LABELS * COPIES, LABELS, 4)
     assert LABELS < report.texts <= 2 * LABELS
-    assert report["R-precision@1, real"].value > 0.8
-    assert abs(report["R-precision@1, shuffled texts"].value - 1 / 32) < 4 * math.sqrt(31 / 32**2 / 128)
-    rising = [report[f"FID, jitter of {1000 * sigma:g} mm"].value for sigma in JITTER]
+    assert value(report, "R-precision@1, real") > 0.8
+    assert abs(value(report, "R-precision@1, shuffled texts") - 1 / 32) < 4 * math.sqrt(31 / 32**2 / 128)
+    rising = [value(report, f"FID, jitter of {1000 * sigma:g} mm") for sigma in JITTER]
     assert rising == sorted(rising)
-    assert rising[0] > report["FID, two real halves"].value > 0
+    assert rising[0] > value(report, "FID, two real halves") > 0
 
 
 def test_blind_spots_are_found(items, timeless):
@@ -138,7 +144,7 @@ def test_items_without_labels_are_grouped_freely(items):
     plain = [RealClip(item.captions, None, item.features) for item in items]
     report = sanity(Descriptor(items), plain, torch.Generator().manual_seed(0))
     assert (report.labels, report.groups) == (None, 4)
-    assert report["R-precision@1, real"].value > 0.5  # a text may describe several of its group
+    assert value(report, "R-precision@1, real") > 0.5  # a text may describe several of its group
 
 
 def test_report_reads_as_a_table_and_as_json(timeless):

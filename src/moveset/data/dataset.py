@@ -54,6 +54,7 @@ class Clip:
         croppable: whether its sentences also hold for most of it, so that a window of it may be learned from.
         tagged: its sentences with their words' parts of speech, where these are known.
         stored: name of the codec of the features that are all a set holds of it; None where it holds the motion.
+        take: the performance it is cut from, mirrored or not; None where unknown.
     """
 
     name: str
@@ -70,6 +71,7 @@ class Clip:
     croppable: bool = False
     tagged: tuple[Caption, ...] = ()
     stored: str | None = None
+    take: Hashable | None = None
 
 
 class Dataset(Protocol):
@@ -225,6 +227,7 @@ class CorpusDataset:
             parts=parts,
             # A window of a clip that shows two things may miss half of what its caption says.
             croppable=len(contents) == 1 and record.kind in ("take", "going_on", "paced"),
+            take=record.group,
         )
 
     def weights(self, items: Sequence[int], power: float, composed_share: float) -> Tensor:
@@ -356,10 +359,8 @@ def _folder_clip(data: HumanML3D, item: Item, number: int) -> Clip:
 
     def features(wanted: FeatureCodec) -> Tensor:
         if wanted.name != layout.codec:
-            raise InputError(
-                f"{data.folder} holds {layout.codec!r} features ({layout.features} a frame), not {wanted.name!r} ones; "
-                f"leave the recipe's own choice, codec=auto"
-            )
+            has = f"{layout.codec!r} features ({layout.features} a frame), not {wanted.name!r} ones"
+            raise InputError(f"{data.folder} holds {has}; leave the recipe's own choice, codec=auto")
         return data.features(item.name)[item.start : item.stop]
 
     return Clip(

@@ -17,16 +17,22 @@ GROUP = 32
 
 
 def group(
-    labels: Sequence[Hashable] | None, count: int, generator: torch.Generator, size: int = GROUP
+    labels: Sequence[Hashable] | None,
+    count: int,
+    generator: torch.Generator,
+    size: int = GROUP,
+    takes: Sequence[Hashable] | None = None,
 ) -> list[list[int]]:
     """Random groups of ``size`` items for R-precision, as many whole ones as can be made.
 
     An item is in one group at most. Without labels all items are shuffled and cut (so at most size - 1 are left over).
     With labels no two items of a group share one, because a text that also describes its neighbour's motion has no
-    right answer. A label that more items have than there are groups then loses the surplus, at random.
+    right answer. A label that more items have than there are groups then loses the surplus, at random. With takes no
+    two items of a group are of one either, as far as swaps bring it (``apart``).
 
     Args:
         labels: one for each item, e.g. what its motion shows; None where every pairing may be judged.
+        takes: one for each item, what it is cut from; None likewise.
 
     Raises:
         InputError: not a single whole group can be made, or there are not ``count`` labels.
@@ -35,6 +41,9 @@ def group(
         raise InputError(f"{count} items need {count} labels, not {len(labels)}")
     if size < 2 or count < size:
         raise InputError(f"R-precision needs groups of {size} (at least 2) items, and there are {count}; give more")
+    if takes is not None:
+        found = group(labels, count, generator, size)
+        return apart(found, range(count) if labels is None else labels, takes)
     if labels is None:
         order = torch.randperm(count, generator=generator).tolist()
         return [order[k : k + size] for k in range(0, count - size + 1, size)]
@@ -57,6 +66,37 @@ def group(
     # Dealt out label by label like cards: the at most G items of a label fall to different groups.
     dealt = [item for _, item in sorted((place[pool[k][0]], pool[k][1]) for k in chosen)]
     return [dealt[k::groups] for k in range(groups)]
+
+
+def apart(groups: Sequence[Sequence[int]], labels: Sequence[Hashable], takes: Sequence[Hashable]) -> list[list[int]]:
+    """Groups in which no two items are of one take, as far as swaps of two items can bring it.
+
+    Labels of a group still differ. Items that were in no group may come into one in another's place.
+
+    Args:
+        groups: items by number, as ``group`` drew them.
+        labels, takes: of every item.
+    """
+    used = {item for one in groups for item in one}
+    *made, spare = [*(list(one) for one in groups), [k for k in range(len(takes)) if k not in used]]
+
+    def fits(item: int, group: list[int], but: int) -> bool:
+        return all(takes[k] != takes[item] and labels[k] != labels[item] for k in group if k != but)
+
+    def trade(group: list[int], place: int) -> None:
+        item = group[place]
+        for other in (*made, spare):
+            for there, candidate in enumerate(other):
+                back = other is spare or (other is not group and fits(item, other, candidate))
+                if back and fits(candidate, group, item):
+                    group[place], other[there] = candidate, item
+                    return
+
+    for group in made:
+        for place in range(len(group)):
+            if any(takes[k] == takes[group[place]] for k in group[:place]):
+                trade(group, place)
+    return made
 
 
 def r_precision(text_ME: Tensor, motion_ME: Tensor, groups: Sequence[Sequence[int]], top: int = 3) -> Tensor:

@@ -72,6 +72,7 @@ def _item(name: str, joints: Tensor, caption: Caption | str, codec: HmlCodec) ->
         captions=(caption,),
         # Two motions of one prompt are never told apart.
         label=(words(text) or text,),
+        take=None,
         codec=codec.name,
         features=lambda: codec.encode_world([joints])[0],
         joints=lambda: joints,

@@ -138,14 +138,9 @@ def run_repeat(session: Session, number: int, progress: Progress = lambda stage,
     progress("judging", 0, 1)
     motion = session.evaluator.embed_motions(features_of(generator, asked, made, session.items.codec))
     text = session.evaluator.embed_texts([draw.caption for draw in asked])
-    labels = session.judged.labels
-    groups = metrics.group(labels, len(asked), random_of(protocol, number, "groups"), protocol.group)
-    top = metrics.r_precision(text, motion, groups)
-    found: dict[str, float] = {f"r{k}": float(rate) for k, rate in enumerate(top, start=1)}
-    found["mm_dist"] = metrics.matching_score(text, motion, groups)
-    found["fid"] = metrics.frechet_distance(session.real(real), motion)
-    pairs = min(protocol.diversity, len(asked))
-    found["diversity"] = metrics.diversity(motion, random_of(protocol, number, "diversity"), pairs)
+    judged, random = session.judged, random_of(protocol, number, "groups")
+    groups = metrics.group(judged.labels, len(asked), random, protocol.group, judged.takes)
+    found = scores(protocol, number, text, motion, session.real(real), groups)
     texts = {}
     if protocol.multimodality:
         found["multimodality"], texts["texts"] = _multimodality(session, asked, number, progress)
@@ -163,6 +158,18 @@ def run_repeat(session: Session, number: int, progress: Progress = lambda stage,
         "shortened": 0 if isinstance(generator, Given) else shorter,
         "seconds": {"generating": round(generated, 4), "all": round(time.perf_counter() - begun, 4)},
     }
+
+
+def scores(
+    protocol: Protocol, number: int, text_ME: Tensor, motion_ME: Tensor, real_ME: Tensor, groups: list[list[int]]
+) -> dict[str, float]:
+    """R-precision, MM-Dist, FID and diversity of embedded texts and motions, real ones beside them."""
+    top = metrics.r_precision(text_ME, motion_ME, groups)
+    found = {f"r{k}": float(rate) for k, rate in enumerate(top, start=1)}
+    found["mm_dist"] = metrics.matching_score(text_ME, motion_ME, groups)
+    found["fid"] = metrics.frechet_distance(real_ME, motion_ME)
+    pairs = min(protocol.diversity, len(motion_ME))
+    return found | {"diversity": metrics.diversity(motion_ME, random_of(protocol, number, "diversity"), pairs)}
 
 
 def seed_of(protocol: Protocol, number: int, *key: str | int) -> int:

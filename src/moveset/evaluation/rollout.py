@@ -10,7 +10,7 @@ F frames, J joints, W windows of a rollout, E width of the evaluator's space.
 """
 
 import time
-from collections.abc import Hashable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -22,7 +22,7 @@ from moveset.errors import InputError
 from moveset.evaluation import metrics
 from moveset.evaluation.generators import Given, Reconstruction, Wanted
 from moveset.evaluation.motion_files import then
-from moveset.evaluation.protocol import Progress, Session, encoded, physical, random_of, seed_of
+from moveset.evaluation.protocol import Progress, Session, encoded, physical, random_of, scores, seed_of
 from moveset.evaluation.samples import Sample, text_of
 from moveset.motion.hml import HmlCodec
 from moveset.motion.join import join
@@ -121,39 +121,6 @@ def rollouts(draws: Sequence[Sample], fps: float) -> list[Rollout]:
     return out
 
 
-def apart(groups: Sequence[Sequence[int]], labels: Sequence[Hashable], of: Sequence[int]) -> list[list[int]]:
-    """Groups for R-precision in which no two windows are of one rollout, as far as swaps of two windows can bring it.
-
-    Neighbouring windows of a rollout share half of their frames, so a text would find its own motion twice. Labels of
-    a group still differ. Windows that were in no group may come into one in another's place.
-
-    Args:
-        groups: windows by number, as ``metrics.group`` drew them.
-        labels: of every window.
-        of: the rollout of every window.
-    """
-    used = {window for one in groups for window in one}
-    *made, spare = [*(list(one) for one in groups), [k for k in range(len(of)) if k not in used]]
-
-    def fits(window: int, group: list[int], but: int) -> bool:
-        return all(of[k] != of[window] and labels[k] != labels[window] for k in group if k != but)
-
-    def trade(group: list[int], place: int) -> None:
-        window = group[place]
-        for other in (*made, spare):
-            for there, candidate in enumerate(other):
-                back = other is spare or (other is not group and fits(window, other, candidate))
-                if back and fits(candidate, group, window):
-                    group[place], other[there] = candidate, window
-                    return
-
-    for group in made:
-        for place in range(len(group)):
-            if any(of[k] == of[group[place]] for k in group[:place]):
-                trade(group, place)
-    return made
-
-
 def run_rollout(session: Session, number: int, progress: Progress = lambda stage, done, count: None) -> dict[str, Any]:
     """The measures of one repeat of the rollout split, as ``protocol.run_repeat`` gives them.
 
@@ -180,14 +147,9 @@ def run_rollout(session: Session, number: int, progress: Progress = lambda stage
     motion = session.evaluator.embed_motions(features)
     text = session.evaluator.embed_texts([sentence for sentence, _ in told])
     of = [k for k, joints in enumerate(made) for _ in starts(len(joints))]
-    groups = apart(_groups(session, number, told), _labels(session, told) or list(range(len(told))), of)
-    top = metrics.r_precision(text, motion, groups)
+    groups = _groups(session, number, told, of)
     judged = session.evaluator.embed_motions([x for _, found in real for x in found])
-    found = {f"r{k}": float(rate) for k, rate in enumerate(top, start=1)}
-    found["mm_dist"] = metrics.matching_score(text, motion, groups)
-    found["fid"] = metrics.frechet_distance(judged, motion)
-    pairs = min(protocol.diversity, len(told))
-    found["diversity"] = metrics.diversity(motion, random_of(protocol, number, "diversity"), pairs)
+    found = scores(protocol, number, text, motion, judged, groups)
     found |= physical(made, codec, generator.segment or protocol.seams)
     found |= drift(made, codec)
     found["spread_change"] = spread_change(motion, [len(starts(len(joints))) for joints in made])
@@ -230,14 +192,12 @@ def _told(chosen: Sequence[Rollout], clips: Sequence[Tensor]) -> list[Told]:
     ]
 
 
-def _labels(session: Session, told: Sequence[Told]) -> list[tuple[str, ...]] | None:
-    return [label for _, label in told] if session.items.labels else None
-
-
-def _groups(session: Session, number: int, told: Sequence[Told]) -> list[list[int]]:
-    protocol = session.protocol
+def _groups(session: Session, number: int, told: Sequence[Told], of: Sequence[int] | None = None) -> list[list[int]]:
+    """Neighbouring windows of a rollout share half of their frames, so a text would find its own motion twice."""
+    labels = [label for _, label in told] if session.items.labels else None
+    generator = random_of(session.protocol, number, "groups")
     try:
-        return metrics.group(_labels(session, told), len(told), random_of(protocol, number, "groups"), protocol.group)
+        return metrics.group(labels, len(told), generator, session.protocol.group, of)
     except InputError as error:
         raise InputError(f"of the windows of all rollouts: {error}") from error
 

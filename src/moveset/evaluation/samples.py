@@ -5,7 +5,7 @@ but are cropped anew in every repeat, as the sets' own loaders do. F joints fram
 joints, D features.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -36,6 +36,7 @@ class Item:
         rows: rows of features; one frame of joints more.
         captions: sentences that the evaluator reads, one drawn in each repeat.
         label: what is shown; None where unknown. Items of one label are never told apart.
+        take: the performance it is cut from; None where unknown. Neither are items of one take.
         features: (rows, D) its features, not normalised.
         joints: (rows + 1, J, 3) its joints in metres (rows of them where only features are stored).
         motion: itself, if the set holds motions.
@@ -46,6 +47,7 @@ class Item:
     rows: int
     captions: tuple[Caption | str, ...]
     label: tuple[str, ...] | None
+    take: Hashable | None
     codec: str
     features: Callable[[], Tensor]
     joints: Callable[[], Tensor]
@@ -59,6 +61,7 @@ class Item:
             rows=clip.frames - (clip.stored is None),
             captions=clip.tagged or clip.captions,
             label=clip.contents,
+            take=clip.take,
             codec=codec.name,
             features=lambda: clip.features(codec),
             joints=clip.joints,
@@ -118,6 +121,12 @@ class TestSet:
     def labels(self) -> list[tuple[str, ...]] | None:
         """One an item, or None where there are none."""
         found = [item.label for item in self.items if item.label is not None]
+        return found if found and len(found) == len(self.items) else None
+
+    @cached_property
+    def takes(self) -> list[Hashable] | None:
+        """One an item, or None where there are none."""
+        found = [item.take for item in self.items if item.take is not None]
         return found if found and len(found) == len(self.items) else None
 
     @cached_property

@@ -61,15 +61,6 @@ class SanityReport:
     def passed(self) -> bool:
         return all(check.passed for check in self.checks)
 
-    def __getitem__(self, name: str) -> Check:
-        """The check of that name.
-
-        Raises:
-            KeyError: there is none.
-        """
-        found = {check.name: check for check in self.checks}
-        return found[name]
-
     def to_json(self) -> dict[str, object]:
         return {**asdict(self), "checks": [asdict(check) for check in self.checks], "passed": self.passed}
 
@@ -104,7 +95,8 @@ def sanity(evaluator: Evaluator, items: Sequence[Item], generator: torch.Generat
         raise InputError(f"{silent} of {len(items)} items have no sentence; leave them out")
     labels = [item.label for item in items]
     known = None if any(label is None for label in labels) else labels
-    groups = group(known, len(items), generator)
+    takes = [item.take for item in items]
+    groups = group(known, len(items), generator, takes=None if None in takes else takes)
     captions = [item.captions[int(torch.randint(len(item.captions), (1,), generator=generator))] for item in items]
     features = [item.features() for item in items]
     text, motion = evaluator.embed_texts(captions), evaluator.embed_motions(features)
