@@ -39,14 +39,23 @@ def test_without_a_list_of_words_only_distance_counts():
     assert told("a man walks on stilts", pooled=NEAR, words=frozenset()) == []
 
 
-def test_negation_and_figures_are_words_too():
+def test_figures_are_words_too():
     words = frozenset({"walk", "bow", "times", "step"})
-    [one] = told("a person does not walk", pooled=NEAR, words=words)
-    assert "the word 'not' and guesses" in one
     [two] = told("a man bows 3 times and walks 2.5 steps in 3", pooled=NEAR, words=words)
     assert "the words '3', '2.5' and guess" in two
     assert told("a man bows 3 times", pooled=NEAR, words=words, captions=("a person walks 2 steps", "she bows")) == []
     assert told("a man bows 3 times", pooled=NEAR, words=frozenset()) == []
+
+
+def test_several_people_and_what_is_not_done_are_told():
+    words = frozenset(["walk", "bow", "not", "people", "men", "stop", "dance", "man", "room", "knot", "nothing"])
+    for prompt in ("two people dance", "Men walk", "a man walks and they bow to each other"):
+        [one] = told(prompt, pooled=NEAR, words=words | {"two", "they", "each", "other"})
+        assert "moves one person alone" in one
+    for prompt in ("a man does not walk", "a man doesn't walk", "a man never bows"):
+        [one] = told(prompt, pooled=NEAR, words=words | {"never", "doesn't", "doesn"})
+        assert "denies; say what is done instead" in one
+    assert told("a man walks in the men's room", "a man walks a knot", pooled=NEAR, words=words | {"in", "s"}) == []
 
 
 def test_a_prompt_that_is_cut_is_told():

@@ -1,5 +1,7 @@
-"""What a user should know about a prompt: that it is unlike the training captions, has words of none or is too long."""
+"""What a user should know about a prompt: that it is unlike the training captions, has words of none, tells of several
+people or of what is not done, or is too long."""
 
+import re
 from typing import Any
 
 from torch import Tensor
@@ -8,10 +10,18 @@ from moveset.pipelines.model_folder import ModelFolder
 from moveset.text.encoder import TextEncoder
 
 MOST_WORDS = 4  # of a prompt that are named
+# Captions have these words, and whoever is captured is alone and does something all the same.
+_SEVERAL = re.compile(
+    r"\b(?:people|persons|men|women|children|kids|boys|girls|guys|ladies|gentlemen|couple|crowd|each\s+other"
+    r"|one\s+another)\b(?!['’])",
+    re.IGNORECASE,
+)
+_NOT = re.compile(r"\b(?:not|never|nobody|no\s+one)\b|n['’]t\b", re.IGNORECASE)
 
 
 def unfamiliar(bundle: ModelFolder[Any], prompts: tuple[str, ...], pooled: Tensor) -> list[str]:
-    """A warning for every prompt that is far from all training captions, or near to one and has words of none.
+    """A warning for every prompt that is far from all training captions, or near to one and has words of none; and for
+    one that tells of several people, or of what is not done.
 
     Far is a best cosine below ``config.far_prompt``. The nearest caption may well be near and yet another motion ("a
     person is exercising" for riding a bicycle); then words that were in no caption tell.
@@ -31,6 +41,10 @@ def unfamiliar(bundle: ModelFolder[Any], prompts: tuple[str, ...], pooled: Tenso
             named = ", ".join(map(repr, words[:MOST_WORDS])) + (" …" if len(words) > MOST_WORDS else "")
             them, they = ("words", "they mean") if len(words) > 1 else ("word", "it means")
             out.append(f"this model was never trained on the {them} {named} and guesses what {they}; {nearest}")
+        if found := _SEVERAL.search(prompt):
+            out.append(f"this model moves one person alone, not {found.group()!r}; say what that one does")
+        if found := _NOT.search(prompt):
+            out.append(f"this model may do what {found.group()!r} denies; say what is done instead")
     return out
 
 
