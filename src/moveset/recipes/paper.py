@@ -226,6 +226,7 @@ EXPORTS: tuple[Export, ...] = (
             ("rdm", 7, {"rdm": "rdm-7"}),
             *((f"rdm-{n}", n, {"rdm": f"rdm-{n}"}) for n in (4, 14)),
             *((f"md-{n}", n, {"rdm": f"rdm-{n}", "md": f"md-{n}"}) for n in (4, 7)),
+            ("md-7-alone", 7, {"rdm": "rdm-7", "md": "md-7-alone"}),
         )
     ),
     *(
