@@ -1,4 +1,4 @@
-"""The same seed gives the same motion; variants differ; more steps cost a little more and follow the text closer."""
+"""The same seed gives the same motion; variants differ; more steps cost more, and are not better."""
 
 from moveset import TextToMotion
 

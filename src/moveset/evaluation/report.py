@@ -24,8 +24,8 @@ PAGE = """# Results
 
 **Commit {commits}; measured {days}.**
 
-Written by `make tables` from the results of `moveset evaluate --suite motionpcm` and `--suite rdm`; do not edit by
-hand. The protocol is that of the papers, the data and the evaluator are this repository's own, so numbers compare
+Written from the results of `moveset evaluate --suite motionpcm` and `--suite rdm` (`make tables` makes them all anew, by
+twenty repeats); do not edit by hand. The protocol is that of the papers, the data and the evaluator are this repository's own, so numbers compare
 within a table and with nothing else. What the papers print stands below each table for the order of its rows only."""
 
 
