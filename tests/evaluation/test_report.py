@@ -202,7 +202,7 @@ def test_a_suite_without_results_still_has_a_table(tmp_path: Path):
     path = write_report(suite_folder(tmp_path, "rdm", {}))
     text = path.read_text()
     assert "No row has been evaluated yet." in text
-    assert "| RDM-7 | not evaluated |" in text
+    assert "| RDM-7, overlapping (R = K) | not evaluated |" in text
 
 
 @pytest.mark.parametrize(
