@@ -24,7 +24,7 @@ from moveset.models.flow import CouplingFlow, FlowConfig
 from moveset.models.segment_denoiser import SegmentDenoiser, SegmentDenoiserConfig, TextStates
 from moveset.models.segment_transformer import SegmentTransformerConfig
 from moveset.rdm.sampler import Denoiser, Settings, sample
-from moveset.rdm.sequential import Solver, idle_prefix, rollout_chunks
+from moveset.rdm.sequential import Solver, rollout_chunks
 from moveset.rdm.staircase import Staircase, levels
 from moveset.rdm.transport import Transport
 from moveset.text.encoder import TextEmbedding
@@ -247,7 +247,7 @@ class Methods:
             made = network(x, t_B.repeat(copies), Condition(_embedding(tokens, mask), past=PastSegment.clean(prefix)))
             return made if copies == 1 else cfg(*made.chunk(2), 6.5)
 
-        prefix = idle_prefix(torch.zeros(network.config.features, device=self.device), tally.batch)
+        prefix = torch.zeros(tally.batch, 20, network.config.features, device=self.device)
         return rollout_chunks(denoiser, cosine(steps), prefix, frames, range(tally.batch))
 
     def _text(self, batch: int) -> tuple[Tensor, Tensor]:

@@ -4,7 +4,7 @@ import torch
 
 from moveset.diffusion.schedule import linear
 from moveset.rdm.noise import segment_noise
-from moveset.rdm.sampler import Settings, sample
+from moveset.rdm.sampler import Settings, Stream, sample
 from moveset.rdm.sequential import Solver
 from moveset.rdm.staircase import levels
 from moveset.rdm.transport import Transport
@@ -61,12 +61,34 @@ def solver(steps, **options):
     return Solver(**{"schedule": SCHEDULE, "levels": levels(steps), **options})
 
 
-def settings(plan, *, init_noise="independent", entry="copy", **options):
-    return Settings(solver=solver(plan.steps, **options), staircase=plan, init_noise=init_noise, entry=entry)
+def settings(plan, *, init_noise="independent", **options):
+    return Settings(solver=solver(plan.steps, **options), staircase=plan, init_noise=init_noise)
 
 
-def run(plan, transport=None, denoiser=None, order="wavefront", **options):
+def run(plan, transport=None, denoiser=None, **options):
     return sample(
         denoiser or Denoiser(), transport or Transport(Scaled()), settings(plan, **options), SEEDS, SHAPE,
-        texts(plan.segments), order=order,
+        texts(plan.segments),
     )  # fmt: skip
+
+
+def rows(plan):
+    """All cells of a plan one by one, noise level by noise level and from left to right, as published.
+
+    With a lag, rows lean: a segment's cell comes with its left neighbour's of ``lag`` - 1 steps later.
+    """
+    lean = plan.lag - 1
+    for row in range(plan.steps + lean * (plan.segments - 1)):
+        for segment in range(plan.segments):
+            if plan.entry(segment) <= (step := row - lean * segment) < plan.steps:
+                yield segment, step
+
+
+def run_by_rows(plan, transport=None, denoiser=None, **options):
+    """What ``run`` gives, one cell at a time."""
+    live = Stream(
+        denoiser or Denoiser(), transport or Transport(Scaled()), settings(plan, **options), SEEDS, SHAPE,
+        texts(plan.segments).__getitem__,
+    )  # fmt: skip
+    made = [segment for cell in rows(plan) if (segment := live.evaluate((cell,))) is not None]
+    return torch.stack([*made, *live], dim=1)

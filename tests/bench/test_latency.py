@@ -19,7 +19,7 @@ from moveset.bench.processes import run_process
 from moveset.bench.run import PARTS, Bench, Plan, shortest
 from moveset.errors import MovesetError
 from moveset.io.process import cores
-from moveset.models.packed import PackedConv1d
+from moveset.models.packed import PackedTimeConv
 from moveset.pipelines.motion_stream import MotionStream
 from moveset.pipelines.text_to_motion import TextToMotion
 from moveset.text.packed_linear import PackedLinear, can_pack
@@ -94,7 +94,7 @@ def test_operations_of_plain_and_packed_layers_are_those_of_their_definition():
             packed = PackedLinear.of(linear)
             assert counted(lambda: packed(x)) == products
             assert counted(lambda: packed.plus(x, torch.zeros(2, 7, 5))) == products
-            assert counted(lambda: PackedConv1d(conv)(y)) == taps
+            assert counted(lambda: PackedTimeConv(conv)(y.transpose(1, 2))) == taps
         lstm = nn.LSTM(6, 5, batch_first=True)
         assert counted(lambda: lstm(x)) == 2 * 2 * 7 * 4 * 5 * (6 + 5)
         q = torch.randn(2, 1, 7, 6)

@@ -10,11 +10,10 @@ from moveset.errors import FormatError, InputError
 
 def folder(path, layout: Layout, motions: dict[str, int], texts: dict[str, list[str]] | None = None, **splits):
     """A folder as researchers have it; every feature of motion k is k."""
-    for part in ("new_joint_vecs", "new_joints", "texts"):
+    for part in ("new_joint_vecs", "texts"):
         (path / part).mkdir(parents=True)
     for k, (name, frames) in enumerate(motions.items()):
         np.save(path / "new_joint_vecs" / f"{name}.npy", np.full((frames, layout.features), k, dtype=np.float32))
-        np.save(path / "new_joints" / f"{name}.npy", np.full((frames, layout.joints, 3), k, dtype=np.float32))
         lines = (texts or {}).get(name, ["a man walks.#a/DET man/NOUN walk/VERB#0.0#0.0"])
         (path / "texts" / f"{name}.txt").write_text("\n".join(lines) + "\n")
     np.save(path / "Mean.npy", np.zeros(layout.features))
@@ -30,7 +29,6 @@ def test_a_folder_is_recognised_and_read(tmp_path, layout):
     assert data.layout == layout
     assert data.names == ("000001", "M000001")
     assert torch.equal(data.features("M000001"), torch.ones(60, layout.features))
-    assert data.joints("000001").shape == (60, layout.joints, 3)
     assert data.captions("000001")[0].tokens == ("a/DET", "man/NOUN", "walk/VERB")
     assert data.mean.shape == data.std.shape == (layout.features,)
     assert [i.name for i in data.items("train")] == ["000001", "M000001"]

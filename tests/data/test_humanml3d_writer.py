@@ -1,5 +1,6 @@
 """A corpus that is written as a HumanML3D or KIT-ML folder reads as one."""
 
+import numpy as np
 import pytest
 import torch
 
@@ -31,7 +32,7 @@ def test_what_is_written_is_what_is_read(layout, tmp_path):
             end * 20 == pytest.approx(part.stop, abs=0.2)
             for (_, end), part in zip(sorted(spans), clip.parts, strict=True)
         )
-        joints, rows = read.joints(name), read.features(name)
+        joints, rows = torch.from_numpy(np.load(read.folder / "new_joints" / f"{name}.npy")), read.features(name)
         torch.testing.assert_close(joints * codec.convention.unit, codec.joints(rows), atol=1e-5, rtol=0)
         if layout is HUMANML3D:
             assert torch.equal(rows, clip.features(codec))

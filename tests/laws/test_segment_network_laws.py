@@ -31,8 +31,6 @@ NETWORKS = {
     "turned": replace(TRANSFORMER, heading_change=True),
     "volume": VOLUME,
     "cross": CROSS,
-    "channel": replace(VOLUME, prev="channel", max_index=2),
-    "token": replace(VOLUME, prev="token", max_index=2),
     "softmax": replace(CROSS, attention="softmax"),
     "read-padding": replace(CROSS, read_padding=True),
     "light": LIGHT,
@@ -137,8 +135,6 @@ def test_padded_frames_do_not_matter(name):
         alone = {key: value[row : row + 1] for key, value in given.items()} | {
             "x_BnD": given["x_BnD"][row, None, :frames]
         }
-        if name == "channel":  # which pairs frames
-            alone["prev_BnD"] = alone["prev_BnD"][:, :frames]
         close(call(model, **alone), expected[row, None, :frames])
 
 

@@ -1,5 +1,9 @@
 import dataclasses
 import json
+import re
+import subprocess
+import sys
+from pathlib import Path
 
 import pytest
 from torch import nn
@@ -31,6 +35,14 @@ def toy(config: ToyConfig) -> nn.Module:
 def _toy(monkeypatch):
     monkeypatch.setattr(registry, "_KINDS", dict(registry._KINDS))
     register("toy", ToyConfig, toy)
+
+
+def test_importing_the_package_makes_every_kind_known():
+    files = Path(registry.__file__).parent.glob("*.py")
+    registered = {kind for file in files for kind in re.findall(r'^register\("(\w+)"', file.read_text(), re.MULTILINE)}
+    code = "from moveset.models.registry import kinds; print(*kinds())"
+    known = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=300).stdout
+    assert set(known.split()) == registered
 
 
 def test_a_configuration_survives_json():

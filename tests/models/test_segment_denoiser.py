@@ -18,7 +18,6 @@ TINY = SegmentDenoiserConfig(
     text_layers=1, text_heads=2, text_feed_forward=16, prev_width=10, guidance_waves=8,
 )  # fmt: skip
 RECURRENT = replace(TINY, prev="xattn", max_index=2, boundary=2)
-WAYS = [RECURRENT, replace(TINY, prev="channel", max_index=2), replace(TINY, prev="token", max_index=2)]
 KIT = SegmentDenoiserConfig(features=251)
 
 
@@ -88,11 +87,8 @@ def test_operations_of_a_call_are_the_derived_ones(frames):
     assert counted == pytest.approx(DERIVED[frames], rel=5e-3)  # printed with three digits
 
 
-@pytest.mark.parametrize(
-    ("prev", "least", "most"), [("xattn", 1.215, 1.245), ("channel", 1.0, 1.02), ("token", 1.7, 2.0)]
-)
-def test_reading_the_previous_segment_costs_a_quarter_more_or_little_or_double(prev, least, most):
-    assert least < flops(replace(KIT, prev=prev, max_index=1), 28) / flops(KIT, 28) < most
+def test_reading_the_previous_segment_costs_a_quarter_more():
+    assert 1.215 < flops(replace(KIT, prev="xattn", max_index=1), 28) / flops(KIT, 28) < 1.245
 
 
 @pytest.mark.parametrize("features", [263, 251])
@@ -176,5 +172,3 @@ def test_lengths_that_do_not_fit_are_one_sentence(inputs):
         call(model, torch.cat((x, x), dim=1), t, prev, *rest)
     with pytest.raises(InputError, match="previous segment of 16 frames exceeds"):
         call(model, x, t, torch.cat((prev, prev), dim=1), *rest)
-    with pytest.raises(InputError, match="pairs frames"):
-        call(WAYS[1].build(), x, t, prev[:, :7], *rest)

@@ -60,7 +60,8 @@ def test_one_pass_holds_far_from_zero():
 
 
 def test_the_bias_divides_root_and_contacts_once():
-    plain, biased = Normalizer.fit(clips(), GROUPS), Normalizer.fit(clips(), GROUPS, feat_bias=5.0)
+    plain = Normalizer.fit(clips(), GROUPS)
+    biased = plain.biased(GROUPS, 5.0)
     ratio = plain.std / biased.std
     torch.testing.assert_close(ratio, torch.tensor([5.0] * 4 + [1.0] * 9 + [5.0] * 2))
     torch.testing.assert_close(plain.biased(GROUPS, 5.0).biased(GROUPS, 5.0).std, plain.biased(GROUPS, 25.0).std)
@@ -92,7 +93,7 @@ def test_a_group_that_never_varies_is_only_centred():
     [
         (lambda: Normalizer.fit([], GROUPS), "empty"),
         (lambda: Normalizer.fit([torch.zeros(3, 16)], GROUPS), "16 columns"),
-        (lambda: Normalizer.fit([torch.ones(3, 15)], GROUPS, feat_bias=0.0), "above 0"),
+        (lambda: Normalizer.fit([torch.ones(3, 15)], GROUPS).biased(GROUPS, 0.0), "above 0"),
         (lambda: Normalizer(torch.zeros(3), torch.tensor([1.0, 0.0, 1.0])), "above 0"),
         (lambda: Normalizer(torch.zeros(3), torch.ones(4)), r"\(3,\) and \(4,\)"),
         (lambda: Normalizer(torch.full((3,), torch.nan), torch.ones(3)), "finite"),

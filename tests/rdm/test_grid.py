@@ -9,7 +9,7 @@ from moveset.diffusion.schedule import linear
 from moveset.diffusion.steps import add_noise, denoise_step, over
 from moveset.errors import InputError
 from moveset.models.flow import FlowConfig
-from moveset.rdm.grid import Draws, GridConfig, assemble, corrupt, draw, left_of_copy, split
+from moveset.rdm.grid import Draws, GridConfig, corrupt, draw, left_of_copy
 from moveset.rdm.transport import Transport
 
 SCHEDULE, N, D = linear(), 4, 6
@@ -50,26 +50,6 @@ def power(flow, x, times, said, number, inverse=False):
     for _ in range(times):
         x = (flow.inverse if inverse else flow)(x, context)
     return x
-
-
-def test_split_and_assemble_are_inverse():
-    x, lengths = _rand(3, 10, D), torch.tensor([10, 7, 1])
-    segments, valid = split(x, lengths, N)
-    assert segments.shape == (3, 3, N, D)
-    assert valid.flatten(1).sum(1).tolist() == lengths.tolist()
-    back = assemble(segments, 10)
-    for row, length in enumerate(lengths.tolist()):
-        assert torch.equal(back[row, :length], x[row, :length])
-        assert not back[row, length:].any()
-        assert valid.flatten(1)[row].tolist() == [k < length for k in range(12)]
-    assert torch.equal(segments[0, 2, 1], x[0, 9])
-
-
-def test_what_lies_beyond_the_end_does_not_get_in():
-    x = _rand(1, 8, D)
-    x[:, 5:] = 1e9
-    segments, _ = split(x, torch.tensor([5]), N)
-    assert segments.abs().max() < 10
 
 
 @pytest.mark.parametrize("condition", ["below", "previous", "clean"])

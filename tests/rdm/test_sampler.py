@@ -14,10 +14,22 @@ from moveset.rdm.sampler import Stream, sample
 from moveset.rdm.staircase import Staircase, levels
 from moveset.rdm.state import StreamState
 from moveset.rdm.transport import Transport
-from tests.samplers import IDENTITY, SCHEDULE, SEEDS, SHAPE, Denoiser, Scaled, noise_of_items, run, settings, texts
+from tests.samplers import (
+    IDENTITY,
+    SCHEDULE,
+    SEEDS,
+    SHAPE,
+    Denoiser,
+    Scaled,
+    noise_of_items,
+    run,
+    run_by_rows,
+    settings,
+    texts,
+)
 
 CLASSES = [
-    {"eta": 0.0}, {"eta": 0.0, "init_noise": "shared"}, {"eta": 1.0, "entry": "refreshed"},
+    {"eta": 0.0}, {"eta": 0.0, "init_noise": "shared"}, {"eta": 1.0},
     {"eta": 0.5, "variance": "beta"}, {"eps_scale": 1.1, "time_shift": 0.1},
 ]  # fmt: skip
 
@@ -37,7 +49,7 @@ def test_a_wave_in_one_batch_is_every_cell_alone_to_the_last_bit(options):
     for plan in plans(steps=6, segments=(5,), lags=(1, 2, 6)):
         together, alone = Denoiser(), Denoiser()
         batched = run(plan, denoiser=together, **options)
-        one_by_one = run(plan, denoiser=alone, order="rows", **options)
+        one_by_one = run_by_rows(plan, denoiser=alone, **options)
         assert torch.equal(batched, one_by_one), plan
         assert batched.isfinite().all()
         assert batched.shape == (2, plan.segments, *SHAPE)
@@ -59,7 +71,7 @@ def test_a_real_network_and_flow_agree_up_to_the_order_of_sums():
     for cap, plan in itertools.product(
         (1, 3), (Staircase(6, 5, 4), Staircase(6, 5, 3, "triangle"), Staircase(6, 4, 6, lag=6))
     ):
-        results = [run(plan, Transport(flow, cap), denoise, eta=1.0, order=order) for order in ("wavefront", "rows")]
+        results = [made(plan, Transport(flow, cap), denoise, eta=1.0) for made in (run, run_by_rows)]
         torch.testing.assert_close(*results, atol=1e-4, rtol=1e-4)
 
 
@@ -117,7 +129,7 @@ def test_a_copied_entry_is_the_image_of_the_flow():
         torch.testing.assert_close(pushed[j, level], flow(pushed[j - 1, level], pooled))
 
 
-def test_init_noise_and_entry_do_what_they_say():
+def test_init_noise_does_what_it_says_and_late_entries_are_copies():
     starts = {}
 
     def watch(x, t, prev, prev_t, index, numbers):
@@ -139,10 +151,6 @@ def test_init_noise_and_entry_do_what_they_say():
     copied = first_states(late)
     assert torch.equal(copied[1], copied[2])
     assert torch.equal(copied[1], copied[3])
-    refreshed = first_states(late, entry="refreshed")
-    assert not torch.equal(refreshed[1], refreshed[2])
-    # Both are at the level of their entry: their common estimate, 0.5 x for this network, with noise of that level.
-    assert not torch.equal(refreshed[1], copied[1])
 
 
 def test_the_lag_of_all_steps_conditions_on_finished_segments():
@@ -173,7 +181,7 @@ def test_a_stream_is_the_sample_and_can_be_stopped_anywhere(options):
         live = start()
         made, saved = [], []
         for _ in range(7):
-            saved.append((json.dumps(live.state.numbers()), live.state.tensors()))
+            saved.append((json.dumps(live.progress.numbers()), live.progress.tensors()))
             made.append(next(live))
         assert torch.equal(torch.stack(made, dim=1), whole), plan
         assert asked == list(range(len(asked)))
@@ -195,7 +203,7 @@ def test_an_endless_stream_holds_only_the_segments_in_work():
     live = Stream(Denoiser(), Transport(Scaled()), settings(plan, eta=1.0), SEEDS, SHAPE, enter)
     for number in range(500):
         assert next(live).isfinite().all()
-        held = live.state
+        held = live.progress
         kept = [*held.y, held.left, *([] if held.waiting is None else [held.waiting])]
         storages = {tensor.untyped_storage().data_ptr(): tensor.untyped_storage().nbytes() for tensor in kept}
         if number > 3:
@@ -207,14 +215,14 @@ def test_an_endless_stream_holds_only_the_segments_in_work():
     assert active < plan.start
     assert tensors <= active + 2
     assert size <= (plan.start + 2) * 2 * 3 * 5 * 4
-    assert live.state.wave == plan.end(499)
+    assert live.progress.wave == plan.end(499)
 
 
 def test_a_live_state_is_not_changed_by_what_is_done_with_its_copy():
     plan = Staircase(6, None, 4)
     live = Stream(Denoiser(), IDENTITY, settings(plan), SEEDS, SHAPE, lambda j: None)
     next(live)
-    kept = live.state
+    kept = live.progress.copy()
     before = {name: held.clone() for name, held in kept.tensors().items()}, kept.numbers()
     for _ in range(5):
         next(live)
@@ -242,7 +250,6 @@ def test_noise_is_a_function_of_its_key():
         ({"levels": (1000, 800, 600, 400, 200, 100, 1)}, "must fall"),
         ({"levels": (1001, 800, 600, 400, 200, 100, 0)}, "must fall"),
         ({"eta": 1.5}, "eta 1.5"),
-        ({"entry": "late"}, "late"),
         ({"init_noise": "none"}, "none"),
         ({"past_lag": 1}, "past_lag 1 is for a lag of all 6 steps"),
     ],

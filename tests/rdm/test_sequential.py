@@ -5,7 +5,7 @@ import torch
 
 from moveset.diffusion.schedule import cosine, linear
 from moveset.errors import InputError
-from moveset.rdm.sequential import Past, Solver, idle_prefix, rollout_chunks, sample_segment
+from moveset.rdm.sequential import Past, Solver, rollout_chunks, sample_segment
 from moveset.rdm.staircase import Staircase
 from moveset.rdm.transport import Transport
 from tests.samplers import IDENTITY, SEEDS, SHAPE, Denoiser, Scaled, run, solver, texts
@@ -74,9 +74,7 @@ def test_chunks_follow_the_last_frames(frames, chunks):
         asked.append((number, int(t[0]), prefix))
         return 0.1 * x + prefix[:, -1:] + 0.01 * torch.arange(40)[:, None]
 
-    prefix = idle_prefix(torch.tensor([1.0, 2.0, 3.0, 4.0]), 2)
-    assert prefix.shape == (2, 20, 4)
-    assert torch.equal(prefix[1, 7], prefix[0, 0])
+    prefix = torch.tensor([1.0, 2.0, 3.0, 4.0]).expand(2, 20, 4)
     made = rollout_chunks(denoise, schedule, prefix, frames, SEEDS)
     assert made.shape == (2, frames, 4)
     assert [(number, t) for number, t, _ in asked] == [(c, t) for c in range(chunks) for t in range(10, 0, -1)]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from moveset.data.glove_files import read_glove, read_glove_text, read_vocabulary
+from moveset.data.glove_files import read_glove, read_vocabulary
 from moveset.data.humanml3d import parse_caption
 from moveset.data.plain_pickle import read_plain_pickle
 from moveset.errors import FormatError, InputError
@@ -160,7 +160,6 @@ def test_glove_text(tmp_path):
     found, vectors = read_glove(path)
     assert found == ("unk", "walk", "sos", "eos")
     assert vectors[1].tolist() == [1.0, 2.0, 3.0]
-    assert read_glove_text(path, {"sos"})[1].tolist() == [[-1.0, 0.0, 0.0]]
     for text in ("unk 0 0\nwalk 1\n", "walk\n", "walk 1 x\n", "walk 1 nan\n", "", "a" * 100_000):
         path.write_text(text)
         with pytest.raises(FormatError, match="glove"):

@@ -5,7 +5,7 @@ import torch
 
 from moveset.motion.features import Normalizer
 from moveset.motion.native import NativeCodec
-from moveset.training.condition_dropout import CORRECTED, drop_heading_change, perturb_heading
+from moveset.training.condition_dropout import CORRECTED, drop_captions, drop_heading_change, perturb_heading
 
 CODEC = NativeCodec()
 ROWS, FRAMES = 400, 28
@@ -47,6 +47,12 @@ def test_who_has_just_been_told_cannot_have_gone_astray():
     change, heading_noise = strayed(1.2, begun=False)
     assert not change.any()
     assert not heading_noise.any()
+
+
+def test_a_share_of_captions_is_dropped():
+    said = drop_captions(["walk", "bow"] * 5000, 0.1, torch.Generator().manual_seed(0))
+    assert said.count("") / len(said) == pytest.approx(0.1, abs=0.01)
+    assert all(caption in ("", expected) for caption, expected in zip(said, ["walk", "bow"] * 5000, strict=True))
 
 
 def test_a_share_is_told_and_the_rest_is_unknown():

@@ -256,23 +256,6 @@ def test_the_gradient_is_clipped_as_a_whole(tmp_path):
     assert moved.norm().item() == pytest.approx(0.25, rel=1e-4)
 
 
-def test_gradients_accumulate_until_step(tmp_path):
-    x = torch.randn(4, 3, generator=torch.Generator().manual_seed(0))
-
-    def whole(task, step, loop):
-        loop.minimise(task.modules()["a"](x).square().mean(), "a")
-        return {}
-
-    def halves(task, step, loop):
-        for part in (x[:2], x[2:]):
-            loop.backward(task.modules()["a"](part).square().mean() / 2, "a")
-        loop.step("a")
-        return {}
-
-    one, two = run_plain(tmp_path / "1", whole), run_plain(tmp_path / "2", halves)
-    torch.testing.assert_close(one.modules()["a"].weight, two.modules()["a"].weight)
-
-
 def test_a_failed_training_stops_and_saves_nothing_broken(tmp_path):
     def loss(task, step, loop):
         value = task.modules()["a"](torch.ones(1, 3)).sum() * (math.inf if step == 6 else 1.0)

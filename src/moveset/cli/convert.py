@@ -53,7 +53,7 @@ def convert(
 
     if target is None and not show_map:
         raise InputError("there is no OUT to write to; name a file, such as walk.glb")
-    finish = Postprocess.check(fps=fps, skeleton=skeleton, in_place=in_place, loop=loop)
+    finish = Postprocess(fps=fps, skeleton=skeleton, in_place=in_place, loop=loop)
     [paths] = plan_outputs([target] if target else [], [""])
     if source.suffix == ".part":
         frames = recover_take(source)

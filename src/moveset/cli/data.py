@@ -37,8 +37,9 @@ def build(
         keep_work: Keep the imported takes, for a faster next build.
         json: Print one JSON object on stdout and nothing else.
     """
-    from moveset.data.build import build_corpus, summarize_rejections
+    from moveset.data.build import build_corpus
     from moveset.data.raw import SOURCES
+    from moveset.data.summary import rejections
 
     wanted = tuple(name.strip() for name in sources.split(","))
     if unknown := [name for name in wanted if name not in SOURCES]:
@@ -82,7 +83,8 @@ def build(
     )
     if report.rejected:
         print(f"left out: {len(report.rejected)} takes (each with its reason in {report.corpus}.report.json)")
-        print(summarize_rejections(report))
+        for reason, count in rejections(output).items():
+            print(f"{count:5d}  {reason}")
     return 0
 
 

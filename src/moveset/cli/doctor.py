@@ -11,7 +11,9 @@ import tyro
 
 from moveset.errors import InputError
 
-PACKAGES = ("torch", "numpy", "roma", "safetensors", "tokenizers", "pygltflib", "pillow", "imageio-ffmpeg", "tyro")
+PACKAGES = (
+    "torch", "numpy", "roma", "safetensors", "tokenizers", "pygltflib", "pillow", "imageio-ffmpeg", "tyro", "tqdm"
+)  # fmt: skip
 
 
 def doctor(

@@ -67,7 +67,7 @@ def generate(
     from moveset.pipelines.request import check_method, check_request
     from moveset.pipelines.text_to_motion import TextToMotion
 
-    finish = Postprocess.check(fps=fps, skeleton=skeleton, in_place=in_place, loop=loop)
+    finish = Postprocess(fps=fps, skeleton=skeleton, in_place=in_place, loop=loop)
     t2m = TextToMotion.from_pretrained(model, device=device)
     method = check_method(t2m.bundle.config, solver, steps, guidance)
     outputs = output or (DEFAULT_OUTPUT,)

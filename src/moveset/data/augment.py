@@ -1,6 +1,6 @@
 """New clips out of takes: one after the other, the arms of one on the legs of another, bent ways, other paces.
 
-F frames, J joints. Both work on ``hml22`` at one frame rate.
+F frames, J joints. All of it works on ``hml22`` at one frame rate.
 """
 
 import math

@@ -330,11 +330,3 @@ def _weighed(records: Sequence[ClipRecord]) -> list[ClipRecord]:
         replace(record, weight=min(1.0, _MOST / counts[record.source])) if record.source in _ALIKE else record
         for record in records
     ]
-
-
-def summarize_rejections(report: BuildReport) -> str:
-    """Counts of rejected takes and spans by reason, one line each."""
-    reasons = Counter(re.sub(r"\d+", "N", reason.split(": ")[-1]) for reason in report.rejected.values())
-    lines = [f"{count:5d}  {reason}" for reason, count in reasons.most_common()]
-    lines += [f"{count:5d}  spans: {reason}" for reason, count in Counter(report.spans.values()).most_common()]
-    return "\n".join(lines)

@@ -28,7 +28,6 @@ from moveset.data.verbs import LOCOMOTION, STANDING
 from moveset.motion import rotations
 from moveset.motion.clip import Motion
 
-_SPLITS: tuple[Split, ...] = ("train", "val", "test")
 _BLEND = 12
 _SHORTEST = 24
 _WORDS = 12  # of a sentence that becomes half of another

@@ -63,11 +63,8 @@ def read_vocabulary(folder: str | Path) -> tuple[tuple[str, ...], Tensor]:
     return tuple(words), vectors[torch.tensor([rows[word] for word in words])]
 
 
-def read_glove_text(path: str | Path, keep: set[str] | None = None) -> tuple[tuple[str, ...], Tensor]:
+def read_glove_text(path: str | Path) -> tuple[tuple[str, ...], Tensor]:
     """A GloVe text file: a word and its numbers a line.
-
-    Args:
-        keep: words to keep; None keeps all.
 
     Raises:
         InputError: the file is missing or unreadable.
@@ -84,9 +81,8 @@ def read_glove_text(path: str | Path, keep: set[str] | None = None) -> tuple[tup
                 width = width or len(numbers)
                 if not 1 <= len(numbers) <= MAX_WIDTH or len(numbers) != width or len(words) >= MAX_WORDS:
                     raise ValueError(f"line {number} has {len(numbers)} numbers, the first {width}")
-                if keep is None or word in keep:
-                    words.append(word)
-                    vectors.append(torch.tensor([float(number) for number in numbers]))
+                words.append(word)
+                vectors.append(torch.tensor([float(number) for number in numbers]))
     except OSError as error:
         raise InputError(f"cannot read {path}: {error.strerror or error}; check the path") from None
     except ValueError as error:
@@ -94,7 +90,7 @@ def read_glove_text(path: str | Path, keep: set[str] | None = None) -> tuple[tup
             f"{path} is no GloVe text file ({str(error)[:80]}); give a word and its numbers a line"
         ) from None
     if not words:
-        raise FormatError(f"{path} has none of the words wanted; give a GloVe text file")
+        raise FormatError(f"{path} has no words; give a GloVe text file")
     table = torch.stack(vectors)
     if not torch.isfinite(table).all():
         raise FormatError(f"{path} holds numbers that are not finite; restore the original")

@@ -32,7 +32,6 @@ class Layout:
 
     name: str
     codec: str
-    joints: int
     features: int
     fps: float
     shortest: int
@@ -43,8 +42,8 @@ class Layout:
     text_fps = 20
 
 
-HUMANML3D = Layout("humanml3d", "hml", joints=22, features=263, fps=20.0, shortest=40)
-KIT = Layout("kit", "kit", joints=21, features=251, fps=12.5, shortest=24)
+HUMANML3D = Layout("humanml3d", "hml", features=263, fps=20.0, shortest=40)
+KIT = Layout("kit", "kit", features=251, fps=12.5, shortest=24)
 
 
 @dataclass(frozen=True)
@@ -151,15 +150,6 @@ class HumanML3D:
             FormatError: the file is damaged, of another shape, or holds numbers that are not finite.
         """
         return self._checked(self.folder / "new_joint_vecs" / f"{name}.npy", (self.layout.features,))
-
-    def joints(self, name: str) -> Tensor:
-        """(F, J, 3) joint positions of a motion: metres in HumanML3D, millimetres in KIT-ML.
-
-        Raises:
-            InputError: there is no such motion.
-            FormatError: the file is damaged, of another shape, or holds numbers that are not finite.
-        """
-        return self._checked(self.folder / "new_joints" / f"{name}.npy", (self.layout.joints, 3))
 
     def captions(self, name: str) -> tuple[Caption, ...]:
         """Sentences of a motion.

@@ -6,7 +6,7 @@ Shapes: M entries, N latent tokens, d latent width, B batch.
 
 from collections.abc import Sequence
 from copy import copy
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +16,7 @@ from safetensors.torch import load_file, save
 from torch import Tensor
 from tqdm import tqdm
 
+from moveset.data.batch import Batch
 from moveset.data.dataset import Dataset
 from moveset.data.feature_store import Crop, FeatureStore
 from moveset.data.splits import Split
@@ -26,7 +27,7 @@ _SOURCE = "moveset source"
 
 
 @dataclass(frozen=True, eq=False)
-class LatentBatch:
+class LatentBatch(Batch):
     """Latents z_0 (B, N, d), clip lengths (B,) in frames, sides (B, 3) that they favour, a caption for each, and labels
     of what it shows, or the caption again where there are none."""
 
@@ -35,12 +36,6 @@ class LatentBatch:
     sides: Tensor
     captions: list[str]
     contents: list[tuple[str, ...]]
-
-    def rows(self, count: int) -> "LatentBatch":
-        return LatentBatch(*(getattr(self, field.name)[:count] for field in fields(self)))
-
-    def to(self, device: torch.device | str) -> "LatentBatch":
-        return replace(self, z0=self.z0.to(device), frames=self.frames.to(device), sides=self.sides.to(device))
 
 
 class LatentSet:

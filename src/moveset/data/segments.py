@@ -7,7 +7,7 @@ Shapes: B rows, n frames of a segment, D features.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -15,6 +15,7 @@ import torch
 from torch import Tensor
 
 from moveset.data.augment import MAX_FRAMES
+from moveset.data.batch import Batch
 from moveset.data.dataset import Dataset
 from moveset.data.feature_store import FeatureStore
 from moveset.data.splits import Split
@@ -56,7 +57,7 @@ class CuttingConfig:
 
 
 @dataclass(frozen=True, eq=False)
-class SegmentBatch:
+class SegmentBatch(Batch):
     """Clean segments and what belongs to them.
 
     Args:
@@ -80,23 +81,6 @@ class SegmentBatch:
     sides: Tensor
     captions: list[str]
     previous_captions: list[str]
-
-    def rows(self, count: int) -> "SegmentBatch":
-        return SegmentBatch(*(getattr(self, field.name)[:count] for field in fields(self)))
-
-    def to(self, device: torch.device | str) -> "SegmentBatch":
-        return SegmentBatch(
-            self.clean.to(device),
-            self.valid.to(device),
-            self.previous.to(device),
-            self.first.to(device),
-            self.index.to(device),
-            self.begun.to(device),
-            self.turned.to(device),
-            self.sides.to(device),
-            self.captions,
-            self.previous_captions,
-        )
 
 
 @dataclass(frozen=True, eq=False)

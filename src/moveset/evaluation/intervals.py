@@ -41,14 +41,6 @@ class Interval:
             return cls(mean, math.inf)
         return cls(mean, student_quantile(count - 1) * statistics.stdev(values) / math.sqrt(count))
 
-    @property
-    def low(self) -> float:
-        return self.mean - self.half_width
-
-    @property
-    def high(self) -> float:
-        return self.mean + self.half_width
-
     def to_json(self) -> dict[str, float | None]:
         """``{"mean", "interval"}``; the interval is the half width, null where it is unknown."""
         return {"mean": self.mean, "interval": self.half_width if math.isfinite(self.half_width) else None}

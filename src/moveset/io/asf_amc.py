@@ -71,12 +71,6 @@ class AmcTake:
     rotations: Tensor
     root: Tensor
 
-    def __len__(self) -> int:
-        return len(self.root)
-
-    def __getitem__(self, frames: slice) -> "AmcTake":
-        return AmcTake(self.skeleton, self.rotations[frames], self.root[frames])
-
     @cached_property
     def world(self) -> tuple[Tensor, Tensor]:
         """World rotations (F, J, 4), identity in the zero pose, and bone ENDS (F, J, 3) in metres."""

@@ -1,6 +1,9 @@
 """The discriminator of adversarial consistency: small heads that read a frozen denoiser's features.
 
-Shapes: B batch, N latent tokens, D latent channels, C width of the denoiser, L text tokens, K tapped blocks.
+It judges noised latents z_s at time s, given the text: high logits mean real. Gradients flow through the frozen
+denoiser into z_s, which is how a student learns from the verdict.
+
+Shapes: B batch, N latent tokens, C width of the denoiser, K tapped blocks.
 Source: PCM (Wang et al. 2024, arXiv 2405.18407) and MotionPCM, Eq. 13, on the tokens of a latent sequence.
 """
 
@@ -11,7 +14,6 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from moveset.errors import InputError
-from moveset.models.condition import Condition, Denoiser
 from moveset.models.registry import ModelConfig, register, require_sizes
 
 
@@ -50,7 +52,7 @@ class _Head(nn.Module):
 
 
 class DiscriminatorHeads(nn.Module):
-    """What is trained: K heads for K feature maps."""
+    """What is trained: K heads for the K feature maps that the frozen denoiser's ``taps`` collect."""
 
     def __init__(self, config: DiscriminatorConfig) -> None:
         super().__init__()
@@ -58,48 +60,10 @@ class DiscriminatorHeads(nn.Module):
         self.heads = nn.ModuleList(_Head(config.width, config.groups) for _ in range(config.taps))
 
     def forward(self, taps: list[Tensor]) -> Tensor:
-        """Logits (B, N, K) of K feature maps (B, N, C)."""
+        """Logits (B, N, K) of K feature maps (B, N, C); a hinge loss averages over all of them."""
         if len(taps) != len(self.heads):
             raise InputError(f"the backbone gave {len(taps)} feature maps for {len(self.heads)} discriminator heads")
         return torch.stack([head(tap) for head, tap in zip(self.heads, taps, strict=True)], dim=-1)
-
-
-class LatentDiscriminator(nn.Module):
-    """Judges noised latents z_s at time s, given the text: high logits mean real.
-
-    The backbone is *not* a submodule: it is not trained, saved, moved or switched to training mode with the heads.
-    Gradients do flow through it into z_s, which is how a student learns from the verdict.
-
-    Args:
-        backbone: a denoiser whose ``taps`` collect (B, N, C) feature maps. It is put into evaluation mode and its
-            parameters are frozen, in place: hand over the teacher, or a copy of it.
-    """
-
-    def __init__(self, backbone: Denoiser, heads: DiscriminatorHeads) -> None:
-        super().__init__()
-        self.heads = heads
-        self._outside = (backbone.eval().requires_grad_(False),)  # a tuple hides it from nn.Module's registration
-
-    @property
-    def backbone(self) -> Denoiser:
-        return self._outside[0]
-
-    def features(self, z_BND: Tensor, s_B: Tensor, condition: Condition) -> list[Tensor]:
-        """K feature maps (B, N, C) of latents, real or fake, noised to integer timesteps s (B,).
-
-        One pass serves both the discriminator's step (detached) and the student's.
-        """
-        if self.backbone.training:
-            raise RuntimeError(
-                "the discriminator's backbone was switched to training mode: its features need no dropout"
-            )
-        taps: list[Tensor] = []
-        self.backbone(z_BND, s_B, condition, taps)
-        return taps
-
-    def forward(self, z_BND: Tensor, s_B: Tensor, condition: Condition) -> Tensor:
-        """Logits (B, N, K), one for every latent token and tapped block; a hinge loss averages over all of them."""
-        return self.heads(self.features(z_BND, s_B, condition))
 
 
 register("latent_discriminator", DiscriminatorConfig, DiscriminatorHeads)

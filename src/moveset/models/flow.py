@@ -37,7 +37,7 @@ BOUNDS = ("tanh", "hardtanh")
 class FlowConfig(ModelConfig):
     """Sizes of a ``CouplingFlow``.
 
-    Attributes:
+    Args:
         features: D, numbers per frame.
         blocks: coupling layers; an even number moves every feature equally often.
         hidden: width of each block's LSTM.

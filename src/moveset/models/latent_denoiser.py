@@ -17,7 +17,10 @@ from torch.nn import functional as fn
 
 from moveset.diffusion.schedule import Schedule, scaled_linear
 from moveset.models.condition import Condition, Denoiser
+from moveset.models.layers import time_embedding
 from moveset.models.registry import ModelConfig, register, require_range, require_sizes
+
+WAVES = 256  # size of the embeddings of time, length and guidance scale, numbers of the order of 0..1000
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -77,11 +80,11 @@ class LatentDenoiser(Denoiser):
         self.text_norm = nn.LayerNorm(c.width)
         self.text_position = nn.Parameter(torch.randn(64, c.width) * 0.02)
         self.pool = nn.Linear(c.width, c.width)
-        self.time = nn.Sequential(nn.Linear(_WAVES, c.width), nn.SiLU(), nn.Linear(c.width, c.width))
-        self.length = nn.Linear(_WAVES, c.width)
+        self.time = nn.Sequential(nn.Linear(WAVES, c.width), nn.SiLU(), nn.Linear(c.width, c.width))
+        self.length = nn.Linear(WAVES, c.width)
         if c.guided:
             # Zero at the start: a fresh student is its teacher, whatever the guidance scale.
-            self.guidance = nn.Linear(_WAVES, c.width, bias=False)
+            self.guidance = nn.Linear(WAVES, c.width, bias=False)
             nn.init.zeros_(self.guidance.weight)
         self.modulate = nn.Linear(c.width, 6 * c.width)
         nn.init.normal_(self.modulate.weight, std=0.02)
@@ -114,9 +117,11 @@ class LatentDenoiser(Denoiser):
 
     def denoise(self, z_BND: Tensor, t_B: Tensor, text: TextKeys, taps: list[Tensor] | None) -> Tensor:
         frames_B = torch.full_like(t_B, 120) if text.length is None else text.length
-        condition = self.time(waves(t_B)) + self.length(waves(frames_B * 4.0)) + text.pooled
+        condition = (
+            self.time(time_embedding(t_B, WAVES)) + self.length(time_embedding(frames_B * 4.0, WAVES)) + text.pooled
+        )
         if text.scale is not None:
-            condition = condition + self.guidance(waves(text.scale * 100.0))
+            condition = condition + self.guidance(time_embedding(text.scale * 100.0, WAVES))
         condition = fn.silu(condition)
         modulation = self.modulate(condition)[:, None]
         x = self.latent_in(z_BND) + self.position
@@ -196,21 +201,6 @@ def _attend(query: Tensor, keys: Tensor, values: Tensor, bias: Tensor | None) ->
 def carry(said_BND: Tensor, z_BND: Tensor, t_B: Tensor, schedule: Schedule) -> Tensor:
     """The noise (B, N, d) in z_t where a network says v_t = alpha_t eps - sigma_t z_0 (arXiv 2202.00512)."""
     return schedule.sigma(t_B)[:, None, None] * z_BND + schedule.alpha(t_B)[:, None, None] * said_BND
-
-
-_WAVES = 256
-
-
-def waves(x_B: Tensor) -> Tensor:
-    """Sinusoids (B, 256) of a number of the order of 0..1000: [cos, sin], frequencies 10000^(-i/128)."""
-    angle = x_B.float()[:, None] * frequencies(x_B.device)
-    return torch.cat((angle.cos(), angle.sin()), dim=-1)
-
-
-def frequencies(device: torch.device) -> Tensor:
-    """(128,) of ``waves``."""
-    half = _WAVES // 2
-    return torch.exp(torch.arange(half, device=device) * (-9.210340371976184 / half))
 
 
 register("latent_denoiser", LatentDenoiserConfig, LatentDenoiser)

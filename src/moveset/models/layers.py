@@ -20,10 +20,13 @@ def time_embedding(t_B: Tensor, dim: int = 768) -> Tensor:
     >>> time_embedding(torch.tensor([0]), 4).tolist()
     [[1.0, 1.0, 0.0, 0.0]]
     """
-    half = dim // 2
-    frequencies = torch.exp(torch.arange(half, device=t_B.device) * (-math.log(10000.0) / half))
-    angles = t_B.float()[:, None] * frequencies
+    angles = t_B.float()[:, None] * frequencies(dim // 2, t_B.device)
     return torch.cat((angles.cos(), angles.sin()), dim=-1)
+
+
+def frequencies(count: int, device: torch.device) -> Tensor:
+    """(count,) of ``time_embedding``."""
+    return torch.exp(torch.arange(count, device=device) * (-math.log(10000.0) / count))
 
 
 class TimeEmbedding(nn.Module):

@@ -9,7 +9,7 @@ Shapes: B sentences, C width of the pooled embedding, K classes.
 from dataclasses import dataclass
 
 import torch
-from torch import Generator, Tensor, nn
+from torch import Tensor, nn
 
 from moveset.models.registry import ModelConfig, register, require_sizes
 
@@ -54,13 +54,10 @@ class LengthPredictor(nn.Module):
         return (frames // self.config.frames_per_class).clamp(0, self.config.classes - 1)
 
     @torch.inference_mode()
-    def predict(self, pooled_BC: Tensor, generator: Generator | None = None) -> Tensor:
-        """Frames (B,) int64: the median of the predicted distribution, or a draw from it when given a generator."""
+    def predict(self, pooled_BC: Tensor) -> Tensor:
+        """Frames (B,) int64: the median of the predicted distribution."""
         share_BK = self(pooled_BC).softmax(dim=-1)
-        if generator is None:
-            classes_B = (share_BK.cumsum(dim=-1) < 0.5).sum(dim=-1).clamp(max=self.config.classes - 1)
-        else:
-            classes_B = torch.multinomial(share_BK.cpu(), 1, generator=generator)[:, 0].to(share_BK.device)
+        classes_B = (share_BK.cumsum(dim=-1) < 0.5).sum(dim=-1).clamp(max=self.config.classes - 1)
         return classes_B * self.config.frames_per_class
 
 

@@ -28,13 +28,11 @@ def pack(module: nn.Module) -> nn.Module:
 
 
 def pack_layers(module: nn.Module) -> nn.Module:
-    """Replace the ``Linear`` and zero-padded ``Conv1d`` layers below ``module`` by packed ones, in place."""
+    """Replace the ``Linear`` layers below ``module`` by packed ones, in place."""
     for name, child in module.named_children():
         # Exact types only: a subclass may have its weight read by its owner, as in MultiheadAttention.
         if type(child) is nn.Linear:
             setattr(module, name, PackedLinear.of(child))
-        elif type(child) is nn.Conv1d and child.padding_mode == "zeros" and not isinstance(child.padding, str):
-            setattr(module, name, PackedConv1d(child))
         else:
             pack_layers(child)
     return module
@@ -71,22 +69,3 @@ class PackedTimeConv(nn.Module):
             *self.geometry, "add", 1.0, None, [], None,
         )  # fmt: skip
         return y[:, :, 0].transpose(1, 2)
-
-
-class PackedConv1d(nn.Module):
-    """``nn.Conv1d`` for inference, as a convolution over images of height 1."""
-
-    def __init__(self, layer: nn.Conv1d) -> None:
-        super().__init__()
-        padding, stride, dilation = (0, layer.padding[0]), (1, layer.stride[0]), (1, layer.dilation[0])
-        self.geometry = (padding, stride, dilation, layer.groups)
-        weight = layer.weight.detach()[:, :, None]
-        self.weight = torch.ops.mkldnn._reorder_convolution_weight(weight, *self.geometry)
-        self.bias = None if layer.bias is None else layer.bias.detach()
-
-    def forward(self, x: Tensor) -> Tensor:
-        """x (B, C, T) to (B, C', T')."""
-        y: Tensor = torch.ops.mkldnn._convolution_pointwise(
-            x[:, :, None], self.weight, self.bias, *self.geometry, "none", [], ""
-        )
-        return y[:, :, 0]

@@ -13,7 +13,8 @@ from torch import Tensor, nn
 from torch.nn import functional as fn
 
 from moveset.models.condition import Condition, Denoiser
-from moveset.models.latent_denoiser import Block, LatentDenoiser, carry, frequencies
+from moveset.models.latent_denoiser import WAVES, Block, LatentDenoiser, carry
+from moveset.models.layers import frequencies
 from moveset.text.packed_linear import PackedLinear
 
 
@@ -43,7 +44,7 @@ class PackedDenoiser(Denoiser):
         self.guidance = denoiser.guidance if c.guided else None
         self.text_kv = _stacked([block.text_kv for block in denoiser.blocks])
         self.latent_in, self.position = PackedLinear.of(denoiser.latent_in), denoiser.position.detach()[None]
-        self.frequencies = frequencies(denoiser.position.device)
+        self.frequencies = frequencies(WAVES // 2, denoiser.position.device)
         self.modulate = _stacked([denoiser.modulate, denoiser.modulate_out])
         # A scale is one plus what the network says; so is that of the last norm, whose block has no offset.
         one = torch.zeros(8, c.width)

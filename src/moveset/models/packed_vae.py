@@ -12,7 +12,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as fn
 
-from moveset.models.packed import PackedTimeConv, pack_layers
+from moveset.models.packed import PackedTimeConv
 from moveset.models.timed_vae import PATCH, ConvBlock, TimedVAE, TokenMixer, place, resample
 from moveset.text.packed_linear import PackedLinear
 
@@ -31,7 +31,7 @@ class PackedVAE(nn.Module):
         self.patch_out = PackedLinear.of(vae.patch_out)
         self.frame = nn.ModuleList(PackedConvBlock(block) for block in vae.frame)
         self.frame_out = PackedLinear.of(vae.frame_out)
-        self.plain = pack_layers(vae)
+        self.plain = vae  # encodes
 
     def encode(self, x_BFD: Tensor, lengths_B: Tensor) -> tuple[Tensor, Tensor]:
         """See ``TimedVAE.encode``."""

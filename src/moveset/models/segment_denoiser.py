@@ -23,7 +23,7 @@ from moveset.models.condition import Condition, Denoiser
 from moveset.models.layers import Block, TimeEmbedding
 from moveset.models.registry import ModelConfig, register, require_range, require_sizes
 
-PREVIOUS = ("none", "xattn", "channel", "token")
+PREVIOUS = ("none", "xattn")
 ATTENTION = ("linear", "softmax")
 
 
@@ -40,8 +40,7 @@ class SegmentDenoiserConfig(ModelConfig):
         read_padding: read the text's padding as well, as published (CLIP's 77 positions); the mask then only says
             where the text ends. False: padding does not matter.
         prev: how the previous segment is read. "none": not at all. "xattn": by one more cross-attention a layer, to an
-            encoding ``prev_width`` wide (1.24 times the operations at 28 frames). "channel": frame k beside frame k
-            (1.01). "token": as frames ahead of the segment's own (1.74).
+            encoding ``prev_width`` wide (1.24 times the operations at 28 frames).
         boundary: with "xattn", the last so many frames of the previous segment are given once more as tokens of their
             own, for a smooth join.
         max_index: larger segment numbers count as this one; 0: the number is not an input.
@@ -118,8 +117,7 @@ class SegmentDenoiser(Denoiser):
         self.position = nn.Parameter(torch.randn(c.frames, c.width))
         self.time = TimeEmbedding(c.conditioning, c.width, c.guidance_waves if c.guided else None)
         self.index = TimeEmbedding(c.conditioning, c.width, None) if c.max_index else None
-        prev_width = c.prev_width if c.prev == "xattn" else c.width
-        self.previous = Previous(c, prev_width) if c.prev != "none" else None
+        self.previous = Previous(c) if c.prev != "none" else None
         self.layers = nn.ModuleList(Layer(c) for _ in range(c.layers))
         self.out = zeroed(nn.Linear(c.width, c.features))
 
@@ -147,7 +145,7 @@ class SegmentDenoiser(Denoiser):
         """See ``Denoiser.forward``.
 
         Raises:
-            InputError: a segment longer than ``frames``, a previous one of unfit length or none, or a guidance scale
+            InputError: a segment longer than ``frames``, a previous one that is longer or missing, or a guidance scale
                 where none belongs (or the reverse).
         """
         past, w_B, mask_Bn = text.condition.past, text.condition.scale, text.condition.valid
@@ -164,32 +162,22 @@ class SegmentDenoiser(Denoiser):
         if mask_Bn is not None:
             x_BnD = x_BnD.masked_fill(~mask_Bn[..., None], 0.0)
         x = self.frames_in(x_BnD) + self.position[:n]
-        mask, before = mask_Bn, None
+        before = None
         if self.previous is not None and past is not None:
             before = self.previous(past.frames, past.level, past.index == 0)
-        if before is not None and c.prev == "channel":
-            if before.shape[1] != n:
-                raise InputError(
-                    f"prev = 'channel' pairs frames, but the previous segment has {before.shape[1]} and this one {n}"
-                )
-            x = x + before
-        elif before is not None and c.prev == "token":
-            x = torch.cat((before, x), dim=1)
-            if mask_Bn is not None:
-                mask = torch.cat((mask_Bn.new_ones(before.shape[:2]), mask_Bn), dim=1)
         for layer in self.layers:
-            x = layer(x, mask, text, before, condition)
+            x = layer(x, mask_Bn, text, before, condition)
             if taps is not None:
-                taps.append(x[:, -n:])
-        return self.out(x[:, -n:])
+                taps.append(x)
+        return self.out(x)
 
 
 class Previous(nn.Module):
     """The previous segment as tokens (B, m, P): its frames, their positions and noise level; or a learned null."""
 
-    def __init__(self, config: SegmentDenoiserConfig, width: int) -> None:
+    def __init__(self, config: SegmentDenoiserConfig) -> None:
         super().__init__()
-        self.boundary = config.boundary
+        self.boundary, width = config.boundary, config.prev_width
         self.frames_in = nn.Linear(config.features, width)
         self.position = nn.Parameter(torch.randn(config.frames, width))
         self.level = TimeEmbedding(width, config.width, None)
@@ -223,8 +211,8 @@ class Layer(nn.Module):
         c = config
         self.itself, self.itself_out = Attention(c, None), Stylization(c)
         self.text, self.text_out = Attention(c, c.text_width), Stylization(c)
-        self.before = Attention(c, c.prev_width) if c.prev == "xattn" else None
-        self.before_out = Stylization(c) if c.prev == "xattn" else None
+        self.before = Attention(c, c.prev_width) if c.prev != "none" else None
+        self.before_out = Stylization(c) if c.prev != "none" else None
         self.inward, self.outward = nn.Linear(c.width, c.feed_forward), zeroed(nn.Linear(c.feed_forward, c.width))
         self.feed_out = Stylization(c)
         self.dropout = nn.Dropout(c.dropout)

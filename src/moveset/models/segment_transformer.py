@@ -26,10 +26,10 @@ from moveset.diffusion.coloured import colour, dct_matrix
 from moveset.diffusion.schedule import linear
 from moveset.errors import InputError
 from moveset.models.condition import Condition, Denoiser
-from moveset.models.latent_denoiser import Block, waves
+from moveset.models.latent_denoiser import WAVES, Block
+from moveset.models.layers import time_embedding
 from moveset.models.registry import ModelConfig, register, require_range, require_sizes
 
-_WAVES = 256
 _SCHEDULE = linear()
 
 
@@ -100,7 +100,7 @@ class SegmentTransformer(Denoiser):
         self.position = nn.Parameter(torch.randn(c.frames, c.width) * 0.02)
         self.previous_in = nn.Linear(c.features, c.width)
         self.previous_position = nn.Parameter(torch.randn(c.frames, c.width) * 0.02)
-        self.previous_level = nn.Linear(_WAVES, c.width)
+        self.previous_level = nn.Linear(WAVES, c.width)
         self.previous_norm = nn.LayerNorm(c.width)
         self.no_previous = nn.Parameter(torch.randn(c.frames, c.width) * 0.02)
         # The frame that the segment goes on from, beside every frame of it: continuity should not need attention.
@@ -109,16 +109,16 @@ class SegmentTransformer(Denoiser):
         self.text_norm = nn.LayerNorm(c.width)
         self.text_position = nn.Parameter(torch.randn(64, c.width) * 0.02)
         self.pool = nn.Linear(c.width, c.width)
-        self.time = nn.Sequential(nn.Linear(_WAVES, c.width), nn.SiLU(), nn.Linear(c.width, c.width))
+        self.time = nn.Sequential(nn.Linear(WAVES, c.width), nn.SiLU(), nn.Linear(c.width, c.width))
         self.index = nn.Embedding(c.max_index + 1, c.width)
         nn.init.normal_(self.index.weight, std=0.02)
         if c.heading_change:
             # Zero at the start, so that a network may learn it after the rest.
-            self.course = nn.Linear(_WAVES, c.width, bias=False)
+            self.course = nn.Linear(WAVES, c.width, bias=False)
             nn.init.zeros_(self.course.weight)
         if c.guided:
             # Zero at the start: a fresh student is its teacher, whatever the guidance scale.
-            self.guidance = nn.Linear(_WAVES, c.width, bias=False)
+            self.guidance = nn.Linear(WAVES, c.width, bias=False)
             nn.init.zeros_(self.guidance.weight)
         self.modulate = nn.Linear(c.width, 6 * c.width)
         nn.init.normal_(self.modulate.weight, std=0.02)
@@ -149,7 +149,7 @@ class SegmentTransformer(Denoiser):
         keep = mask_BL[..., None].to(text.dtype)
         pooled = self.pool((text * keep).sum(1) / keep.sum(1).clamp_min(1.0))
         later = (index_B > 0)[:, None, None]
-        level = self.previous_level(waves(prev_t_B))
+        level = self.previous_level(time_embedding(prev_t_B, WAVES))
         told = self.previous_norm(self.previous_in(prev_BnD) + self.previous_position + level[:, None])
         previous = torch.where(later, told, self.no_previous.to(told.dtype))
         last = torch.where(later, self.last_in(prev_BnD[:, -1:]), torch.zeros((), device=told.device, dtype=told.dtype))
@@ -174,9 +174,9 @@ class SegmentTransformer(Denoiser):
         return forecast * clean_B[:, None, None]
 
     def denoise(self, x_BnD: Tensor, t_B: Tensor, context: Context, taps: list[Tensor] | None) -> Tensor:
-        condition = context.modulation + self.time(waves(t_B))
+        condition = context.modulation + self.time(time_embedding(t_B, WAVES))
         if context.scale is not None:
-            condition = condition + self.guidance(waves(context.scale * 100.0))
+            condition = condition + self.guidance(time_embedding(context.scale * 100.0, WAVES))
         condition = fn.silu(condition)
         modulation = self.modulate(condition)[:, None]
         x = self.frame_in(x_BnD) + self.position + context.last
@@ -221,7 +221,7 @@ def course_waves(turned_B: Tensor) -> Tensor:
     """Sinusoids (B, 256) of how far a way has turned, in tens of degrees: nobody needs to know it more finely. Zero
     where it is not known, or more than a turn."""
     known_B = turned_B.abs() <= 2 * torch.pi  # NaN is not
-    return waves(turned_B.masked_fill(~known_B, 0.0).rad2deg() / 10.0) * known_B[:, None]
+    return time_embedding(turned_B.masked_fill(~known_B, 0.0).rad2deg() / 10.0, WAVES) * known_B[:, None]
 
 
 register("segment_transformer", SegmentTransformerConfig, SegmentTransformer)

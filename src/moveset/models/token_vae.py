@@ -83,12 +83,6 @@ class TokenVAE(nn.Module):
         x = self.frame_out(self.decoder(queries, valid, self.from_latent(z_BNC)))
         return x.masked_fill(~valid[..., None], 0.0)
 
-    def forward(self, x_BFD: Tensor, lengths_B: Tensor, noise_BNC: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Reconstruction from z = mean + std * noise, the mean, and the log-variance: one training pass."""
-        mean, log_variance = self.encode(x_BFD, lengths_B)
-        z = mean + torch.exp(0.5 * log_variance) * noise_BNC
-        return self.decode(z, lengths_B, x_BFD.shape[1]), mean, log_variance
-
 
 def frame_mask(lengths_B: Tensor, frames: int) -> Tensor:
     """(B, frames) mask, True within each clip's length.

@@ -114,12 +114,11 @@ class Normalizer:
             )
 
     @classmethod
-    def fit(cls, clips: Iterable[Tensor], groups: Mapping[str, slice], feat_bias: float = 1.0) -> "Normalizer":
+    def fit(cls, clips: Iterable[Tensor], groups: Mapping[str, slice]) -> "Normalizer":
         """Statistics of clips (F, D), each frame weighing the same, in one pass and float64.
 
         The standard deviation of each column is replaced by its group's mean, so that the parts of one quantity keep
-        their proportions (HumanML3D's rule; population deviation). A group that never varies gets 1. ``feat_bias``
-        is applied as in ``biased``.
+        their proportions (HumanML3D's rule; population deviation). A group that never varies gets 1.
 
         Raises:
             InputError: no frames, or groups that do not cover the columns once each.
@@ -144,7 +143,7 @@ class Normalizer:
         for part in groups.values():
             shared = std[part].mean()
             std[part] = shared if shared > 1e-9 else 1.0
-        return cls((mean + shift).float(), std.float()).biased(groups, feat_bias)
+        return cls((mean + shift).float(), std.float())
 
     def biased(self, groups: Mapping[str, slice], feat_bias: float) -> "Normalizer":
         """With the standard deviations of root and contacts divided by ``feat_bias``: they weigh that much more.

@@ -148,12 +148,7 @@ def standing(motion: Motion, reference: Reference) -> Motion:
     """The same motion, Y up, on a skeleton whose rest pose is the reference pose: no joint moves."""
     if reference.plain:
         return motion
-    skeleton = stood(motion.skeleton, reference)
-    up, turns = reference.up.to(motion.root), reference.turns.to(motion.root)
-    above = torch.cat((_still(1).turns.to(turns), turns[list(motion.skeleton.parents[1:])]))
-    local = rotations.mul(above, rotations.mul(motion.rotations, rotations.inv(turns)))
-    local[:, 0] = rotations.mul(up, local[:, 0])
-    return Motion(rotations.unroll(rotations.normalize(local)), rotations.rotate(up, motion.root), motion.fps, skeleton)
+    return _turned(motion, stood(motion.skeleton, reference), reference.up, reference.turns)
 
 
 def stood(skeleton: Skeleton, reference: Reference) -> Skeleton:
@@ -171,9 +166,14 @@ def as_before(motion: Motion, skeleton: Skeleton, reference: Reference) -> Motio
     """The way back of ``standing``: onto the skeleton with its own zero pose and its own up axis."""
     if reference.plain:
         return motion
-    up, turns = rotations.inv(reference.up.to(motion.root)), reference.turns.to(motion.root)
+    return _turned(motion, skeleton, rotations.inv(reference.up), rotations.inv(reference.turns))
+
+
+def _turned(motion: Motion, skeleton: Skeleton, up: Tensor, turns: Tensor) -> Motion:
+    """The motion on a skeleton whose joints' axes are those of the motion's turned by (J, 4), the world by (4,)."""
+    up, turns = up.to(motion.root), turns.to(motion.root)
     above = torch.cat((_still(1).turns.to(turns), turns[list(skeleton.parents[1:])]))
-    local = rotations.mul(rotations.inv(above), rotations.mul(motion.rotations, turns))
+    local = rotations.mul(above, rotations.mul(motion.rotations, rotations.inv(turns)))
     local[:, 0] = rotations.mul(up, local[:, 0])
     return Motion(rotations.unroll(rotations.normalize(local)), rotations.rotate(up, motion.root), motion.fps, skeleton)
 

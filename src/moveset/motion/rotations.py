@@ -232,8 +232,3 @@ def from_euler(degrees: Tensor, order: str) -> Tensor:
     for k, axis in enumerate(order[1:], start=1):
         q = mul(q, about(axis.lower(), degrees[..., k]))
     return q
-
-
-def to_euler(q: Tensor, order: str) -> Tensor:
-    """Intrinsic Euler angles in degrees (..., 3); ``order`` names three different axes, e.g. "ZXY"."""
-    return roma.unitquat_to_euler(order.upper(), q, degrees=True)

@@ -10,6 +10,7 @@ from typing import Any, cast
 import torch
 from torch import Tensor
 
+from moveset.diffusion.steps import predict_z0
 from moveset.errors import InputError
 from moveset.models.condition import Condition, Denoiser, PastSegment, Prediction, guided
 from moveset.motion.clip import Motion
@@ -19,8 +20,7 @@ from moveset.pipelines.device import pick_device
 from moveset.pipelines.model_config import DENOISER, IDLE, BaselineConfig
 from moveset.pipelines.model_folder import ModelFolder
 from moveset.pipelines.request import Request
-from moveset.rdm.prediction import clean_from_noise
-from moveset.rdm.sequential import Solver, idle_prefix, rollout_chunks, sample_segment
+from moveset.rdm.sequential import Solver, rollout_chunks, sample_segment
 from moveset.rdm.staircase import levels
 from moveset.text.cache import CachedEncoder
 from moveset.text.encoder import TextEmbedding, get_text_encoder, stack
@@ -109,16 +109,23 @@ class Baseline:
         nothing = torch.zeros(size, device=self._device)
         zero = torch.zeros(len(clips), dtype=torch.long, device=self._device)
         predict = self._guided(Condition(text, past=PastSegment(nothing, zero, zero), valid=valid_Bn))
-        clean = clean_from_noise(self._schedule, predict) if config.predict == "eps" else predict
+
+        def clean(x_BnD: Tensor, t_B: Tensor, *_: Tensor) -> Tensor:
+            said = predict(x_BnD, t_B)
+            if config.predict != "eps":
+                return said
+            # Without a flow the noise is that of x. In float32: alpha is 0.006 at the noisiest level.
+            return predict_z0(self._schedule, x_BnD.float(), said.float(), t_B)
+
         solver = Solver(schedule=self._schedule, levels=levels(self.steps, config.timesteps), eta=config.eta,
                         variance=config.variance)  # fmt: skip
-        return sample_segment(lambda x, t, *_: clean(x, t), solver, seeds, [0] * len(seeds), nothing)
+        return sample_segment(clean, solver, seeds, [0] * len(seeds), nothing)
 
     def _chunks(self, clips: Sequence[Request]) -> Tensor:
         """(B, n, D) chunk by chunk, from a person who stands."""
         config = self._bundle.config
         pose_D = self._bundle.normalizer[IDLE].to(self._device)
-        prefix = idle_prefix(pose_D, len(clips), config.prefix)
+        prefix = pose_D.expand(len(clips), config.prefix, -1)
 
         def denoise(x_BnD: Tensor, t_B: Tensor, prefix_BPD: Tensor, number: int) -> Tensor:
             text = self._encoded([_prompt_at(clip, number * config.frames) for clip in clips])

@@ -26,6 +26,7 @@ from moveset.errors import FormatError, InputError
 from moveset.io.manifest import VerifiedFolder, json_bytes, json_object, write_whole
 from moveset.io.quantization import compacted, halved, restored, subtracted
 from moveset.models.packed import PACKABLE, pack
+from moveset.models.registry import build_model, describe
 from moveset.models.symmetric import Symmetric
 from moveset.motion.native import NativeCodec
 from moveset.pipelines.model_config import (
@@ -89,7 +90,7 @@ class ModelFolder(VerifiedFolder, Generic[Config]):
         key = name, str(device)
         if key not in self._modules:
             spec = self.spec(name)
-            module = _build(spec)
+            module = build_model(spec.kind, spec.config)
             try:
                 module.load_state_dict(self.weights(name), strict=True)
             except (RuntimeError, ValueError) as error:
@@ -231,8 +232,6 @@ def save_model(
             embeddings, or a base that is not stored whole.
         FormatError: a configuration that could not be read again.
     """
-    from moveset.models.registry import describe
-
     if missing := set(config.needed) - set(normalizer):
         raise ValueError(f"the normalizer lacks {sorted(missing)[0]!r}")
     if len(captions) != len(pooled):
@@ -270,19 +269,3 @@ def _wrong_kind(folder: Path, task: str, wanted: str) -> InputError:
         f"model {folder.name!r} is a {task} model, for `{_COMMANDS[task]}`; "
         f"a {wanted} model is needed here: {' or '.join(fitting) or 'none is shipped'}"
     )
-
-
-def _build(spec: ModelSpec) -> nn.Module:
-    from moveset.models import (  # noqa: F401  (they register their kinds)
-        dip_decoder,
-        flow,
-        length,
-        light_t2m,
-        segment_denoiser,
-        segment_transformer,
-        token_denoiser,
-        token_vae,
-    )
-    from moveset.models.registry import build_model
-
-    return build_model(spec.kind, spec.config)

@@ -30,29 +30,24 @@ def assembled(clips: "Sequence[tuple[Motion, Tensor]]", foot_lock: bool) -> "tup
 
 @dataclass(frozen=True)
 class Postprocess:
-    """What is done to a motion before it is written: loop, in place, frame rate, skeleton, in this order."""
+    """What is done to a motion before it is written: loop, in place, frame rate, skeleton, in this order.
+
+    Raises:
+        InputError: a frame rate out of range, or an unknown skeleton.
+    """
 
     fps: float | None = None
     skeleton: str | None = None
     in_place: bool = False
     loop: bool = False
 
-    @classmethod
-    def check(
-        cls, fps: float | None = None, skeleton: str | None = None, in_place: bool = False, loop: bool = False
-    ) -> "Postprocess":
-        """The same, checked.
-
-        Raises:
-            InputError: a frame rate out of range, or an unknown skeleton.
-        """
+    def __post_init__(self) -> None:
         from moveset.motion.rigs import RIGS
 
-        if fps is not None and not 1 <= fps <= 240:
-            raise InputError(f"frame rate {fps:g} is not in 1 to 240; give a rate such as 20, 24, 30 or 60")
-        if skeleton is not None and skeleton not in RIGS:
-            raise InputError(f"unknown skeleton {skeleton!r}; choose one of {', '.join(RIGS)}")
-        return cls(fps, skeleton, in_place, loop)
+        if self.fps is not None and not 1 <= self.fps <= 240:
+            raise InputError(f"frame rate {self.fps:g} is not in 1 to 240; give a rate such as 20, 24, 30 or 60")
+        if self.skeleton is not None and self.skeleton not in RIGS:
+            raise InputError(f"unknown skeleton {self.skeleton!r}; choose one of {', '.join(RIGS)}")
 
     def __call__(self, motion: "Motion") -> "Motion":
         if self.loop:

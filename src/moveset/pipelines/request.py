@@ -61,27 +61,14 @@ def check_request(
     Raises:
         InputError: anything out of range.
     """
-    prompts = (prompt,) if isinstance(prompt, str) or not isinstance(prompt, Iterable) else tuple(prompt)
-    if not 1 <= len(prompts) <= MAX_PROMPTS:
-        raise InputError(
-            f"{len(prompts)} prompts were given; give 1 to {MAX_PROMPTS}, such as 'a person walks forward'"
-        )
-    for text in prompts:
-        check_prompt(text)
+    prompts = check_prompts(prompt)
     check_whole("num", num)
     if not 1 <= num <= MAX_NUM:
         raise InputError(f"num {num} is not in 1 to {MAX_NUM}; run again with another seed for more")
     check_whole("seed", seed)
     if not 0 <= seed <= SEEDS - num:
         raise InputError(f"seed {seed} is not in 0 to {SEEDS - num}; give a whole number in it such as 0")
-    # A tensor of one number says that it can be iterated over, and cannot.
-    several = isinstance(seconds, Iterable) and not isinstance(seconds, str) and getattr(seconds, "ndim", 1) > 0
-    given: tuple[Any, ...] = tuple(cast(Iterable[Any], seconds)) if several else (seconds,)
-    if len(given) == 1:
-        given *= len(prompts)
-    if len(given) != len(prompts):
-        raise InputError(f"{len(given)} durations do not fit {len(prompts)} prompts; give one for all or one for each")
-    frames = tuple(None if s is None else _frames(s, config) for s in given)
+    frames = tuple(None if s is None else _frames(s, config) for s in of_each(seconds, len(prompts)))
     return tuple(Request(prompts, frames, int(seed) + k) for k in range(num))
 
 
@@ -129,6 +116,40 @@ def check_method(
         raise InputError(f"guidance {guidance:g} is not in 0 to {MAX_GUIDANCE:g}; this model's own choice is "
                          f"{config.guidance[network]:g}")  # fmt: skip
     return Method(solver, network, steps, float(guidance))
+
+
+def check_prompts(prompt: str | Sequence[str]) -> tuple[str, ...]:
+    """The prompts, of which a single one may be given by itself.
+
+    Raises:
+        InputError: none or too many, or one that ``check_prompt`` refuses.
+    """
+    # A number is no text, and is refused as such below.
+    single = isinstance(prompt, str | bytes) or not isinstance(prompt, Iterable)
+    prompts = cast(tuple[str, ...], (prompt,) if single else tuple(prompt))
+    if not 1 <= len(prompts) <= MAX_PROMPTS:
+        raise InputError(
+            f"{len(prompts)} prompts were given; give 1 to {MAX_PROMPTS}, such as 'a person walks forward'"
+        )
+    for text in prompts:
+        check_prompt(text)
+    return prompts
+
+
+def of_each(seconds: float | Sequence[float] | None, prompts: int) -> tuple[Any, ...]:
+    """What was given as the duration of each prompt, unchecked: one number for all, or one a prompt.
+
+    Raises:
+        InputError: another number of durations.
+    """
+    # A tensor of one number says that it can be iterated over, and cannot.
+    several = isinstance(seconds, Iterable) and not isinstance(seconds, str) and getattr(seconds, "ndim", 1) > 0
+    given: tuple[Any, ...] = tuple(cast(Iterable[Any], seconds)) if several else (seconds,)
+    if len(given) == 1:
+        given *= prompts
+    if len(given) != prompts:
+        raise InputError(f"{len(given)} durations do not fit {prompts} prompts; give one for all or one for each")
+    return given
 
 
 def check_prompt(text: str) -> None:

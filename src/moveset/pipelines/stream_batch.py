@@ -283,7 +283,7 @@ class OneByOne:
         waves = settings.staircase().begin(stream.number)
         pooled = None if settings.past_lag is None else stream.left_pooled
         numbers = {"prompts": {}, "behind": {}, "course": {"before": stream.turned, "turns": {}}}
-        return numbers, StreamState(waves, waves, stream.number, left=stream.left, left_pooled=pooled)
+        return numbers, StreamState(waves, stream.number, left=stream.left, left_pooled=pooled)
 
     def go_on(self, numbers: Mapping[str, Any], state: StreamState) -> None:
         """The stream goes on where another was when it gave this state, or from a given motion."""

@@ -1,21 +1,19 @@
 """What may be asked of a stream, checked before anything is computed. One sentence a refusal: value, limit, remedy."""
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import chain, pairwise
-from typing import cast
 
 from torch import nn
 
 from moveset.diffusion.phases import PhaseGrid
-from moveset.diffusion.schedule import Schedule, cosine, linear
 from moveset.diffusion.steps import Variance, require_variance
 from moveset.errors import InputError
 from moveset.motion.features import FeatureCodec
 from moveset.motion.stream_decoder import StreamDecoder
-from moveset.pipelines.model_config import EPS_SCALES, FLOW, StreamConfig
-from moveset.pipelines.request import MAX_GUIDANCE, MAX_PROMPTS, SEEDS, check_prompt, check_real, check_whole
+from moveset.pipelines.model_config import EPS_SCALES, FLOW, SCHEDULES, StreamConfig
+from moveset.pipelines.request import MAX_GUIDANCE, SEEDS, check_prompts, check_real, check_whole, of_each
 from moveset.pipelines.role import Role, is_student, named
 from moveset.pipelines.timeline import STAGE_SEGMENTS, Timeline, share_evenly
 from moveset.rdm.sequential import Solver
@@ -82,8 +80,9 @@ class StreamSettings:
         """How this network samples; one that was trained on other than white noise says so itself."""
         colour = getattr(network, "colour", None)
         return Solver(
-            schedule=get_schedule(config), levels=self.levels(config), eta=self.eta, variance=self.variance,
-            eps_scale=self.eps_scale, time_shift=self.time_shift, past_lag=self.past_lag, colour=colour,
+            schedule=SCHEDULES[config.schedule](config.timesteps), levels=self.levels(config), eta=self.eta,
+            variance=self.variance, eps_scale=self.eps_scale, time_shift=self.time_shift, past_lag=self.past_lag,
+            colour=colour,
         )  # fmt: skip
 
 
@@ -188,40 +187,21 @@ def check_stream(
     return StreamRequest(timeline, seed, settings, durations, counts)
 
 
-def get_schedule(config: StreamConfig) -> Schedule:
-    """The noise schedule that the folder's networks were trained on."""
-    return {"linear": linear, "cosine": cosine}[config.schedule](config.timesteps)
-
-
 def _timeline(
     config: StreamConfig, prompt: str | Sequence[str] | None, seconds: float | Sequence[float] | None, loop: bool,
     stages: bool,
 ) -> tuple[Timeline, tuple[float, ...], tuple[int, ...]]:  # fmt: skip
     """The timeline, and of each prompt the duration asked for and its segments."""
-    prompt = config.idle if prompt is None else prompt
-    # A number is no text, and is refused as such below.
-    prompts = tuple(prompt) if isinstance(prompt, Iterable) and not isinstance(prompt, str | bytes) else (prompt,)
-    if not 1 <= len(prompts) <= MAX_PROMPTS:
-        raise InputError(
-            f"{len(prompts)} prompts were given; give 1 to {MAX_PROMPTS}, such as 'a person walks forward'"
-        )
-    for text in prompts:
-        check_prompt(text)
+    prompts = check_prompts(config.idle if prompt is None else prompt)
     said = [split_stages(text) if stages else (text,) for text in prompts]
     each = config.segment / config.fps
     if seconds is None:
         given = tuple(each * (STAGE_SEGMENTS * len(parts) if len(parts) > 1 else SEGMENTS) for parts in said)
     else:
-        # A tensor of no dimension is iterable by its type alone.
-        several = isinstance(seconds, Iterable) and not isinstance(seconds, str) and getattr(seconds, "ndim", 1)
-        of_each = tuple(cast(Iterable[float], seconds)) if several else (seconds,)
-        for s in of_each:
+        given = of_each(seconds, len(prompts))
+        for s in given:
             check_real("the duration", s)
-        given = tuple(map(float, of_each))
-    if len(given) == 1:
-        given *= len(prompts)
-    if len(given) != len(prompts):
-        raise InputError(f"{len(given)} durations do not fit {len(prompts)} prompts; give one for all or one for each")
+        given = tuple(map(float, given))
     for s in given:
         if not 0.0 < s <= MAX_SECONDS:
             raise InputError(f"{s:g} seconds are not in 0 to {MAX_SECONDS:g} for a prompt; give a duration such as 3")

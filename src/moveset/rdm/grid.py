@@ -16,7 +16,7 @@ state that still has a share of the copy. With q = (alpha_r / sigma_r) / (alpha_
 right, DDPM's steps leave q^2 of the neighbour in the segment and a correlation q of the noise; DDIM's leave q of the
 neighbour and all of the noise. ``entangled`` cells are such states.
 
-Shapes: B rows, N segments, n frames in each, D features, F frames, C text width.
+Shapes: B rows, n frames of a segment, D features, C text width.
 Source: RDM (arXiv 2406.07169), Sections 3 and 4, Algorithm 2, Eq. 9-10 and 27-30.
 """
 
@@ -94,25 +94,6 @@ class Cell:
     t_B: Tensor
     prev_BnD: Tensor
     prev_t_B: Tensor
-
-
-def split(x_BFD: Tensor, lengths_B: Tensor, frames: int) -> tuple[Tensor, Tensor]:
-    """Segments (B, N, n, D) of sequences, zero beyond each one's end, and which of their frames are valid (B, N, n).
-
-    Cut after normalising, so that padding is the mean.
-    """
-    batch, total, width = x_BFD.shape
-    count = -(-total // frames)
-    valid = torch.arange(count * frames, device=x_BFD.device) < lengths_B[:, None]
-    padded = x_BFD.new_zeros(batch, count * frames, width)
-    padded[:, :total] = x_BFD
-    padded = padded * valid[..., None]
-    return padded.view(batch, count, frames, width), valid.view(batch, count, frames)
-
-
-def assemble(segments_BNnD: Tensor, frames: int) -> Tensor:
-    """Sequences (B, frames, D) of segments: the inverse of ``split``."""
-    return segments_BNnD.flatten(1, 2)[:, :frames]
 
 
 def draw(config: GridConfig, schedule: Schedule, shape: tuple[int, int, int], generator: torch.Generator) -> Draws:

@@ -11,10 +11,9 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-# Steps of noise that belongs to no sampler step: a segment's own start, its refreshed entry into the staircase, and
-# what is put back on it when it is finished and the next one is to be told it noisily.
+# Steps of noise that belongs to no sampler step: a segment's own start, and what is put back on it when it is finished
+# and the next one is to be told it noisily.
 START = -1
-ENTRY = -2
 PAST = -3
 
 
@@ -24,7 +23,7 @@ def segment_noise(seed: int, segment: int, step: int, shape: Sequence[int]) -> T
     Args:
         seed: of the item, any integer of 64 bits.
         segment: number of the segment in its sequence.
-        step: sampler step that the noise is added in, ``START``, ``ENTRY`` or ``PAST``.
+        step: sampler step that the noise is added in, ``START`` or ``PAST``.
         shape: of the result.
 
     >>> float(segment_noise(1, 2, 3, (4,))[0]) == float(segment_noise(1, 2, 3, (4,))[0])

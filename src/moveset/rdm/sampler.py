@@ -16,9 +16,8 @@ from typing import Literal, get_args
 import torch
 from torch import Tensor
 
-from moveset.diffusion.steps import add_noise
 from moveset.errors import InputError
-from moveset.rdm.noise import ENTRY, START
+from moveset.rdm.noise import START
 from moveset.rdm.sequential import Past, Solver
 from moveset.rdm.staircase import Cell, Staircase
 from moveset.rdm.state import StreamState
@@ -27,8 +26,6 @@ from moveset.rdm.transport import Transport
 # x_BnD, t_B, prev_BnD, prev_t_B, index_B and the segment number of each row -> clean x_BnD. The text is bound inside.
 Denoiser = Callable[[Tensor, Tensor, Tensor, Tensor, Tensor, Sequence[int]], Tensor]
 InitNoise = Literal["shared", "independent"]
-Entry = Literal["copy", "refreshed"]
-Order = Literal["wavefront", "rows"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,8 +37,7 @@ class Settings:
         staircase: the plan, of as many steps.
         init_noise: whether a segment that enters at the first step begins with its left neighbour's noise or its own.
             Without fresh noise in the steps, shared noise keeps the segments correlated.
-        entry: what a segment that enters later begins with: a copy of its left neighbour's state in y-space, or the
-            neighbour's current clean estimate with fresh noise.
+            One that enters later begins with a copy of its left neighbour's state in y-space.
 
     Raises:
         InputError: levels that do not fit the staircase, or an option out of range.
@@ -50,7 +46,6 @@ class Settings:
     solver: Solver
     staircase: Staircase
     init_noise: InitNoise = "independent"
-    entry: Entry = "copy"
 
     def __post_init__(self) -> None:
         count = self.staircase.steps
@@ -60,9 +55,8 @@ class Settings:
         if self.solver.past_lag is not None and self.staircase.lag != count:
             raise InputError(f"past_lag {self.solver.past_lag} is for a lag of all {count} steps; leave it out where "
                              "segments overlap")  # fmt: skip
-        for name, kind in (("init_noise", InitNoise), ("entry", Entry)):
-            if getattr(self, name) not in get_args(kind):
-                raise InputError(f"{name} {getattr(self, name)!r} is not one of {', '.join(get_args(kind))}")
+        if self.init_noise not in get_args(InitNoise):
+            raise InputError(f"init_noise {self.init_noise!r} is not one of {', '.join(get_args(InitNoise))}")
 
 
 class Stream(Iterator[Tensor]):
@@ -80,7 +74,7 @@ class Stream(Iterator[Tensor]):
         device: where to compute; noise is always drawn on the CPU.
 
     Attributes:
-        progress: the live state; ``state`` is a copy to keep.
+        progress: the live state; a copy of it is what another stream goes on from.
     """
 
     def __init__(
@@ -100,11 +94,6 @@ class Stream(Iterator[Tensor]):
         self.progress = StreamState() if state is None else state.copy()
         self._past: tuple[int, Past] | None = None  # a finished segment's number, and how it is told
 
-    @property
-    def state(self) -> StreamState:
-        """A copy of what the stream remembers; hand it to a new stream of the same settings to continue there."""
-        return self.progress.copy()
-
     def __next__(self) -> Tensor:
         now = self.progress
         while self._plan.segments is None or now.finished < self._plan.segments:
@@ -122,7 +111,7 @@ class Stream(Iterator[Tensor]):
 
         Every cell's left neighbour must be ``lag`` steps ahead, or finished.
         """
-        now, settings, last = self.progress, self._settings, self._plan.steps
+        now, last = self.progress, self._plan.steps
         segments, steps = [segment for segment, _ in cells], [step for _, step in cells]
         for segment in segments:
             if segment == now.entered:
@@ -142,15 +131,14 @@ class Stream(Iterator[Tensor]):
             index_B,
             [j for j in segments for _ in self._seeds],
         ).to(y_BnD.dtype)
-        now.calls += len(segments)
-        if settings.entry == "copy" and all(k + 1 == last for k in steps):
+        if all(k + 1 == last for k in steps):
             # A finished segment is wanted in x only: this spares one carry a segment, half of a one-step student's.
-            return self._advance(segments, *[self._by_segment(x0_BnD)] * 3)
+            return self._advance(segments, *[self._by_segment(x0_BnD)] * 2)
         y0_BnD = self._transport.pull(x0_BnD, index_B, pooled_BC)
         s_B = self._levels([k + 1 for k in steps])
         noise_BnD = self._noise(segments, steps)
         stepped = self._solver.step(y_BnD, y0_BnD, t_B, s_B, noise_BnD)
-        return self._advance(segments, *(self._by_segment(z) for z in (stepped, y0_BnD, x0_BnD)))
+        return self._advance(segments, *(self._by_segment(z) for z in (stepped, x0_BnD)))
 
     def _past_step(self, segment: int, step: int) -> int:
         """The step that a segment is told the one before it to have reached."""
@@ -169,16 +157,14 @@ class Stream(Iterator[Tensor]):
             self._past = (before, Past(now.left, self._seeds, [before] * items, now.left_pooled, noisy_B))
         return self._past[1].at(self._solver, self._transport, step)[0]
 
-    def _advance(
-        self, segments: list[int], y: Sequence[Tensor], y0: Sequence[Tensor], x0: Sequence[Tensor]
-    ) -> Tensor | None:
+    def _advance(self, segments: list[int], y: Sequence[Tensor], x0: Sequence[Tensor]) -> Tensor | None:
         now = self.progress
         last = now.entered - 1
-        for j, stepped, estimate in zip(segments, y, y0, strict=True):
+        for j, stepped in zip(segments, y, strict=True):
             k = j - now.finished
             now.y[k], now.steps[k] = stepped, now.steps[k] + 1
             if j == last:
-                self._leave_for_the_next(estimate)
+                self._leave_for_the_next()
         if now.steps[0] < self._plan.steps:
             return None
         # Only the oldest can be finished: each segment ends after its left neighbour.
@@ -197,22 +183,18 @@ class Stream(Iterator[Tensor]):
         else:
             assert now.waiting is not None
             y = now.waiting
-            if at and settings.entry == "refreshed":
-                y = add_noise(self._solver.schedule, y, self._drawn(segment, ENTRY), self._levels([at]))
         now.steps.append(at)
         now.y.append(y)
         now.waiting = None
-        self._leave_for_the_next(None)
+        self._leave_for_the_next()
 
-    def _leave_for_the_next(self, estimate: Tensor | None) -> None:
+    def _leave_for_the_next(self) -> None:
         """Keeps of the last segment what the next one to enter begins with, once it is there."""
         now, settings = self.progress, self._settings
         if not self._plan.has(now.entered):
             return
         at = self._plan.entry(now.entered)
-        if at and settings.entry == "refreshed":
-            now.waiting = None if estimate is None else estimate.clone()
-        elif now.steps[-1] == at and (at or settings.init_noise == "shared"):
+        if now.steps[-1] == at and (at or settings.init_noise == "shared"):
             now.waiting = now.y[-1].clone()  # not a view that keeps a whole wave
 
     @torch.no_grad()
@@ -262,15 +244,12 @@ def sample(
     shape: tuple[int, int],
     pooled: Sequence[Tensor] | None = None,
     *,
-    order: Order = "wavefront",
     device: torch.device | str = "cpu",
 ) -> Tensor:
     """N segments (B, N, n, D).
 
     Args:
         pooled: (B, C) sentence embeddings of every segment, for the flow; None where there is no flow.
-        order: "wavefront" evaluates all cells that can be at once as one batch; "rows" goes one by one, noise level by
-            noise level, with the same result and calls.
         others: as for ``Stream``.
 
     Raises:
@@ -280,7 +259,4 @@ def sample(
         raise InputError("a sample needs a number of segments; use a stream for one without end")
     enter = (lambda segment: None) if pooled is None else pooled.__getitem__
     run = Stream(denoiser, transport, settings, seeds, shape, enter, device=device)
-    done = []
-    if order == "rows":
-        done = [segment for cell in settings.staircase.rows() if (segment := run.evaluate((cell,))) is not None]
-    return torch.stack([*done, *run], dim=1)
+    return torch.stack(list(run), dim=1)

@@ -11,9 +11,9 @@ Shapes: B rows, n frames of a segment or chunk, P frames of a prefix, F frames, 
 Source: RDM (arXiv 2406.07169), Section 5, for MD-N; CLoSD (arXiv 2410.03441), Section 4.1, for DiP.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from itertools import count, islice, pairwise
+from itertools import pairwise
 
 import torch
 from torch import Tensor
@@ -179,7 +179,7 @@ def rollout_chunks(
 
     Args:
         schedule: ``cosine(10)`` for DiP.
-        prefix_BPD: normalised frames that come before: those of a motion, or ``idle_prefix``.
+        prefix_BPD: normalised frames that come before: those of a motion, or one pose of standing still.
         frames: F.
         seeds: one for every item.
         chunk: n.
@@ -191,27 +191,16 @@ def rollout_chunks(
         raise InputError(
             f"{frames} frames of {len(prefix_BPD)} prefixes for {len(seeds)} seeds; give one prefix per seed"
         )
-    endless = _chunks(denoiser, schedule, prefix_BPD, seeds, chunk)
-    return torch.cat(list(islice(endless, -(-frames // chunk))), dim=1)[:, :frames]
-
-
-def idle_prefix(pose_D: Tensor, items: int, frames: int = 20) -> Tensor:
-    """A start without data (B, P, D): one pose, normalised and with the features of standing still, all the time."""
-    return pose_D.expand(items, frames, -1)
-
-
-def _chunks(
-    denoiser: ChunkDenoiser, schedule: Schedule, prefix_BPD: Tensor, seeds: Sequence[int], chunk: int
-) -> Iterator[Tensor]:
     solver = Solver(schedule=schedule, levels=tuple(reversed(range(len(schedule)))), eta=1.0)
     kept, nothing = prefix_BPD.shape[1], prefix_BPD.new_zeros(len(seeds), chunk, prefix_BPD.shape[2])
-    for number in count():
+    made: list[Tensor] = []
+    for number in range(-(-frames // chunk)):
         before = prefix_BPD
 
         def denoise(x: Tensor, t_B: Tensor, *_: Tensor) -> Tensor:
             return denoiser(x, t_B, before, number)  # noqa: B023 (called before the next turn)
 
-        made_BnD = sample_segment(denoise, solver, seeds, [number] * len(seeds), nothing)
+        made.append(sample_segment(denoise, solver, seeds, [number] * len(seeds), nothing))
         # A chunk may be shorter than the prefix.
-        prefix_BPD = torch.cat((prefix_BPD, made_BnD), dim=1)[:, -kept:]
-        yield made_BnD
+        prefix_BPD = torch.cat((prefix_BPD, made[-1]), dim=1)[:, -kept:]
+    return torch.cat(made, dim=1)[:, :frames]

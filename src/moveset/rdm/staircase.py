@@ -146,21 +146,6 @@ class Staircase:
             yield cells
             number, cells = number + 1, self.wave(number + 1, first=cells[0][0])
 
-    def rows(self) -> Iterator[Cell]:
-        """All cells one by one, noise level by noise level and from left to right, as published.
-
-        With a lag, rows lean: a segment's cell comes with its left neighbour's of ``lag`` - 1 steps later.
-
-        Raises:
-            InputError: a stream without end.
-        """
-        segments, lean = self._finite(), self.lag - 1
-        for row in range(self.steps + lean * (segments - 1)):
-            for segment in range(segments):
-                step = row - lean * segment
-                if self.entry(segment) <= step < self.steps:
-                    yield segment, step
-
     def _finite(self) -> int:
         if self.segments is None:
             raise InputError("a stream without end has no number of evaluations; give a number of segments")

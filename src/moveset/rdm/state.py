@@ -17,7 +17,6 @@ class StreamState:
 
     Attributes:
         wave: waves done.
-        calls: network evaluations done, of one segment each.
         finished: segments finished; the next one is the oldest in work.
         steps: step that each segment in work has reached, oldest first.
         y: (B, n, D) state of each in y-space.
@@ -28,7 +27,6 @@ class StreamState:
     """
 
     wave: int = 0
-    calls: int = 0
     finished: int = 0
     steps: list[int] = field(default_factory=list)
     y: list[Tensor] = field(default_factory=list)
@@ -51,11 +49,11 @@ class StreamState:
         """An independent copy; tensors are shared, since none is ever written to."""
         lists = {"steps": [*self.steps], "y": [*self.y], "pooled": [*self.pooled]}
         held = {name: getattr(self, name) for name in _HELD}
-        return StreamState(self.wave, self.calls, self.finished, **lists, **held)  # type: ignore[arg-type]
+        return StreamState(self.wave, self.finished, **lists, **held)  # type: ignore[arg-type]
 
     def numbers(self) -> dict[str, Any]:
         """Everything but the tensors, for JSON."""
-        return {"wave": self.wave, "calls": self.calls, "finished": self.finished, "steps": [*self.steps]}
+        return {"wave": self.wave, "finished": self.finished, "steps": [*self.steps]}
 
     def tensors(self) -> dict[str, Tensor]:
         """The tensors by name, each with memory of its own, for safetensors."""
@@ -68,6 +66,6 @@ class StreamState:
         """The state of which these are the ``numbers`` and ``tensors``."""
         y, pooled = ([tensors[f"{name}.{k}"] for k in range(len(numbers["steps"]))] for name in ("y", "pooled"))
         return cls(
-            numbers["wave"], numbers["calls"], numbers["finished"], [*numbers["steps"]], y, pooled,
+            numbers["wave"], numbers["finished"], [*numbers["steps"]], y, pooled,
             *(tensors.get(name) for name in _HELD),
         )  # fmt: skip

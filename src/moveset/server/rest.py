@@ -155,7 +155,7 @@ async def export(
     title: Annotated[str, Query(max_length=512)] = "",
 ) -> Response:
     """Packets of frames, as the server sends them, to BVH, GLB, npz or a picture."""
-    finish = Postprocess.check(fps=fps, skeleton=skeleton, in_place=in_place, loop=loop)
+    finish = Postprocess(fps=fps, skeleton=skeleton, in_place=in_place, loop=loop)
     try:
         said = plain(title) if title.strip() else ""
     except ValueError as error:

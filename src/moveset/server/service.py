@@ -135,7 +135,7 @@ class Service:
             tuple(replace(request, frames=tuple(frames)) for request in requests),
             self.catalog.method(t2m, body.steps, body.guidance),
             body.format,
-            Postprocess.check(fps=body.fps, skeleton=body.skeleton, in_place=body.in_place, loop=body.loop),
+            Postprocess(fps=body.fps, skeleton=body.skeleton, in_place=body.in_place, loop=body.loop),
         )
 
     def submit(self, order: Order) -> Job:

@@ -134,17 +134,16 @@ class EmbeddingCache:
             ) from None
         return torch.tensor(found, device=self.offsets.device)
 
-    def lookup(self, which: Tensor | Sequence[str], max_tokens: int | None = None) -> TextEmbedding:
-        """Embeddings of some sentences, padded to the longest of them.
+    def lookup(self, sentences: Sequence[str], max_tokens: int | None = None) -> TextEmbedding:
+        """Embeddings of B sentences, padded to the longest of them.
 
         Args:
-            which: (B,) int64 row numbers, or B sentences.
             max_tokens: keep at most this many tokens of each, the first ones.
 
         Raises:
             InputError: a sentence that is not in the cache.
         """
-        rows_B = which.to(self.offsets.device) if isinstance(which, Tensor) else self.rows(which)
+        rows_B = self.rows(sentences)
         start_B = self.offsets[rows_B]
         count_B = self.offsets[rows_B + 1] - start_B
         if max_tokens is not None:

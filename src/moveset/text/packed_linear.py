@@ -13,7 +13,6 @@ POST = {
     "": ("none", [], ""),
     "gelu": ("gelu", [], "none"),
     "tanh_gelu": ("gelu", [], "tanh"),
-    "silu": ("swish", [], ""),
 }
 
 
@@ -32,7 +31,7 @@ class PackedLinear(nn.Module):
     Args:
         weight: (out, in).
         bias: (out,).
-        post: "gelu", "tanh_gelu", "silu" or nothing.
+        post: "gelu", "tanh_gelu" or nothing.
     """
 
     def __init__(self, weight: Tensor, bias: Tensor | None, post: str = "") -> None:

@@ -1,7 +1,9 @@
-"""What of a segment's circumstances its network is told in training: a share of the rows, since not all uses know it.
+"""What a network is told in training: of captions and a segment's circumstances a share, since not all uses know them.
 
 Shapes: B rows, n frames of a segment, D features.
 """
+
+from collections.abc import Sequence
 
 import torch
 from torch import Tensor
@@ -11,6 +13,12 @@ from moveset.motion.features import FeatureCodec, Normalizer
 CORRECTED = 0.5
 """Share of what a way has gone astray that a segment of a walk takes back."""
 _STANDS, _WALKS = 0.2, 0.6  # metres a second: whoever is slower takes nothing back, whoever is faster all of the share
+
+
+def drop_captions(captions: Sequence[str], share: float, generator: torch.Generator) -> list[str]:
+    """Captions, about this share of them replaced by "", for guidance. Drawn on the generator's device."""
+    dropped_B = torch.rand(len(captions), generator=generator, device=generator.device) < share
+    return ["" if dropped else caption for dropped, caption in zip(dropped_B.tolist(), captions, strict=True)]
 
 
 def drop_heading_change(turned_B: Tensor, share: float, generator: torch.Generator) -> Tensor:

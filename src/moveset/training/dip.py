@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from moveset.data.batch import Batch
 from moveset.data.dataset import Dataset
 from moveset.data.feature_store import FeatureStore
 from moveset.data.segments import ClipSet, CuttingConfig
@@ -23,6 +24,7 @@ from moveset.models.dip_decoder import DipDecoderConfig
 from moveset.motion.features import FeatureCodec
 from moveset.rdm.losses import masked_mse
 from moveset.text.encoder import TextEmbedding
+from moveset.training.condition_dropout import drop_captions
 from moveset.training.ema import Ema, ema_warmup
 from moveset.training.engine import Loop
 from moveset.training.rdm import feature_weights
@@ -66,15 +68,12 @@ class DiPConfig(NetworkConfig):
 
 
 @dataclass(frozen=True, eq=False)
-class PieceBatch:
+class PieceBatch(Batch):
     """Clean frames (B, n, D), those before them (B, m, D), and what is said to them."""
 
     prefix: Tensor
     clean: Tensor
     captions: list[str]
-
-    def to(self, device: torch.device | str) -> "PieceBatch":
-        return PieceBatch(self.prefix.to(device), self.clean.to(device), self.captions)
 
 
 class PieceSet(ClipSet):
@@ -167,8 +166,7 @@ class DiPTask(SingleNetworkTask):
     def training_step(self, step: int, loop: Loop) -> dict[str, Tensor]:
         config = self.config
         batch = self.data.training_batch(config.batch, step)
-        dropped = torch.rand(config.batch, generator=self.draws) < config.condition_dropout
-        said = ["" if drop else caption for drop, caption in zip(dropped.tolist(), batch.captions, strict=True)]
+        said = drop_captions(batch.captions, config.condition_dropout, self.draws)
         text = self.data.read(said, self.draws)
         loss, error = self._loss(self.denoiser, batch, text, self.draws)
         report = {"loss": loss.detach(), "error": error, "gradient_norm": loop.minimise(loss, "denoiser")}

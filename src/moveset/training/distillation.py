@@ -16,7 +16,7 @@ from moveset.diffusion.schedule import scaled_linear
 from moveset.diffusion.steps import add_noise, ddim_timesteps
 from moveset.errors import InputError
 from moveset.models.condition import Condition, Denoiser, Prediction, guided
-from moveset.models.discriminator import DiscriminatorConfig, LatentDiscriminator
+from moveset.models.discriminator import DiscriminatorConfig, DiscriminatorHeads
 from moveset.models.latent_denoiser import LatentDenoiserConfig
 from moveset.models.registry import ModelConfig, describe, require_range
 from moveset.models.token_denoiser import TokenDenoiserConfig
@@ -114,7 +114,7 @@ class _DistillationTask(SingleNetworkTask):
     """What LCM and PCM share: frozen teacher, student with its averaged target, one update from their distance."""
 
     network = "student"
-    judge: LatentDiscriminator | None = None
+    heads: DiscriminatorHeads | None = None
 
     def __init__(self, config: DistillationConfig, sources: Sources, loop: Loop) -> None:
         # Not a check of the configuration: settings come one by one, in any order.
@@ -151,8 +151,8 @@ class _DistillationTask(SingleNetworkTask):
         loss = loss + self._trajectory(batch, draws, report)
         if config.side_rows:
             loss = loss + config.side_weight * self._on_sides(batch, draws, report)
-        if self.judge is not None and config.adversarial:
-            fooled = hinge_generator(self.judge.heads(self._judged(self.judge, batch, text, draws, made, report, loop)))
+        if self.heads is not None and config.adversarial:
+            fooled = hinge_generator(self.heads(self._judged(self.heads, batch, text, draws, made, report, loop)))
             report["generator"] = fooled.detach()
             loss = loss + config.adversarial * fooled
         report["gradient_norm"] = loop.minimise(loss, "student")
@@ -230,21 +230,27 @@ class _DistillationTask(SingleNetworkTask):
         return loss
 
     def _judged(
-        self, judge: LatentDiscriminator, batch: LatentBatch, text: TextEmbedding, draws: Draws, made: Tensor,
+        self, heads: DiscriminatorHeads, batch: LatentBatch, text: TextEmbedding, draws: Draws, made: Tensor,
         report: dict[str, Tensor], loop: Loop,
     ) -> list[Tensor]:  # fmt: skip
         """One step of the discriminator, reported; returns the features of what the student made, for its own step."""
         fake, real = adversarial_pair(self.schedule, self.grid, draws, made, batch.z0)
         condition, s_B = Condition(text, length=batch.frames), draws.judged_B
-        seen = judge.features(fake, s_B, condition)
+        seen = self._features(fake, s_B, condition)
         with torch.no_grad():
-            real_seen = judge.features(real, s_B, condition)
+            real_seen = self._features(real, s_B, condition)
             others_seen = None
             if self.config.mismatched_text:
                 others = replace(condition, text=text[torch.tensor(of_another(batch.contents), device=real.device)])
-                others_seen = judge.features(real, s_B, others)
-        report |= discriminator_step(judge.heads, real_seen, seen, others_seen, self.config.mismatched_text, loop)
+                others_seen = self._features(real, s_B, others)
+        report |= discriminator_step(heads, real_seen, seen, others_seen, self.config.mismatched_text, loop)
         return seen
+
+    def _features(self, z_BND: Tensor, s_B: Tensor, condition: Condition) -> list[Tensor]:
+        """K feature maps (B, N, C) of the frozen teacher, of latents noised to s (B,): for both steps, one pass."""
+        taps: list[Tensor] = []
+        self.teacher(z_BND, s_B, condition, taps)
+        return taps
 
     def _guided(self, network: nn.Module, text: TextEmbedding, frames: Tensor, w: Tensor | float) -> Prediction:
         """The teacher, or a student, with captions, lengths and guidance bound."""
@@ -282,23 +288,21 @@ class PCMTask(_DistillationTask):
 
     def __init__(self, config: DistillationConfig, sources: Sources, loop: Loop) -> None:
         super().__init__(config, sources, loop)
-        taps: list[Tensor] = []
         batch = self.data.val.batch(1, 0, 0).to(loop.device)
-        text = self.data.read(batch.captions)
+        condition = Condition(self.data.read(batch.captions), length=batch.frames)
         with torch.no_grad():
-            self.teacher(batch.z0, torch.zeros_like(batch.frames), Condition(text, length=batch.frames), taps)
-        heads = DiscriminatorConfig(width=taps[0].shape[-1], taps=len(taps)).build().to(loop.device)
-        self.judge = LatentDiscriminator(self.teacher, heads)
+            taps = self._features(batch.z0, torch.zeros_like(batch.frames), condition)
+        self.heads = DiscriminatorConfig(width=taps[0].shape[-1], taps=len(taps)).build().to(loop.device)
         # Betas as in PCM's public code; the heads see every fake only once.
-        self.judge_optimizer = torch.optim.AdamW(
-            heads.parameters(), config.discriminator_lr, betas=(0.0, 0.999), weight_decay=0.0
+        self.heads_optimizer = torch.optim.AdamW(
+            self.heads.parameters(), config.discriminator_lr, betas=(0.0, 0.999), weight_decay=0.0
         )
 
     def modules(self) -> dict[str, nn.Module]:
-        return super().modules() | {"discriminator": self.judge.heads}
+        return super().modules() | {"discriminator": self.heads}
 
     def optimizers(self) -> dict[str, torch.optim.Optimizer]:
-        return super().optimizers() | {"discriminator": self.judge_optimizer}
+        return super().optimizers() | {"discriminator": self.heads_optimizer}
 
     def target(self, teacher: Prediction, ema: Prediction, z: Tensor, point_B: Tensor) -> Tensor:
         return phased_target(self.schedule, self.grid, teacher, ema, z, point_B)

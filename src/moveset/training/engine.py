@@ -6,8 +6,8 @@ torch's global generator (dropout), and what ``Task.state`` adds; learning rates
 
 Several processes (``torchrun``, or ``devices > 1``) are data parallel: each draws its own batch, and gradients are
 averaged in one flat all-reduce just before an optimiser steps. Unlike a wrapper around each module this leaves a GAN
-free to call its modules in any order and by any method, needs no ``no_sync`` for accumulation, and costs nothing
-noticeable at these sizes (72 MB of gradients for the largest model).
+free to call its modules in any order and by any method, and costs nothing noticeable at these sizes (72 MB of gradients
+for the largest model).
 """
 
 import hashlib
@@ -142,7 +142,6 @@ class Loop:
         self.world_size: int = fabric.world_size
         self.generators: dict[str, torch.Generator] = {}
         self._optimizers: dict[str, torch.optim.Optimizer] = {}
-        self._losses: dict[str, Tensor] = {}
 
     def generator(self, name: str, *, device: torch.device | str = "cpu") -> torch.Generator:
         """A new generator of this process, saved with every checkpoint; streams of different names are independent."""
@@ -159,37 +158,24 @@ class Loop:
         torch.manual_seed(stream_seed(self.config.seed, f"dropout@{step}", self.rank))
 
     def minimise(self, loss: Tensor, *optimizers: str) -> Tensor:
-        """One update of these optimisers' parameters, and of no others. Returns the norm of the first one's gradient
-        before clipping."""
-        self.backward(loss, *optimizers)
-        first, *_ = [self.step(name) for name in optimizers]
-        return first
+        """One update of these optimisers' parameters, and of no others: no gradient leaks into the other half of a GAN.
 
-    def backward(self, loss: Tensor, *optimizers: str) -> None:
-        """Adds the gradient of ``loss`` to the parameters of these optimisers only: no gradient leaks into the other
-        half of a GAN. Call it several times before ``step`` to accumulate."""
-        parameters = [parameter for name in optimizers for parameter in _parameters(self._optimizers[name])]
-        with torch.autocast(self.device.type, enabled=False):
-            loss.backward(inputs=[parameter for parameter in parameters if parameter.requires_grad])
-        # Gradients of several calls add up, and so must the losses that they belong to.
-        for name in optimizers:
-            self._losses[name] = loss.detach() + self._losses.get(name, 0.0)
-
-    def step(self, optimizer: str) -> Tensor:
-        """Averages gradients over processes, clips, steps, clears. Returns the gradient's norm before clipping.
-
-        An optimiser with a true attribute ``wants_loss`` is given the sum of the losses since its last step.
+        Gradients are averaged over processes and clipped; an optimiser with a true attribute ``wants_loss`` is given
+        the loss. Returns the norm of the first one's gradient before clipping.
         """
-        stepped = self._optimizers[optimizer]
-        parameters = [parameter for parameter in _parameters(stepped) if parameter.requires_grad]
-        if self.world_size > 1:
-            self._average(parameters)
-        norm = nn.utils.clip_grad_norm_(parameters, self.config.grad_clip or float("inf"))
-        loss = self._losses.pop(optimizer, None)
-        arguments: list[Any] = [loss] if getattr(stepped, "wants_loss", False) else []
-        stepped.step(*arguments)
-        stepped.zero_grad(set_to_none=True)
-        return norm
+        moved = {name: [p for p in _parameters(self._optimizers[name]) if p.requires_grad] for name in optimizers}
+        with torch.autocast(self.device.type, enabled=False):
+            loss.backward(inputs=[parameter for parameters in moved.values() for parameter in parameters])
+        norms = []
+        for name, parameters in moved.items():
+            optimizer = self._optimizers[name]
+            if self.world_size > 1:
+                self._average(parameters)
+            norms.append(nn.utils.clip_grad_norm_(parameters, self.config.grad_clip or float("inf")))
+            arguments: list[Any] = [loss.detach()] if getattr(optimizer, "wants_loss", False) else []
+            optimizer.step(*arguments)
+            optimizer.zero_grad(set_to_none=True)
+        return norms[0]
 
     def _average(self, parameters: list[nn.Parameter]) -> None:
         """A parameter unused in this process counts as zero: other processes may have used it."""

@@ -9,7 +9,6 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-import torch
 from torch import Tensor
 
 from moveset.data.dataset import Dataset
@@ -24,6 +23,7 @@ from moveset.pipelines.model_config import DENOISER, FLOW, IDLE, SIDES, Baseline
 from moveset.pipelines.model_folder import save_model
 from moveset.pipelines.role import is_student, named
 from moveset.text.encoder import get_text_encoder
+from moveset.text.familiarity import KnownPrompts
 from moveset.text.glove import GloveWords
 from moveset.text.vocabulary import words_of
 from moveset.text.words import TokenWords, Words
@@ -290,9 +290,5 @@ def familiarity_limit(dataset: Dataset, known: list[str], pooled_PC: Tensor, tex
         return ClipConfig.far_prompt
     chosen = sorted(unseen)[:: -(-len(unseen) // _JUDGED)]
     found = get_text_encoder(text_encoder).encode(chosen).pooled
-    best = (_unit(found) @ _unit(pooled_PC).T).amax(dim=1)
-    return round(float(best.quantile(_UNFAMILIAR)), 3)
-
-
-def _unit(x_PC: Tensor) -> Tensor:
-    return torch.nn.functional.normalize(x_PC.float(), dim=-1)
+    best_B, _ = KnownPrompts(tuple(known), pooled_PC).similarity(found)
+    return round(float(best_B.quantile(_UNFAMILIAR)), 3)

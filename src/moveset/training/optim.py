@@ -10,8 +10,8 @@ from torch import Tensor
 from moveset.errors import FormatError
 
 
-def cosine_lr(step: int, base: float, warmup: int, total: int, floor: float = 0.0) -> float:
-    """Learning rate of step ``step`` (1, 2, … total): linear up to ``base``, then half a cosine down to ``floor``.
+def cosine_lr(step: int, base: float, warmup: int, total: int) -> float:
+    """Learning rate of step ``step`` (1, 2, … total): linear up to ``base``, then half a cosine down to 0.
 
     Step 0 is that of a network that waits.
 
@@ -21,7 +21,7 @@ def cosine_lr(step: int, base: float, warmup: int, total: int, floor: float = 0.
     if warmup and step <= warmup:
         return base * step / warmup
     progress = min(1.0, (step - warmup) / max(1, total - warmup))
-    return floor + (base - floor) * (1.0 + math.cos(math.pi * progress)) / 2.0
+    return base * (1.0 + math.cos(math.pi * progress)) / 2.0
 
 
 def set_lr(optimizer: torch.optim.Optimizer, rate: float) -> None:

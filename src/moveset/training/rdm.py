@@ -28,7 +28,7 @@ from moveset.rdm.losses import flow_loss, jacobian_weight, masked_mse, velocity_
 from moveset.rdm.transport import Transport
 from moveset.text.encoder import TextEmbedding
 from moveset.text.sides import with_sides
-from moveset.training.condition_dropout import drop_heading_change, perturb_heading, perturb_past
+from moveset.training.condition_dropout import drop_captions, drop_heading_change, perturb_heading, perturb_past
 from moveset.training.ema import Ema, ema_warmup
 from moveset.training.engine import Loop, Task
 from moveset.training.momo import MomoAdam
@@ -80,8 +80,7 @@ class RDMConfig(NetworkConfig):
         flow_noise: deviation of the noise added to the flow's input.
         isometry: weight that keeps the flow's scales near one.
         frozen_flow: share of the steps at the end in which the flow no longer changes.
-        predict: the clean segment (RDM), or the noise (MotionDiffuse), for models without a flow: their samplers use
-            ``rdm.prediction.clean_from_noise``.
+        predict: the clean segment (RDM), or the noise (MotionDiffuse), for models without a flow.
         md_condition: what an autoregressive baseline (``grid.condition="clean"``, no flow) is told of the past: the
             segment before, or nothing; then every segment counts as a first one.
         heading_change: share of segments that are told how far the heading has turned since their sentence began (the
@@ -206,8 +205,7 @@ class RDMTask(Task):
         learns = self.flow is not None and step <= self.steps * (1 - config.frozen_flow)
         if learns:
             report |= self._train_flow(batch, loop)
-        dropped = torch.rand(config.batch, generator=self.draws, device=loop.device) < config.condition_dropout
-        said = ["" if drop else caption for drop, caption in zip(dropped.tolist(), batch.captions, strict=True)]
+        said = drop_captions(batch.captions, config.condition_dropout, self.draws)
         text, asked = self.data.read(said, self.draws), None
         if config.sides:
             sides_B3 = told_sides(said, batch.sides, config.sides, self.draws)

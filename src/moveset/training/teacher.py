@@ -19,6 +19,7 @@ from moveset.models.token_denoiser import TokenDenoiserConfig
 from moveset.motion.features import get_codec
 from moveset.text.encoder import TextEmbedding
 from moveset.text.sides import with_sides
+from moveset.training.condition_dropout import drop_captions
 from moveset.training.ema import Ema, ema_warmup
 from moveset.training.engine import Loop
 from moveset.training.reading import embedded, read_captions, told_sides
@@ -130,8 +131,7 @@ class TeacherTask(SingleNetworkTask):
 
     def training_step(self, step: int, loop: Loop) -> dict[str, Tensor]:
         batch = self.data.batch(self.config.batch, step)
-        dropped = torch.rand(len(batch.captions), generator=self.noise) < self.config.condition_dropout
-        captions = ["" if drop else caption for drop, caption in zip(dropped.tolist(), batch.captions, strict=True)]
+        captions = drop_captions(batch.captions, self.config.condition_dropout, self.noise)
         t = torch.randint(1000, (len(captions),), generator=self.noise).to(loop.device)
         text = self.data.told(batch, captions, self.config.sides, self.noise)
         loss = self._loss(self.teacher, batch, text, t, self.noise)

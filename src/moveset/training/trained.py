@@ -7,18 +7,6 @@ from typing import Any
 import torch
 from torch import nn
 
-from moveset.models import (  # noqa: F401  (they register their kinds)
-    dip_decoder,
-    evaluator,
-    flow,
-    latent_denoiser,
-    light_t2m,
-    segment_denoiser,
-    segment_transformer,
-    timed_vae,
-    token_denoiser,
-    token_vae,
-)
 from moveset.models.registry import build_model
 from moveset.training import checkpoint
 
