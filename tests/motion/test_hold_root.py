@@ -14,7 +14,7 @@ STEPS = CODEC.groups["root_velocity"]
 BOTH = torch.ones(28, 4, dtype=torch.bool)
 
 
-def gliding(speed=(0.06, 0.11), turn=0.0, frames=28):
+def gliding(speed=(0.06, 0.07), turn=0.0, frames=28):
     """Features of a person who stands, breathes, and glides over the floor (m/s in x and z), turning steadily."""
     turned = rotations.identity(frames, len(HML22))
     time = torch.arange(frames) / CODEC.fps
@@ -33,10 +33,10 @@ def travel(features):
 
 @pytest.mark.parametrize("heading", [0.0, 1.0, -2.5])
 def test_planted_feet_stay_whatever_the_heading(heading):
-    features = gliding((0.1 * heading, 0.11))
+    features = gliding((0.02 * heading, 0.07))
     features[0, CODEC.groups["root_yaw"]] = heading  # from the second frame on the body faces another way
-    inside = slice(2, -1)
-    assert travel(features)[inside].min() > 0.004
+    inside = slice(4, -1)  # the turn itself is no drift
+    assert travel(features)[inside].min() > 0.003
     held = hold_root(features, BOTH, CODEC)
     assert travel(held)[inside].max() < 1e-5
     # The last step leads out of the segment: the next one goes on from a body that stands.
@@ -57,29 +57,25 @@ def test_who_flies_goes_where_they_go():
 
 
 @pytest.mark.parametrize("planted", [(1, 1, 0, 0), (0, 0, 0, 1)])
-@pytest.mark.parametrize("speed", [(0.06, 0.11), (0.0, 1.4)])
-def test_over_one_foot_that_slides_the_root_slows_by_half_of_it_and_half_a_metre_a_second_at_most(planted, speed):
-    features = gliding(speed)
+def test_over_one_foot_that_drifts_the_root_slows_by_half_of_it(planted):
+    features = gliding()
     told = torch.tensor(planted, dtype=torch.bool).expand(28, 4)
     before, after = (x[1:-1, STEPS].norm(dim=1) * CODEC.fps for x in (features, hold_root(features, told, CODEC)))
-    torch.testing.assert_close(before - after, (0.5 * before).clamp(max=0.5), atol=1e-4, rtol=0)
+    torch.testing.assert_close(before - after, 0.5 * before, atol=1e-4, rtol=0)
 
 
 @pytest.mark.parametrize("planted", [(1, 1, 1, 1), (1, 1, 0, 0)])
-@pytest.mark.parametrize("travelling", [0.0, 0.25, 1.0])
-def test_who_travels_is_held_by_a_share_and_who_drifts_in_full(planted, travelling):
+def test_who_drifts_is_held_in_full_and_who_travels_is_not(planted):
     told = torch.tensor(planted, dtype=torch.bool).expand(28, 4)
     lost = []
     for speed in (0.09, 0.2, 0.35):  # of feet: who drifts, who is between, who travels
         features = gliding((0.0, speed))
-        before, after = (
-            x[2:-1, STEPS].norm(dim=1) * CODEC.fps for x in (features, hold_root(features, told, CODEC, travelling))
-        )
+        before, after = (x[2:-1, STEPS].norm(dim=1) * CODEC.fps for x in (features, hold_root(features, told, CODEC)))
         lost.append(float(((before - after) / before).mean()))
     whole = 1.0 if all(planted) else 0.5
     assert lost[0] == pytest.approx(whole, abs=0.02)
-    assert lost[1] == pytest.approx(whole * (1 + travelling) / 2, abs=0.05)
-    assert lost[2] == pytest.approx(whole * travelling, abs=0.02)
+    assert lost[1] == pytest.approx(whole / 2, abs=0.05)
+    assert lost[2] == 0.0
 
 
 def test_who_stands_still_already_stays_as_they_are():

@@ -2,7 +2,6 @@
 
 import json
 
-import pytest
 import torch
 
 from moveset.motion.clip import Motion
@@ -27,22 +26,21 @@ def same(a: Motion, b: Motion) -> bool:
     return torch.equal(a.root, b.root) and torch.equal(a.rotations, b.rotations)
 
 
-@pytest.mark.parametrize("travelling", [1.0, 0.25])
-def test_it_holds_the_root_then_decodes_then_locks_feet(travelling):
-    made = StreamDecoder(CODEC, 0.3, travelling=travelling)
+def test_it_holds_the_root_then_decodes_then_locks_feet():
+    made = StreamDecoder(CODEC, 0.3)
     decoder, feet = IncrementalDecoder(CODEC, 0.3), FootLock(CODEC.skeleton, CODEC.fps)
     for piece in features().split(N):
         planted = piece[:, CODEC.groups["contacts"]] > PLANTED
         assert planted.any()
         assert torch.equal(made.planted(piece), planted)
-        assert same(made(piece), feet(decoder(hold_root(piece, planted, CODEC, travelling)), planted))
+        assert same(made(piece), feet(decoder(hold_root(piece, planted, CODEC)), planted))
 
 
 def test_a_copy_and_a_stored_one_go_on_alike_and_do_not_disturb_it():
     pieces = features().split(N)
-    made = StreamDecoder(CODEC, 0.3, travelling=0.25)
+    made = StreamDecoder(CODEC, 0.3)
     made(pieces[0])
-    copied, stored = made.copy(), StreamDecoder(CODEC, 0.3, travelling=0.25)
+    copied, stored = made.copy(), StreamDecoder(CODEC, 0.3)
     stored.restore(json.loads(json.dumps(made.state())))
     ahead = [copied(piece) for piece in pieces[1:]]
     again = [made(piece) for piece in pieces[1:]]
@@ -71,10 +69,10 @@ def test_who_goes_on_from_a_given_motion_has_the_feet_that_it_ends_on():
     feet(decoder(given), made.planted(given))
     for piece in rest.split(N):
         planted = made.planted(piece)
-        assert same(made(piece), feet(decoder(hold_root(piece, planted, CODEC, 1.0)), planted))
+        assert same(made(piece), feet(decoder(hold_root(piece, planted, CODEC)), planted))
     unlocked = FootLock(CODEC.skeleton, CODEC.fps)
     decoder = IncrementalDecoder(CODEC, 0.3)
     decoder(given)
     planted = made.planted(rest[:N])
     made.go_on_from(given, heading=0.0, x=0.0, z=0.0)
-    assert not same(made(rest[:N]), unlocked(decoder(hold_root(rest[:N], planted, CODEC, 1.0)), planted))
+    assert not same(made(rest[:N]), unlocked(decoder(hold_root(rest[:N], planted, CODEC)), planted))

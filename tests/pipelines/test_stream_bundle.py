@@ -92,8 +92,6 @@ def test_what_is_written_is_read(folder):
         ({"start": 11}, "start 11"),
         ({"lag": 0}, "lag 0"),
         ({"past_lag": 11}, "past_lag 11"),
-        ({"travelling": 1.1}, "travelling 1.1"),
-        ({"travelling": float("nan")}, "travelling nan"),
         ({"eta": float("nan")}, "eta nan"),
         ({"variance": "learned"}, "variance 'learned'"),
         ({"eps_scale": float("nan")}, "eps_scale nan"),

@@ -81,7 +81,7 @@ def test_a_stream_holds_averaged_networks_and_what_it_does_by_default(dataset, r
     sampling = {"network": "pcm-2", "sampler_steps": 12, "start": 5, "lag": 2, "past_lag": 1, "eta": 0.5,
                 "variance": "beta"}  # fmt: skip
     scales = {"rdm": 1.5, "md": 1.5, "pcm-1": 2.5, "pcm-2": 1.5}
-    given = {**sampling, "idle": "stand", "travelling": 0.5, "guidance": scales, "tremor": {"pcm-1": 0.6}}
+    given = {**sampling, "idle": "stand", "guidance": scales, "tremor": {"pcm-1": 0.6}}
     bundle = stream(dataset, runs, tmp_path / "made", networks, **given)
     config = bundle.config
     assert all(getattr(config, name) == value for name, value in given.items() if name != "tremor")

@@ -1,9 +1,9 @@
 """A body that stands stays where it is: the root's drift, as its planted feet show it, is taken out.
 
 A step of the root and the legs' posture are separate features, and what a network makes of them differs: who stands on
-both feet glides by centimetres a second, and the foot that carries a walk slides forward by 0.3 m/s on average, for
-legs that are blurred to a mean swing too little for their way. Locking the feet alone would stretch the legs until they
-let go.
+both feet glides by centimetres a second. Locking the feet alone would stretch the legs until they let go. The foot that
+carries a walk slides, too, for legs that are blurred to a mean swing too little for their way; a root that gave way to
+that would walk slowly.
 Shapes: F frames of a segment, S = F - 1 steps between them, D features.
 """
 
@@ -15,24 +15,21 @@ from moveset.motion.contacts import stands_on
 from moveset.motion.features import FeatureCodec
 
 _ALONE = 0.5  # share of a lone foot's sliding that the root gives up; the rest is for the foot lock
-_FASTEST = 0.5  # m/s that are taken out at most: what differs more was not meant to stand
 _DRIFTS, _TRAVELS = 0.1, 0.3  # m/s of planted feet: a standing body's are slower, those of one on its way are faster
 _EASE = 5  # steps over which holding sets in and ends
 _SMOOTH = (0.25, 0.5, 0.25)
 
 
-def hold_root(features_FD: Tensor, planted_F4: Tensor, codec: FeatureCodec, travelling: float = 1.0) -> Tensor:
-    """Features, not normalised, whose root does not travel while both feet stand, and less where one slides.
+def hold_root(features_FD: Tensor, planted_F4: Tensor, codec: FeatureCodec) -> Tensor:
+    """Features, not normalised, whose root does not drift while both feet stand, and less where one does.
 
     From one frame to the next the root's planar step loses what the joints that are planted in both travel on average:
-    all of it where both feet stand, half where one does, at most ``_FASTEST``; of a body whose planted feet are faster
-    than a standing one's the share ``travelling`` of that. It sets in and ends within a few frames, and the last
-    frame's step, which leads to the next segment, loses as much as the one before it. Nothing else is changed,
-    and nothing at all of who does not stand on the legs.
+    all of it where both feet stand, half where one does, and nothing of a body whose planted feet are faster than a
+    standing one's. It sets in and ends within a few frames, and the last frame's step, which leads to the next segment,
+    loses as much as the one before it. Nothing else is changed, and nothing at all of who does not stand on the legs.
 
     Args:
         planted_F4: bool, as in the codec's contacts: left ankle, left toe, right ankle, right toe.
-        travelling: 0 to 1. 1 holds whoever goes as much as whoever stands: their feet slide less, and they are slower.
     """
     if not bool(planted_F4.any()):
         return features_FD
@@ -49,9 +46,8 @@ def hold_root(features_FD: Tensor, planted_F4: Tensor, codec: FeatureCodec, trav
     # A drift that stops at once would be a jolt.
     held_S = (left_S & right_S) + _ALONE * (left_S ^ right_S).to(drift_S2.dtype)
     going_S = ((drift_S2.norm(dim=1) * codec.fps - _DRIFTS) / (_TRAVELS - _DRIFTS)).clamp(0.0, 1.0)
-    held_S = held_S * (1.0 - (1.0 - travelling) * going_S)
+    held_S = held_S * (1.0 - going_S)
     eased_S = avg_pool1d(pad(held_S[None, None], (_EASE // 2, _EASE // 2), mode="replicate"), _EASE, 1)[0, 0]
     drift_2S = (drift_S2 * torch.minimum(eased_S, held_S)[:, None]).T
     drift_2S = conv1d(pad(drift_2S[:, None], (1, 1), mode="replicate"), drift_2S.new_tensor([[_SMOOTH]]))[:, 0]
-    most = _FASTEST / codec.fps
-    return codec.with_steps(features_FD, -(drift_2S * (most / drift_2S.norm(dim=0).clamp_min(most))).T)
+    return codec.with_steps(features_FD, -drift_2S.T)

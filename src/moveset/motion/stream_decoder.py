@@ -23,17 +23,14 @@ class StreamDecoder:
     Args:
         blend_seconds: within which a jump from one segment to the next dies away (``IncrementalDecoder``).
         foot_lock: hold planted feet in place, and the root over them.
-        travelling: share by which the root of whoever goes is held (``hold_root``).
 
     Raises:
         InputError: a negative duration.
     """
 
-    def __init__(
-        self, codec: FeatureCodec, blend_seconds: float = 0.0, *, foot_lock: bool = True, travelling: float = 1.0
-    ) -> None:
+    def __init__(self, codec: FeatureCodec, blend_seconds: float = 0.0, *, foot_lock: bool = True) -> None:
         self.codec = codec
-        self._foot_lock, self._travelling = foot_lock, travelling
+        self._foot_lock = foot_lock
         self._pieces = IncrementalDecoder(codec, blend_seconds)
         self._feet = FootLock(codec.skeleton, codec.fps)
 
@@ -46,7 +43,7 @@ class StreamDecoder:
         if not self._foot_lock:
             return self._pieces(features)
         planted = self.codec.planted(features)
-        return self._feet(self._pieces(hold_root(features, planted, self.codec, self._travelling)), planted)
+        return self._feet(self._pieces(hold_root(features, planted, self.codec)), planted)
 
     def planted(self, features: Tensor) -> Tensor:
         """(n, 4) bool, which feet stand."""

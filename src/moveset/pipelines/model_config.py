@@ -201,7 +201,6 @@ class StreamConfig(FolderConfig):
         past_lag: where segments of ``rdm`` are made one after the other, by how many steps the finished one before is
             told to be ahead: it is noised again to that level (``rdm.sampler``). None tells it clean.
         idle: the prompt of a stream before it is given one.
-        travelling: share by which the root of whoever goes is held over feet that slide (``motion.hold_root``).
         symmetric: guided networks that are evaluated with their mirror image (``models.symmetric``), so that streams
             keep to neither side.
     """
@@ -224,7 +223,6 @@ class StreamConfig(FolderConfig):
     time_shift: float = 0.0
     past_lag: int | None = None
     idle: str = "a person stands still"
-    travelling: float = 1.0
     symmetric: tuple[str, ...] = ()
 
     @classmethod
@@ -263,8 +261,6 @@ class StreamConfig(FolderConfig):
             raise ValueError(f"eps_scale {self.eps_scale} is not in {EPS_SCALES[0]} to {EPS_SCALES[1]}")
         if not 0 <= self.time_shift <= 1:
             raise ValueError(f"time_shift {self.time_shift} is not in 0 to 1")
-        if not 0 <= self.travelling <= 1:
-            raise ValueError(f"travelling {self.travelling} is not in 0 to 1")
         for name in self.symmetric:
             if name not in self.models or not self.models[name].config.get("guided"):
                 raise ValueError(f"{name!r} is no guided network, which alone can be symmetric")

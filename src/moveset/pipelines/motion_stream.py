@@ -287,8 +287,6 @@ class MotionStream(Iterator[Segment]):
         config = self.bundle.config
         names = (settings.network, FLOW) if config.flows(settings.network) else (settings.network,)
         found: dict[str, Any] = {name: self.bundle.files[f"{name}.safetensors"][0] for name in names}
-        if config.travelling != 1.0:  # states of models from before have none
-            found["travelling"] = config.travelling
         return found | {"symmetric": settings.network in config.symmetric}
 
 

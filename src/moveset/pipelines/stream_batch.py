@@ -157,7 +157,7 @@ class StreamModel:
         start = time.perf_counter()
         condition = self.conditioning.of(line, 0, guidance)
         spent = (time.perf_counter() - start) * 1e3
-        decoder = self.settings.decoder(self.bundle.config, self.codec)
+        decoder = self.settings.decoder(self.codec)
         return Stream(seed, guidance, line, decoder, condition, reading_ms=spent)
 
     @one_thread()

@@ -57,8 +57,6 @@ class StreamGenerator:
         for name, usual in (("past_lag", None), ("variance", "posterior"), ("eps_scale", 1.0), ("time_shift", 0.0)):
             if settings[name] == usual:
                 del settings[name]
-        if self._bundle.config.travelling != 1.0:
-            settings["travelling"] = self._bundle.config.travelling
         settings["symmetric"] = self.network in self._bundle.config.symmetric
         if self._init_noise != "independent":
             settings["init_noise"] = self._init_noise

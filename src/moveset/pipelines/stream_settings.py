@@ -64,8 +64,8 @@ class StreamSettings:
         """Whether every segment is told its finished predecessor as it is, at every step."""
         return self.one_by_one and self.past_lag is None
 
-    def decoder(self, config: StreamConfig, codec: FeatureCodec) -> StreamDecoder:
-        return StreamDecoder(codec, self.blend_seconds, foot_lock=self.foot_lock, travelling=config.travelling)
+    def decoder(self, codec: FeatureCodec) -> StreamDecoder:
+        return StreamDecoder(codec, self.blend_seconds, foot_lock=self.foot_lock)
 
     def staircase(self) -> Staircase:
         return Staircase(self.steps, None, self.start, lag=self.lag)

@@ -289,7 +289,7 @@ EXPORTS: tuple[Export, ...] = (
         tremor={"rdm": 1.0},
         sampling={
             "network": "rdm", "sampler_steps": 10, "start": 10, "lag": 10, "past_lag": 1, "eps_scale": 1.05,
-            "time_shift": 0.1, "travelling": 0.25, "symmetric": ("pcm-1",),
+            "time_shift": 0.1, "symmetric": ("pcm-1",),
         },
         compact=("rdm",),
     ),
