@@ -72,7 +72,7 @@ def test_the_server_offers_what_ships():
         found = client.get("/v1/models").json()
         assert found["default"] == {"clip": DEFAULT_MODEL, "stream": DEFAULT_STREAM}
         assert {model["license"] for model in found["models"]} == {"CC-BY-4.0"}
-        assert len(client.get("/v1/prompts").json()["prompts"]) == 24
+        assert "a person does a cartwheel" in client.get("/v1/prompts").json()["prompts"]
         body = {"prompts": [{"text": "a person walks forward", "seconds": 2.0}], "seed": 7}
         assert client.post("/v1/generate", json=body).json()["warnings"] == []
 

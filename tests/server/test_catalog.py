@@ -1,5 +1,7 @@
 """Which models are offered, and what is suggested."""
 
+from pathlib import Path
+
 import pytest
 import torch
 
@@ -20,6 +22,13 @@ def test_suggestions_stand_for_all_and_what_is_said_most_comes_first():
     assert representative(["x" * 100, "short"], around[:2], 2) == ["short"]
     assert representative(["one. two", "one"], around[:2], 2) == ["one"]
     assert representative(["x" * 100], around[:1], 2) == ["x" * 100]
+
+
+def test_a_models_own_examples_are_suggested():
+    catalog = Catalog([Path("motionpcm-small"), Path("rdm-small")], "cpu")
+    for name, bundle in (("motionpcm-small", catalog.clip(None).bundle), ("rdm-small", catalog.stream(None))):
+        assert catalog.suggestions(name) == list(bundle.config.examples)
+        assert len(bundle.config.examples) > 10
 
 
 def test_models_are_known_by_name(models, tmp_path):

@@ -48,6 +48,7 @@ class FolderConfig:
         text_encoder: a name for ``text.encoder.get_text_encoder``.
         guidance: default guidance scale w by name of the network, for those that take one.
         far_prompt: a prompt whose best cosine to the training captions is lower gets a warning.
+        examples: sentences to begin with, as an interface suggests them; none where nobody chose any.
         provenance: on what, how and when it was trained; for people.
         models: the networks by name; filled in when the folder is saved.
     """
@@ -64,6 +65,7 @@ class FolderConfig:
     text_encoder: str = "minilm"
     guidance: Mapping[str, float] = field(default_factory=dict)
     far_prompt: float = 0.5
+    examples: tuple[str, ...] = ()
     provenance: Mapping[str, str | int | float] = field(default_factory=dict)
     models: Mapping[str, ModelSpec] = field(default_factory=dict)
 
@@ -86,6 +88,8 @@ class FolderConfig:
             raise ValueError(f"the name {self.name!r} cannot be part of a file's name")
         if not 0 < self.fps <= 1000:
             raise ValueError("frame rate out of range")
+        if not all(isinstance(text, str) for text in self.examples):
+            raise ValueError("examples that are no sentences")
         for name, spec in self.models.items():
             if spec.base is not None and self.models[spec.base].base is not None:
                 raise ValueError(f"the base {spec.base!r} of {name!r} is itself stored as differences")
@@ -124,6 +128,7 @@ class FolderConfig:
             raise FormatError(f"{where} does not fit this version: {sorted(wrong)[0]!r} is missing or unknown")
         try:
             raw["models"] = {name: ModelSpec(**spec) for name, spec in raw["models"].items()}
+            raw["examples"] = tuple(raw["examples"])
             config = cls.of(raw)
             config.check()
             return config

@@ -257,6 +257,51 @@ TRAINING: dict[str, Callable[[], Recipe]] = {
 }
 TRAINING |= variants(TRAINING)
 
+# What the models do well, looked at.
+_CLIPS = (
+    "a person waves with the right hand",
+    "a person walks forward and turns left",
+    "a person does a cartwheel",
+    "a person sits down",
+    "a person kicks with the right leg",
+    "a person crawls",
+    "a person picks something up from the floor",
+    "a person runs forward",
+    "a person climbs a ladder",
+    "a person dances",
+    "a person jumps forward",
+    "a boxer throws punches",
+    "a person swings a golf club",
+    "a person walks in a circle to the right",
+    "a person swims",
+    "a person squats down and gets up again",
+    "a person marches",
+    "a person walks backwards",
+    "somebody plays the violin",
+    "a person falls down",
+    "a person sneaks along",
+)
+_STREAMS = (
+    "a person walks forward",
+    "a person sits down",
+    "a person stands up",
+    "a person waves with the left hand",
+    "a person runs",
+    "a person kicks with the right leg",
+    "a person turns around to the left",
+    "a person crawls",
+    "a person jumps",
+    "a person dances",
+    "a person punches",
+    "a person walks backwards",
+    "a person squats",
+    "a person marches",
+    "a person walks in a circle to the right",
+    "a person picks something up from the floor",
+    "a person raises both arms",
+    "a person stands still",
+)
+
 EXPORTS: tuple[Export, ...] = (
     ClipExport(
         name="motionpcm-small",
@@ -267,6 +312,7 @@ EXPORTS: tuple[Export, ...] = (
         },
         guidance={"teacher": 2.5, "lcm-1": 2.5, "pcm-1": 3.5, "pcm-2": 3.0, "pcm-4": 3.0},
         compact=("teacher",),
+        examples=_CLIPS,
     ),
     *(
         ClipExport(
@@ -292,6 +338,7 @@ EXPORTS: tuple[Export, ...] = (
             "time_shift": 0.1, "symmetric": ("pcm-1",),
         },
         compact=("rdm",),
+        examples=_STREAMS,
     ),
     *(
         StreamExport(

@@ -128,7 +128,8 @@ class Catalog:
         return t2m
 
     def suggestions(self, name: str | None) -> list[str]:
-        """Sentences that stand for what a model knows; None is the default model of clips.
+        """Sentences to begin with: the model's examples, or captions that stand for what it knows; None is the default
+        model of clips.
 
         Raises:
             RequestError: no such model.
@@ -136,8 +137,8 @@ class Catalog:
         known = {**{k: t2m.bundle for k, t2m in self.clips.items()}, **self.streams}
         found = self._found(known, "clip" if self.clips else "stream", name)
         if found.config.name not in self._suggestions:
-            captions = found.captions
-            self._suggestions[found.config.name] = representative(captions.sentences, captions.pooled)
+            captions, chosen = found.captions, list(found.config.examples)
+            self._suggestions[found.config.name] = chosen or representative(captions.sentences, captions.pooled)
         return self._suggestions[found.config.name]
 
     def _found(self, models: dict[str, Any], kind: str, name: str | None) -> Any:

@@ -80,7 +80,7 @@ async def models(the: The) -> JSONResponse:
 
 @router.get("/prompts", summary="Sentences that a model knows", responses=errors(404, 422))
 async def prompts(the: The, model: Annotated[Name | None, Query()] = None) -> JSONResponse:
-    """A short list of captions that stand for what a model knows, as suggestions."""
+    """A short list of sentences to begin with, as suggestions."""
     return JSONResponse({"prompts": await asyncio.to_thread(the.catalog.suggestions, model)})
 
 

@@ -48,6 +48,7 @@ class Export:
         last: take the students' last weights instead of the averaged ones.
         differences: store students as 8-bit differences from what they were started from.
         compact: networks whose matrices are stored in 8 bits.
+        examples: sentences to begin with (``FolderConfig``).
     """
 
     name: str
@@ -56,6 +57,7 @@ class Export:
     last: bool = False
     differences: bool = True
     compact: tuple[str, ...] = ()
+    examples: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if unknown := set(self.guidance) - set(self.runs):
@@ -145,6 +147,7 @@ def _common(
         "fps": codec.fps,
         "text_encoder": encoder,
         "guidance": dict(what.guidance),
+        "examples": what.examples,
         "far_prompt": familiarity_limit(dataset, known, pooled, encoder),
         "provenance": {"data": dataset.describe(), **steps},
     }
