@@ -41,6 +41,7 @@ def place(tmp_path_factory):
         ("familiarity", ["--model", "nobody", "--out", "made.json"], "nobody"),
         ("copying", ["real", "--data", "corpus.safetensors", "--out", "made.json"], "has no train clips"),
         ("server", ["--streams", "0"], "--streams: 0 is less than 1"),
+        ("training", ["--corpus", "corpus.safetensors", "--stages", "nobody"], "has no 'nobody'"),
         ("viewer", ["--sizes", "wide"], "size 'wide' is not WIDTHxHEIGHT"),
         ("viewer", ["--page", "nowhere.html"], "no page nowhere.html"),
     ],
