@@ -2,6 +2,7 @@
 
 import io
 import json
+import urllib.request
 
 import numpy as np
 from PIL import Image
@@ -126,6 +127,22 @@ def test_everything_has_a_name(studio):
     assert studio.run("document.querySelector('#status').getAttribute('aria-live')") == "polite"
     studio.make("a person bows")
     assert "seed" in studio.words("#status")
+
+
+def test_suggestions_are_those_of_the_modes_model(studio):
+    def chips():
+        return studio.run("Array.from(document.querySelectorAll('.chip'), (chip) => chip.textContent)")
+
+    def known(model):
+        with urllib.request.urlopen(f"{studio.address}/v1/prompts?model={model}") as answer:
+            return json.load(answer)["prompts"]
+
+    clips, streams = known("motionpcm-small"), known("rdm-small")
+    assert clips != streams
+    for mode, wanted in (("live", streams), ("clip", clips)):
+        studio.click(f"#mode-{mode}")
+        studio.wait(f"document.querySelectorAll('.chip').length === {len(wanted)}")
+        assert chips() == wanted
 
 
 def test_a_suggestion_is_one_press_away(studio):

@@ -23,6 +23,7 @@ const prompt = byId<HTMLTextAreaElement>("prompt");
 const still = matchMedia("(prefers-reduced-motion: reduce)");
 let mode: Mode = "clip";
 let server: Models | null = null;
+const models: Partial<Record<Mode, string>> = {};
 
 const downloads = new Downloads({ shown: () => stage.shown, record: () => stage.player.recordVideo() });
 
@@ -88,8 +89,15 @@ function enter(wanted: Mode): void {
   made("");
   byId("live-strip").hidden = byId("timeline").hidden = true;
   byId("go-label").textContent = "Move";
+  void suggestions();
   if (mode === "clip") return clip.restore(clip.timeline.entries);
   live.label();
+}
+
+/** Suggest what the mode's model does well. */
+async function suggestions(): Promise<string[]> {
+  const model = models[mode];
+  return model ? suggest(model, say) : [];
 }
 
 function submit(): void {
@@ -179,14 +187,19 @@ async function begin(): Promise<void> {
   try {
     server = await askModels();
     downloads.offer(server.formats);
-    const clips = offer("clip", (model) => clip.use(model));
-    const streams = offer("stream", (model) => live.use(model));
+    const clips = offer("clip", (model) => {
+      models.clip = model.name;
+      clip.use(model);
+    });
+    const streams = offer("stream", (model) => {
+      models.live = model.name;
+      live.use(model);
+    });
     back();
-    const model = clips ?? streams;
-    if (!model) return void toast("The server has no models; see: moveset models", "fault");
-    if (!clips) enter("live");
-    const known = await suggest(model.name, say);
-    if (clips && known.length && !stage.shown) await greet(known.find((text) => /\bwav/.test(text)) ?? known[0]);
+    if (!clips && !streams) return void toast("The server has no models; see: moveset models", "fault");
+    if (!clips) return enter("live");
+    const known = await suggestions();
+    if (known.length && !stage.shown) await greet(known.find((text) => /\bwav/.test(text)) ?? known[0]);
   } catch (thrown) {
     fault(thrown, () => void begin());
   }
