@@ -1,22 +1,15 @@
 """What a user should know about a prompt: that it is unlike the training captions, has words of none, tells of several
 people or of what is not done, or is too long."""
 
-import re
 from typing import Any
 
 from torch import Tensor
 
 from moveset.pipelines.model_folder import ModelFolder
 from moveset.text.encoder import TextEncoder
+from moveset.text.vocabulary import denied, several
 
 MOST_WORDS = 4  # of a prompt that are named
-# Captions have these words, and whoever is captured is alone and does something all the same.
-_SEVERAL = re.compile(
-    r"\b(?:people|persons|men|women|children|kids|boys|girls|guys|ladies|gentlemen|couple|crowd|each\s+other"
-    r"|one\s+another)\b(?!['’])",
-    re.IGNORECASE,
-)
-_NOT = re.compile(r"\b(?:not|never|nobody|no\s+one)\b|n['’]t\b", re.IGNORECASE)
 
 
 def unfamiliar(bundle: ModelFolder[Any], prompts: tuple[str, ...], pooled: Tensor) -> list[str]:
@@ -41,10 +34,10 @@ def unfamiliar(bundle: ModelFolder[Any], prompts: tuple[str, ...], pooled: Tenso
             named = ", ".join(map(repr, words[:MOST_WORDS])) + (" …" if len(words) > MOST_WORDS else "")
             them, they = ("words", "they mean") if len(words) > 1 else ("word", "it means")
             out.append(f"this model was never trained on the {them} {named} and guesses what {they}; {nearest}")
-        if found := _SEVERAL.search(prompt):
-            out.append(f"this model moves one person alone, not {found.group()!r}; say what that one does")
-        if found := _NOT.search(prompt):
-            out.append(f"this model may do what {found.group()!r} denies; say what is done instead")
+        if found := several(prompt):
+            out.append(f"this model moves one person alone, not {found!r}; say what that one does")
+        if found := denied(prompt):
+            out.append(f"this model may do what {found!r} denies; say what is done instead")
     return out
 
 

@@ -1,4 +1,4 @@
-"""Words of a prompt that a model was never trained on, whatever their inflection."""
+"""Words of a prompt that a model was never trained on, whatever their inflection, or can do nothing with."""
 
 import re
 from collections.abc import Iterable
@@ -10,6 +10,13 @@ _LEAST = 3  # letters of a stem
 
 
 _FIGURES = re.compile(r"(?<!\w)\d+(?:[.,]\d+)*")
+# Captions have these words, and whoever is captured is alone and does something all the same.
+_SEVERAL = re.compile(
+    r"\b(?:people|persons|men|women|children|kids|boys|girls|guys|ladies|gentlemen|couple|crowd|each\s+other"
+    r"|one\s+another)\b(?!['’])",
+    re.IGNORECASE,
+)
+_NOT = re.compile(r"\b(?:not|never|nobody|no\s+one)\b|n['’]t\b", re.IGNORECASE)
 
 
 def words_of(sentence: str) -> list[str]:
@@ -98,3 +105,23 @@ def _stems_of(word: str) -> frozenset[str]:
         if stem.endswith("i"):
             stems.add(stem[:-1] + "y")
     return frozenset(stems)
+
+
+def several(sentence: str) -> str:
+    """The words that tell of more than one person; "" where none do.
+
+    >>> several("Two people dance"), several("a man's room")
+    ('people', '')
+    """
+    found = _SEVERAL.search(sentence)
+    return found.group() if found else ""
+
+
+def denied(sentence: str) -> str:
+    """The word that says of something that it is not done; "" where none does.
+
+    >>> denied("a person does not walk"), denied("a person ties a knot")
+    ('not', '')
+    """
+    found = _NOT.search(sentence)
+    return found.group() if found else ""
