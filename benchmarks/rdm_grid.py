@@ -156,7 +156,8 @@ def trained(name: str, seed: int, given: argparse.Namespace) -> Path:
     recipe, runs = load_recipe(given.recipe, variant.what), out / "runs"
     more = () if variant.teacher else given.set
     config = with_settings(recipe.task, (*variant.settings, *more))
-    steps = recipe.engine.steps if given.train_steps is None else given.train_steps
+    asked = given.student_steps if variant.teacher else given.train_steps
+    steps = recipe.engine.steps if asked is None else asked
     engine = replace(recipe.engine, seed=seed, device=given.device, steps=steps)
     teacher = runs / f"{variant.teacher}.{seed}"
     sources = Sources(corpus=given.corpus, vae=runs / "vae", teacher=teacher, cache=out / "cache")
@@ -299,7 +300,8 @@ def check_state(given: argparse.Namespace) -> None:
     Raises:
         InputError: OUT is of another.
     """
-    state = {"recipe": given.recipe, "train_steps": given.train_steps, "repeats": given.repeats, "set": given.set}
+    asked = ("recipe", "train_steps", "student_steps", "repeats", "set")
+    state = {name: getattr(given, name) for name in asked}
     state = json.loads(json.dumps(state | asdict(state_now(common(given)))))
     path = given.out / "state.json"
     there = json_object(path.read_bytes(), path, "give another --out") if path.is_file() else state
@@ -317,7 +319,8 @@ def main() -> None:
     parser.add_argument("--recipe", choices=RECIPES, default="small")
     parser.add_argument("--variants", nargs="+", choices=VARIANTS, default=list(VARIANTS), metavar="NAME")
     parser.add_argument("--seeds", type=at_least(1), default=3, help="trainings of each variant")
-    parser.add_argument("--train-steps", type=at_least(1), help="of each training; by default the recipe's")
+    parser.add_argument("--train-steps", type=at_least(1), help="of all but students; by default the recipe's")
+    parser.add_argument("--student-steps", type=at_least(1), help="of students; by default the recipe's")
     parser.add_argument("--set", action="append", default=[], help="a setting of all variants but students")
     parser.add_argument("--steps", type=at_least(1), nargs="+", default=list(STEPS), help="K; 1000 is DDPM")
     parser.add_argument("--late", type=at_least(0), nargs="+", default=list(LATE), help="R of K = 1000, 0 the flow")

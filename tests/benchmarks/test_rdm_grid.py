@@ -75,10 +75,11 @@ def test_a_student_is_trained_after_its_teacher_and_exported_with_it(grid, tmp_p
     monkeypatch.setattr(grid, "export", lambda what, *_: exported.append(what))
     monkeypatch.setattr(grid, "open_for_training", lambda path: None)
     Ran = SimpleNamespace(stopped_by=None)
-    given = Namespace(out=tmp_path, recipe="tiny", set=["root=2"], train_steps=3, device="cpu", corpus=tmp_path)
+    settings = {"recipe": "tiny", "set": ["root=2"], "train_steps": 3, "student_steps": 2, "device": "cpu"}
+    given = Namespace(out=tmp_path, corpus=tmp_path, **settings)
     grid.trained("entangled-pcm-2", 5, given)
     assert [name for name, _ in ran] == ["entangled.5", "entangled-pcm-2.5"]
-    assert {(engine.seed, engine.steps) for _, engine in ran} == {(5, 3)}
+    assert [(engine.seed, engine.steps) for _, engine in ran] == [(5, 3), (5, 2)]
     assert [what.runs for what in exported] == [
         {"rdm": "entangled.5"}, {"rdm": "entangled.5", "pcm-2": "entangled-pcm-2.5"}
     ]  # fmt: skip
