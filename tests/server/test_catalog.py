@@ -31,6 +31,16 @@ def test_a_models_own_examples_are_suggested():
         assert len(bundle.config.examples) > 10
 
 
+def test_streams_may_be_made_in_fewer_steps():
+    catalog = Catalog([Path("rdm-small")], "cpu")
+    (row,) = (row for row in catalog.describe() if row["name"] == "rdm-small")
+    assert (row["steps"], row["default_steps"]) == ([2, 5, 10], 10)
+    bundle = catalog.stream(None)
+    for steps in row["steps"]:
+        settings = catalog.request(bundle, None, 0, steps, None).settings
+        assert (settings.steps, settings.sequential, settings.network) == (steps, True, "rdm")
+
+
 def test_models_are_known_by_name(models, tmp_path):
     catalog = Catalog(models, "cpu")
     assert catalog.clip(None) is catalog.clip("tiny")

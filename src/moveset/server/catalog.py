@@ -219,7 +219,7 @@ def _stream_row(bundle: ModelFolder[StreamConfig]) -> dict[str, Any]:
         "name": config.name,
         "task": "stream",
         "fps": config.fps,
-        "steps": list(config.steps("pcm")) if is_student(config.network) else [settings.steps],
+        "steps": _stream_steps(config, settings),
         "default_steps": settings.steps,
         "guidance": settings.guidance,
         "max_seconds": None,
@@ -227,6 +227,14 @@ def _stream_row(bundle: ModelFolder[StreamConfig]) -> dict[str, Any]:
         "idle": config.idle,
         "license": _license(bundle),
     }
+
+
+def _stream_steps(config: StreamConfig, settings: StreamSettings) -> list[int]:
+    """Evaluations a segment to choose from: the students', or the sampler's own with fewer for slower machines."""
+    if is_student(config.network):
+        return list(config.steps("pcm"))
+    fewer = (2, settings.steps // 2) if settings.sequential else ()
+    return sorted({settings.steps, *(steps for steps in fewer if 0 < steps < settings.steps)})
 
 
 def _license(bundle: ModelFolder[ClipConfig] | ModelFolder[StreamConfig]) -> str | None:
