@@ -113,6 +113,13 @@ def test_operations_grow_with_evaluations_and_streams_with_steps(report):
     assert streams["pcm-1"]["segment"] < streams["pcm-2"]["segment"] < streams["md"]["segment"]
 
 
+def test_a_model_itself_is_timed_in_fewer_steps_too(plan):
+    found = Bench(replace(plan, streams="rdm-small", parts=("streams",))).run()["streams"]
+    assert {name: row["evaluations"] for name, row in found.items()} == {
+        "rdm": 20, "pcm-1": 2, "rdm, 5 of 10 steps": 10, "rdm, 2 of 10 steps": 4
+    }  # fmt: skip
+
+
 def test_a_report_is_whole(report, plan):
     assert [part for part in PARTS if part in report] == [part for part in PARTS if part != "processes"]
     assert list(report["clips"]) == ["pcm-1", "pcm-2", "pcm-4", "lcm-1", "teacher-2"]

@@ -187,6 +187,15 @@ def check_stream(
     return StreamRequest(timeline, seed, settings, durations, counts)
 
 
+def offered_steps(config: StreamConfig) -> tuple[int, ...]:
+    """Steps a segment to choose from: of the students, or of the sampler: its own, and fewer for slower machines."""
+    if is_student(config.network):
+        return config.steps("pcm")
+    own = check_stream(config).settings
+    fewer = (2, own.steps // 2) if own.sequential else ()
+    return tuple(sorted({own.steps, *(steps for steps in fewer if 0 < steps < own.steps)}))
+
+
 def _timeline(
     config: StreamConfig, prompt: str | Sequence[str] | None, seconds: float | Sequence[float] | None, loop: bool,
     stages: bool,

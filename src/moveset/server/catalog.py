@@ -15,7 +15,7 @@ from moveset.pipelines.model_folder import ModelFolder, find_folder, shipped
 from moveset.pipelines.request import TEACHER_STEPS, Method, check_method
 from moveset.pipelines.role import is_student
 from moveset.pipelines.stream_batch import StreamBatch
-from moveset.pipelines.stream_settings import StreamRequest, StreamSettings, check_stream
+from moveset.pipelines.stream_settings import StreamRequest, StreamSettings, check_stream, offered_steps
 from moveset.pipelines.text_to_motion import TextToMotion
 from moveset.server.failures import RequestError
 from moveset.text.encoder import TextEncoder, get_text_encoder
@@ -219,7 +219,7 @@ def _stream_row(bundle: ModelFolder[StreamConfig]) -> dict[str, Any]:
         "name": config.name,
         "task": "stream",
         "fps": config.fps,
-        "steps": _stream_steps(config, settings),
+        "steps": list(offered_steps(config)),
         "default_steps": settings.steps,
         "guidance": settings.guidance,
         "max_seconds": None,
@@ -227,14 +227,6 @@ def _stream_row(bundle: ModelFolder[StreamConfig]) -> dict[str, Any]:
         "idle": config.idle,
         "license": _license(bundle),
     }
-
-
-def _stream_steps(config: StreamConfig, settings: StreamSettings) -> list[int]:
-    """Evaluations a segment to choose from: the students', or the sampler's own with fewer for slower machines."""
-    if is_student(config.network):
-        return list(config.steps("pcm"))
-    fewer = (2, settings.steps // 2) if settings.sequential else ()
-    return sorted({settings.steps, *(steps for steps in fewer if 0 < steps < settings.steps)})
 
 
 def _license(bundle: ModelFolder[ClipConfig] | ModelFolder[StreamConfig]) -> str | None:
