@@ -55,6 +55,19 @@ def between(low: float, high: float) -> Callable[[str], float]:
 positive = between(1e-3, 1e6)
 
 
+def sampled(asked: str) -> tuple[str, str | None, int | None]:
+    """Model, network and steps of MODEL, MODEL:NETWORK or MODEL:NETWORK:STEPS; None is the model's own choice.
+
+    Raises:
+        InputError: steps that are no number.
+    """
+    model, _, more = asked.partition(":")
+    network, _, steps = more.partition(":")
+    if steps and not steps.isdecimal():
+        raise InputError(f"{asked!r} ends in {steps!r}, which is no number of steps; give such as rdm-small:rdm:2")
+    return model, network or None, int(steps) if steps else None
+
+
 def report_path(text: str) -> Path:
     """The type of a report's file; its folder is made, and must be one that can be written to."""
     path = Path(text)

@@ -25,7 +25,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from arguments import Parser, at_least, between, report_path, write_report
+from arguments import Parser, at_least, between, report_path, sampled, write_report
 from moveset.data.corpus import Corpus
 from moveset.errors import exit_code_of
 from moveset.evaluation.sides import named_side, on_named_side
@@ -88,9 +88,11 @@ def summary(rows: Sequence[Row]) -> dict[str, Any]:
     return found | {name: round(fmean(row[name] for row in rows), 3) for name in ("skating", "jerk")}
 
 
-def made(model: str, network: str | None, sentence: str, copies: int, seconds: float) -> list[Motion]:
+def made(
+    model: str, network: str | None, steps: int | None, sentence: str, copies: int, seconds: float
+) -> list[Motion]:
     """Motions of one sentence, seeds from 0 on."""
-    generator = open_generator(model, network, Sampler(), device="cpu")
+    generator = open_generator(model, network, Sampler(steps=steps), device="cpu")
     frames = round(seconds * generator.fps)
     return generator.generate([Request((sentence,), (frames,), seed) for seed in range(copies)])
 
@@ -121,7 +123,9 @@ def takes(corpus: Corpus, said: str, seconds: float) -> list[dict[str, float]]:
 def main() -> None:
     """See the module."""
     parser = Parser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("model", nargs="+", help="MODEL or MODEL:NETWORK; a shipped one, or a folder")
+    parser.add_argument(
+        "model", nargs="+", help="MODEL, MODEL:NETWORK or MODEL:NETWORK:STEPS; a shipped one, or a folder"
+    )
     parser.add_argument("--sentences", nargs="*", default=list(EXPECTED))
     parser.add_argument("--copies", type=at_least(2), default=20)
     parser.add_argument("--seconds", type=between(3, 600), default=5.0)
@@ -140,9 +144,8 @@ def main() -> None:
         for name, said in TAKES.items():
             note(f"takes: {name}", summary(takes(corpus, said, given.seconds)))
     for asked in given.model:
-        model, _, network = asked.partition(":")
         for sentence in given.sentences:
-            motions = made(model, network or None, sentence, given.copies, given.seconds)
+            motions = made(*sampled(asked), sentence, given.copies, given.seconds)
             rows = [measured(motion.joints.float(), motion.fps) for motion in motions]
             right = {}
             if sentence in EXPECTED:

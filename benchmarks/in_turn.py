@@ -15,7 +15,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from arguments import Parser, at_least, report_path, write_report
+from arguments import Parser, at_least, report_path, sampled, write_report
 from moveset.errors import exit_code_of
 from moveset.motion.clip import Motion
 from moveset.motion.skeleton import HML22
@@ -53,11 +53,16 @@ DONE: dict[str, Callable[[Tensor], bool]] = {
 
 
 def segments(
-    model: str, network: str | None, copies: int, each: int, sentences: Sequence[str] = tuple(DONE)
+    model: str,
+    network: str | None,
+    steps: int | None,
+    copies: int,
+    each: int,
+    sentences: Sequence[str] = tuple(DONE),
 ) -> dict[str, list[list[Motion]]]:
     """Of each sentence its segments, of each of these one motion a stream, which stood before."""
     bundle = ModelFolder.open(model, StreamConfig)
-    batch = StreamBatch(bundle, check_stream(bundle.config, network=network).settings, device="cpu")
+    batch = StreamBatch(bundle, check_stream(bundle.config, network=network, steps=steps).settings, device="cpu")
     lanes = [batch.open("a person stands still", seed) for seed in range(copies)]
     batch.step(lanes)
     found = {}
@@ -78,7 +83,9 @@ def shares(done: Callable[[Tensor], bool], shown: Sequence[Sequence[Motion]]) ->
 def main() -> None:
     """See the module."""
     parser = Parser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("model", nargs="+", help="MODEL or MODEL:NETWORK; a shipped one, or a folder")
+    parser.add_argument(
+        "model", nargs="+", help="MODEL, MODEL:NETWORK or MODEL:NETWORK:STEPS; a shipped one, or a folder"
+    )
     parser.add_argument("--copies", type=at_least(1), default=20)
     parser.add_argument("--segments", type=at_least(1), default=4, help="of each sentence")
     parser.add_argument("--sentences", nargs="+", choices=DONE, default=list(DONE), help="each once, in this order")
@@ -87,8 +94,7 @@ def main() -> None:
     torch.set_num_threads(1)
     rows = {}
     for asked in given.model:
-        model, _, network = asked.partition(":")
-        made = segments(model, network or None, given.copies, given.segments, given.sentences)
+        made = segments(*sampled(asked), given.copies, given.segments, given.sentences)
         for sentence, shown in made.items():
             rows[f"{asked}: {sentence}"] = shares(DONE[sentence], shown)
             print(asked, sentence, rows[f"{asked}: {sentence}"], flush=True)

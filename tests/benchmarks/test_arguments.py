@@ -41,6 +41,8 @@ def place(tmp_path_factory):
         ("familiarity", ["--model", "nobody", "--out", "made.json"], "nobody"),
         ("copying", ["real", "--data", "corpus.safetensors", "--out", "made.json"], "has no train clips"),
         ("server", ["--streams", "0"], "--streams: 0 is less than 1"),
+        ("in_turn", ["rdm-small:rdm:two"], "'two', which is no number of steps; give such as rdm-small:rdm:2"),
+        ("in_turn", ["rdm-small:pcm-1:2"], "2 steps does not go with network 'pcm-1'"),
         ("training", ["--corpus", "corpus.safetensors", "--stages", "nobody"], "has no 'nobody'"),
         ("viewer", ["--sizes", "wide"], "size 'wide' is not WIDTHxHEIGHT"),
         ("viewer", ["--page", "nowhere.html"], "no page nowhere.html"),
@@ -99,3 +101,12 @@ def test_a_missing_library_is_one_line(program, module, named, monkeypatch, caps
         runpy.run_path(str(FOLDER / program), run_name="__main__")
     assert ended.value.code == 2
     assert capsys.readouterr().err == f"moveset: this needs {named}\n"
+
+
+def test_a_model_may_be_named_with_its_network_and_steps(monkeypatch):
+    monkeypatch.syspath_prepend(str(FOLDER))
+    from arguments import sampled
+
+    assert sampled("rdm-small") == ("rdm-small", None, None)
+    assert sampled("runs/mine:pcm-1") == ("runs/mine", "pcm-1", None)
+    assert sampled("rdm-small:rdm:2") == ("rdm-small", "rdm", 2)
