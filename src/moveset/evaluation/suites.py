@@ -171,6 +171,12 @@ def rdm() -> Suite:
                 steps=2, repeats=None, against=("md-7", "rdm-7", "rdm-pcm-1")),
         replace(stream, key="whole-sentences", label="RDM-7's student, 1 step, whole sentences", network="pcm-1",
                 steps=1, settings={"stages": False}, against=("rdm-pcm-1",)),
+        # What a student is to be better than: the model itself in as few steps.
+        *(
+            replace(stream, key=f"rdm-steps-{k}", label=f"RDM-7 as it ships, in {plural(k, 'step')}", steps=k,
+                    against=("noisy-past", "rdm-pcm-1"))
+            for k in (5, 2, 1)
+        ),
         overlapping("disentangled", "R = 0 (the flow alone)", 0, "parallelogram"),
         overlapping("triangle-1", "R = 1, triangle", 1, "triangle"),
         overlapping("triangle-2", "R = 2, triangle", 2, "triangle"),
@@ -179,7 +185,7 @@ def rdm() -> Suite:
         replace(staircase, key="sequential", label="RDM-7, one segment after the other, told a clean past",
                 settings={"past_lag": 10}, repeats=FEW, against=("md-7", "rdm-7")),
         replace(staircase, key="noisy-past", label="RDM-7 as it ships: one segment after the other, told a noisy past",
-                settings={"past_lag": 1}, repeats=FEW, against=("rdm-7", "sequential")),
+                settings={"past_lag": 1}, repeats=FEW, against=("md-7", "rdm-7", "sequential")),
         replace(volume, key="rdm-1", label="RDM-1", model="rdm-1-small"),
         replace(volume, key="light-rdm-1", label="Light-RDM-1", model="light-rdm-1-small"),
         replace(volume, key="motiondiffuse", label="MotionDiffuse", model="motiondiffuse-small"),

@@ -344,7 +344,10 @@ EXPORTS: tuple[Export, ...] = (
         StreamExport(
             name=f"{name}-small", runs=runs | {"sides": "sides"}, guidance=dict.fromkeys(runs, guidance),
             tremor={network: 1.0 for network in runs if not is_student(network)},
-            sampling={"sampler_steps": 10, "start": 10, "lag": 10, "eps_scale": 1.05, "time_shift": 0.1},
+            sampling={
+                "sampler_steps": 10, "start": 10, "lag": 10, "eps_scale": 1.05, "time_shift": 0.1,
+                "symmetric": tuple(network for network in runs if is_student(network)),
+            },
         )
         for name, runs, guidance in (
             ("rdm-4", {"rdm": "rdm-4"}, 1.5),
