@@ -50,7 +50,6 @@ def place(tmp_path_factory):
 )
 def test_a_benchmark_says_in_one_line_what_is_wrong(program, arguments, message, place, monkeypatch, capsys):
     monkeypatch.chdir(place)
-    monkeypatch.syspath_prepend(str(FOLDER))
     monkeypatch.setattr(sys, "argv", [program, *arguments])
     with pytest.raises(SystemExit) as ended:
         runpy.run_path(str(FOLDER / f"{program}.py"), run_name="__main__")
@@ -81,8 +80,7 @@ def test_what_nobody_thought_of_is_one_line_too(error, code, message, capsys):
     assert (said.count("\n"), message in said) == (1, True), said
 
 
-def test_a_report_is_written_where_no_folder_was(tmp_path, monkeypatch):
-    monkeypatch.syspath_prepend(str(FOLDER))
+def test_a_report_is_written_where_no_folder_was(tmp_path):
     from arguments import report_path, write_report
 
     path = report_path(str(tmp_path / "new/folder/report.json"))
@@ -103,8 +101,7 @@ def test_a_missing_library_is_one_line(program, module, named, monkeypatch, caps
     assert capsys.readouterr().err == f"moveset: this needs {named}\n"
 
 
-def test_a_model_may_be_named_with_its_network_and_steps(monkeypatch):
-    monkeypatch.syspath_prepend(str(FOLDER))
+def test_a_model_may_be_named_with_its_network_and_steps():
     from arguments import sampled
 
     assert sampled("rdm-small") == ("rdm-small", None, None)

@@ -1,19 +1,15 @@
 """Pace, turns and arms of motions whose own are known."""
 
 import math
-from pathlib import Path
 
 import pytest
 import torch
 
 from tests.synthetic import synthetic_motion
 
-FOLDER = Path(__file__).resolve().parents[2] / "benchmarks"
-
 
 @pytest.fixture
-def course(monkeypatch):
-    monkeypatch.syspath_prepend(str(FOLDER))
+def course():
     import course
 
     return course

@@ -1,18 +1,13 @@
 """Halves of the training takes have nothing in common, nor has what is composed of them."""
 
-from pathlib import Path
-
 import pytest
 
 from moveset.data.dataset import open_dataset
 from tests.synthetic import synthetic_corpus
 
-FOLDER = Path(__file__).resolve().parents[2] / "benchmarks"
-
 
 @pytest.fixture
-def cross_fitting(monkeypatch):
-    monkeypatch.syspath_prepend(str(FOLDER))
+def cross_fitting():
     import cross_fitting
 
     return cross_fitting

@@ -4,19 +4,15 @@ import json
 import sys
 from collections import Counter
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 import torch
 
 from moveset.recipes import paper, small
 
-FOLDER = Path(__file__).resolve().parents[2] / "benchmarks"
-
 
 @pytest.fixture
-def methods(monkeypatch):
-    monkeypatch.syspath_prepend(str(FOLDER))
+def methods():
     import efficiency_methods
 
     return efficiency_methods
@@ -133,8 +129,7 @@ def test_a_call_costs_what_the_layers_of_the_published_network_say(methods):
     )
 
 
-def test_an_estimate_adds_the_waves(monkeypatch):
-    monkeypatch.syspath_prepend(str(FOLDER))
+def test_an_estimate_adds_the_waves():
     from efficiency import estimate
     from efficiency_methods import SIZES, TRIANGLE, Row, expected
 

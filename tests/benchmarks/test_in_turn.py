@@ -1,7 +1,5 @@
 """What counts as done, of motions that are known to do it or not, and the counting."""
 
-from pathlib import Path
-
 import pytest
 import torch
 
@@ -9,12 +7,9 @@ from moveset.motion.skeleton import HML22
 from tests.motions import seated, standing
 from tests.synthetic import synthetic_motion
 
-FOLDER = Path(__file__).resolve().parents[2] / "benchmarks"
-
 
 @pytest.fixture
-def in_turn(monkeypatch):
-    monkeypatch.syspath_prepend(str(FOLDER))
+def in_turn():
     import in_turn
 
     return in_turn

@@ -2,7 +2,6 @@
 
 from functools import partial
 from itertools import islice
-from pathlib import Path
 
 import pytest
 import torch
@@ -11,12 +10,9 @@ from PIL import Image
 from moveset import MotionStream
 from tests.streams import tiny_stream
 
-FOLDER = Path(__file__).resolve().parents[2] / "benchmarks"
-
 
 @pytest.mark.parametrize("segments", [2, 8])
-def test_the_last_seconds_are_the_streams_own(segments, tiny_streams, monkeypatch):
-    monkeypatch.syspath_prepend(str(FOLDER))
+def test_the_last_seconds_are_the_streams_own(segments, tiny_streams):
     from pictures import SHOWN, last_seconds
 
     opened = partial(MotionStream.from_pretrained, tiny_streams, "a person walks", seed=3, device="cpu")
@@ -27,8 +23,7 @@ def test_the_last_seconds_are_the_streams_own(segments, tiny_streams, monkeypatc
     assert torch.equal(found.root, torch.cat([piece.root for piece in pieces])[-len(found) :])
 
 
-def test_strips_lie_below_one_another(monkeypatch):
-    monkeypatch.syspath_prepend(str(FOLDER))
+def test_strips_lie_below_one_another():
     from pictures import WIDTH, sheet
 
     joined = sheet([Image.new("RGB", (2 * WIDTH, 100), "red"), Image.new("RGB", (2 * WIDTH, 60), "blue")])
@@ -37,7 +32,6 @@ def test_strips_lie_below_one_another(monkeypatch):
 
 
 def test_a_figure_has_a_strip_for_every_sentence_and_model(tmp_path, monkeypatch, capsys):
-    monkeypatch.syspath_prepend(str(FOLDER))
     import pictures
 
     folders = [tiny_stream(tmp_path / name) for name in ("rdm-tiny", "md-7-tiny")]

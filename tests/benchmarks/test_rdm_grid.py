@@ -4,7 +4,6 @@ import json
 import shutil
 import sys
 from argparse import Namespace
-from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -14,12 +13,9 @@ from moveset.rdm.staircase import Staircase
 from moveset.training.tasks import load_recipe, with_settings
 from tests.evaluation.corpora import content_corpus
 
-FOLDER = Path(__file__).resolve().parents[2] / "benchmarks"
-
 
 @pytest.fixture
-def grid(monkeypatch):
-    monkeypatch.syspath_prepend(str(FOLDER))
+def grid():
     import rdm_grid
 
     return rdm_grid

@@ -6,13 +6,10 @@ from pathlib import Path
 
 import pytest
 
-FOLDER = Path(__file__).resolve().parents[2] / "benchmarks"
-
 
 @pytest.fixture
 def viewer(monkeypatch):
     pytest.importorskip("playwright.sync_api", reason="playwright is not installed: pip install playwright")
-    monkeypatch.syspath_prepend(str(FOLDER))
     monkeypatch.delitem(sys.modules, "viewer", raising=False)
     import viewer
 
