@@ -43,7 +43,7 @@ format: .venv/.dev
 viewer:
 	cd viewer && npm ci --no-audit --no-fund && npm test && npm run build
 
-# Hours: repeats of this commit that are there already are kept, so it can be stopped and called again.
+# Days: repeats of this commit that are there already are kept, so it can be stopped and called again.
 tables: .venv/.dev
 	rm -f docs/results/*/*.json
 	$(BIN)/moveset evaluate $(MODELS) --suite motionpcm --out docs/results > /dev/null

@@ -2,7 +2,7 @@
 
     python benchmarks/everyday.py --out sheets --model runs/small/models/motionpcm-small
 
-``everyday.txt`` has a sentence a line; the second half is in no caption of the corpus, word for word, but for two.
+``everyday.txt`` has a sentence a line; the second half is in no caption of the corpus, word for word.
 """
 
 import sys

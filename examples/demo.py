@@ -29,7 +29,6 @@ PROMPTS = {
 }
 STREAM = ("a person walks forward", "a person stands still", "a person sits down", "a person stands up")
 SEED = 0
-LIVE = 1  # of twenty seeds two stay seated, 0 among them (MODEL_CARD.md)
 SECONDS = 5.0  # of a clip: by themselves some sentences last twice as long as what they tell of
 
 
@@ -71,7 +70,7 @@ def main() -> None:
 
 def stream() -> tuple[Scene, int]:
     """One motion of four sentences, three segments each, and the number of its files."""
-    live = MotionStream.from_pretrained(prompt=STREAM, seconds=4.2, seed=LIVE)
+    live = MotionStream.from_pretrained(prompt=STREAM, seconds=4.2, seed=SEED)
     segments = list(islice(live, 3 * len(STREAM)))
     spent = sorted(segment.latency_ms for segment in segments)[len(segments) // 2]
     motion = Motion(
@@ -80,7 +79,7 @@ def stream() -> tuple[Scene, int]:
         live.codec.fps,
         live.codec.skeleton,
     )
-    said = {"prompt": ", then ".join(STREAM), "seed": LIVE, "model": live.bundle.config.name}
+    said = {"prompt": ", then ".join(STREAM), "seed": SEED, "model": live.bundle.config.name}
     write(motion, OUT / "stream", FILES + PICTURES, said)
     seconds = motion.seconds / len(segments)
     speed = f"{spent:.1f} ms a segment of {seconds:.1f} s, {1e3 * seconds / spent:.0f} times as fast as it plays"
