@@ -8,8 +8,12 @@ from pathlib import Path
 import pytest
 
 from moveset import MotionStream, TextToMotion
+from moveset.cli import tables
+from moveset.cli.__main__ import main
 from moveset.errors import InputError
+from moveset.evaluation import report
 from moveset.evaluation.evaluator import Evaluator
+from moveset.evaluation.suites import get_suite
 from moveset.training import checkpoint, pipeline
 from moveset.training.pipeline import Report, Stage, stages, train_all
 
@@ -101,6 +105,27 @@ def test_a_share_of_all_steps_has_that_share_of_the_warm_up_and_is_another_train
             stages("small", share=share)
     with pytest.raises(InputError, match="length was trained by other settings"):
         again(tiny_run.folder, only=["length"], share=0.5)
+
+
+def test_tables_are_of_the_models_that_were_made_each_in_its_suite(tiny_run, monkeypatch, capsys):
+    asked = []
+    monkeypatch.setattr(tables, "run_one", lambda config, how: asked.append((how.out.name, config)))
+    monkeypatch.setattr(report, "write_report", lambda folder: tiny_run.folder / "train.log")
+    given = ["train", "all", "--recipe", "tiny", "--corpus", str(tiny_run.corpus), "--out", str(tiny_run.folder)]
+    assert main([*given, "--device", "cpu", "--tables"]) == 0
+    for suite in ("motionpcm", "rdm"):
+        rows = [row for row in get_suite(suite).rows if row.steps is not None]
+        made = [config for name, config in asked if name == suite and config.steps is not None]
+        assert {config.name for config in made} <= {row.key for row in rows}
+        assert {Path(config.model).parent for config in made} == {tiny_run.folder / "models"}
+    assert {config.evaluator for _, config in asked} == {str(tiny_run.model("t2m"))}
+
+
+def test_tables_without_a_judge_are_refused_before_anything_is_trained(tmp_path, capsys):
+    given = ["train", "all", "--recipe", "tiny", "--corpus", "nowhere", "--out", str(tmp_path / "runs")]
+    assert main([*given, "--only", "rdm-tiny", "--tables"]) == 2
+    assert "give --only t2m-tiny, too" in capsys.readouterr().err
+    assert not (tmp_path / "runs").exists()
 
 
 def test_trainings_side_by_side_are_those_alone(forks, tiny_run, tmp_path):

@@ -149,7 +149,10 @@ def _all(
     from moveset.data.build import build_corpus
     from moveset.training.pipeline import choose, stages, train_all
 
-    choose(stages(recipe, share=share), only)  # what is wrong with these is said before minutes of data
+    chosen = choose(stages(recipe, share=share), only)  # what is wrong with these is said before minutes of data
+    judge = _judge(recipe)
+    if tables and f"export {judge}" not in {stage.name for stage in chosen} and not (out / "models" / judge).is_dir():
+        raise InputError(f"--tables needs the evaluator; give --only {judge}, too")
     if raw is not None and not corpus.is_file():
         corpus.parent.mkdir(parents=True, exist_ok=True)
         build_corpus(raw, corpus, workers=os.cpu_count() or 1)
@@ -159,15 +162,27 @@ def _all(
     for model in report.models:
         print(model)
     if tables:
-        from moveset.cli.tables import How, run_suite
-        from moveset.evaluation.run import EvaluationConfig
-
-        models = [str(path) for path in sorted((out / "models").iterdir())]
-        judges = [str(out / "models" / model.name) for model in load_exports(recipe) if "evaluator" in model.runs]
-        how = How(out=out / "results", resume=True, processes=jobs)
-        for suite in ("motionpcm", "rdm"):
-            run_suite(suite, models, EvaluationConfig(data=corpus, evaluator=judges[0]), (), how, False)
+        _tables(recipe, corpus, out, jobs)
     return 0
+
+
+def _judge(recipe: str) -> str:
+    """The name of the recipe's evaluator."""
+    return next(model.name for model in load_exports(recipe) if "evaluator" in model.runs)
+
+
+def _tables(recipe: str, corpus: Path, out: Path, jobs: int) -> None:
+    """Each suite of those models of the recipe that are there, where there are any."""
+    from moveset.cli.tables import How, run_suite
+    from moveset.evaluation.run import EvaluationConfig
+    from moveset.training.export import BaselineExport, ClipExport, StreamExport
+
+    models = out / "models"
+    common = EvaluationConfig(data=corpus, evaluator=str(models / _judge(recipe)))
+    for suite, kinds in (("motionpcm", ClipExport), ("rdm", StreamExport | BaselineExport)):
+        made = [models / model.name for model in load_exports(recipe) if isinstance(model, kinds)]
+        if there := [str(folder) for folder in made if folder.is_dir()]:
+            run_suite(suite, there, common, (), How(out=out / "results", resume=True, processes=jobs), False)
 
 
 def _export(recipe: str, runs: Path, corpus: Path, folder: Path) -> int:
