@@ -68,6 +68,16 @@ def test_archives_are_unpacked_once(tmp_path):
     assert not (tmp_path / "elsewhere").exists()
 
 
+def test_an_archive_beside_folders_is_not_left_out(tmp_path):
+    (tmp_path / "cmu").mkdir()
+    archive(tmp_path / "cmu-more.tar.xz", {"cmu-more/trials.jsonl": b""})
+    with pytest.raises(InputError, match=r"has cmu as a folder and cmu-more\.tar\.xz still packed"):
+        unpacked(tmp_path, tmp_path / "scratch")
+    assert unpacked(tmp_path, tmp_path / "scratch", ("cmu",)) == tmp_path
+    (tmp_path / "cmu-more").mkdir()
+    assert unpacked(tmp_path, tmp_path / "scratch") == tmp_path
+
+
 def test_who_comes_second_waits_until_all_is_unpacked(tmp_path):
     raw, scratch = tmp_path / "raw", tmp_path / "scratch"
     raw.mkdir()

@@ -31,14 +31,18 @@ def unpacked(raw: Path, scratch: Path, sources: Sequence[str] = FREE) -> Path:
     """The folder that holds the sources' folders; archives in ``raw`` are unpacked to ``scratch``.
 
     Raises:
-        InputError: ``raw`` holds neither folders nor archives of these sources.
+        InputError: ``raw`` holds neither folders nor archives of these sources, or a folder of one and an archive of
+            another, which would be left out.
         FormatError: an archive is damaged, tries to write elsewhere, or is absurdly large.
     """
     wanted = {f"{source}.tar.xz": _ARCHIVES[f"{source}.tar.xz"] for source in sources}
     folders = [folder for names in wanted.values() for folder in names]
-    if any((raw / folder).is_dir() for folder in folders):
-        return raw
+    there = [folder for folder in folders if (raw / folder).is_dir()]
     archives = [raw / name for name in wanted if (raw / name).is_file()]
+    if there:
+        if packed := [archive.name for archive in archives if not {*wanted[archive.name]} & {*there}]:
+            raise InputError(f"{raw} has {there[0]} as a folder and {packed[0]} still packed; unpack that beside it")
+        return raw
     if not archives:
         raise InputError(f"{raw} holds none of {', '.join((*folders, *wanted))}; give the folder with the raw data")
     # Who builds another corpus at the same time waits, and finds everything there.
