@@ -357,6 +357,12 @@ def test_mutated_files_give_a_motion_or_a_format_error(tmp_path, data):
     attempt(tmp_path / "mutant.bvh", text)
 
 
+def test_a_name_longer_than_can_be_read_is_cut(tmp_path):
+    skeleton = Skeleton("s", ("root", 100 * "é"), (-1, 0), torch.eye(3)[:2])
+    write_bvh(random_motion(skeleton), tmp_path / "a.bvh")
+    assert load(tmp_path, (tmp_path / "a.bvh").read_bytes()).joints == ("root", 64 * "é")
+
+
 def test_what_cannot_be_written_is_refused(tmp_path):
     motion = random_motion(HML22, frames=2)
     with pytest.raises(InputError, match="scale"):

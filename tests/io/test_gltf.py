@@ -187,7 +187,7 @@ WRONG = {
     "wrong type": (put(("accessors", 0, "type"), "VEC2"), "plain MAT4"),
     "rotation of text": (put(("nodes", 1, "rotation"), "0001"), "4 moderate numbers"),
     "rotation not unit": (put(("nodes", 1, "rotation"), [0, 0, 0, 0]), "unit quaternion"),
-    "flat matrix": (put(("nodes", 1, "matrix"), [0] * 16), "matrix"),
+    "flat matrix": (put(("nodes", 1, "matrix"), [0] * 16), "mirrors, shears"),
     "interpolation": (put(("animations", 0, "samplers", 0, "interpolation"), "MAGIC"), "interpolation"),
     "sampler outside": (put(("animations", 0, "channels", 0, "sampler"), 99), "no index"),
     "nodes no list": (put(("nodes",), {}), "not a list"),

@@ -96,6 +96,13 @@ def test_sparse_keys_are_sampled_and_frames_are_kept(changed, kind):
     assert np.abs(np.degrees(bend.numpy()) - expected).max() < 0.5
 
 
+def test_frames_that_are_said_to_have_another_rate_are_those_of_the_file(tmp_path):
+    save(wander(24, seed=1, fps=24.0), tmp_path / "a.glb")
+    for fps in (None, 30.0):
+        found = load(tmp_path / "a.glb", fps=fps, source_fps=60.0)
+        assert (found.fps, len(found)) == (60.0, 24)
+
+
 def test_the_rate_of_sparse_keys_can_be_chosen(changed, tmp_path):
     path = changed(swing(WAVE), keyed(WAVE))
     assert main(["convert", str(path), str(tmp_path / "b.npz"), "--fps", "50"]) == 0
@@ -128,6 +135,42 @@ def test_animated_nodes_without_a_skin_are_the_joints(motion, changed, rig, move
     assert found.skeleton.joints == made.skeleton.joints
     if moves:
         assert (found.joints - made.joints).abs().max() < 1e-4
+
+
+def sized(where, *sizes, as_matrix):
+    """Gives a node a size along each of its axes: one above the skeleton, one beside it, or one of its joints."""
+
+    def change(tree, binary):
+        elbow = next(node for node in tree["nodes"] if node.get("name") == "elbow")
+        node = elbow if where == "joint" else {"name": where}
+        if as_matrix:
+            turn = rotations.to_matrix(torch.tensor(node.pop("rotation", [0.0, 0.0, 0.0, 1.0])).double())
+            columns = (turn * torch.tensor(sizes).double()).T.tolist()
+            place = node.pop("translation", [0.0, 0.0, 0.0])
+            node["matrix"] = [*columns[0], 0, *columns[1], 0, *columns[2], 0, *place, 1]
+        else:
+            node["scale"] = list(sizes)
+        if where == "above":
+            node["children"] = tree["scenes"][0]["nodes"]
+            tree["scenes"][0]["nodes"] = [len(tree["nodes"])]
+        if where != "joint":
+            tree["nodes"].append(node)
+
+    return change
+
+
+@pytest.mark.parametrize("as_matrix", [False, True])
+def test_a_size_means_the_same_as_a_scale_and_in_a_matrix(changed, as_matrix):
+    motion, read = swing([0.0, 0.5, 1.0]), {"as_stored": True}
+    bones = ARM.offsets[1:].norm(dim=-1)
+    for where, sizes, factor in (
+        ("above", (2.0, 2.0, 2.0), 2.0), ("beside", (-1.0, 1.0, 3.0), 1.0), ("joint", (1.0, 1.3, 0.7), 1.0),
+    ):  # fmt: skip
+        found = load(changed(motion, sized(where, *sizes, as_matrix=as_matrix)), **read)
+        assert torch.allclose(found.skeleton.offsets[1:].norm(dim=-1), factor * bones, atol=1e-5)
+    for where, sizes in (("above", (1.0, 1.0, 2.0)), ("above", (-1.0, 1.0, 1.0)), ("joint", (1.0, 1.0, -1.0))):
+        with pytest.raises(FormatError, match="mirrors, shears or stretches unevenly"):
+            load(changed(motion, sized(where, *sizes, as_matrix=as_matrix)), **read)
 
 
 def test_a_skin_that_nothing_moves_is_passed_over(motion, changed):

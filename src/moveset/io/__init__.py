@@ -130,7 +130,8 @@ def _loaded(
     elif suffix in GLTF:
         from moveset.io.gltf_reader import read_glb
 
-        motion = read_glb(path, fps=fps, animation=animation)
+        # Frames that are to be called another rate's are those that the file has.
+        motion = read_glb(path, fps=fps if source_fps is None else None, animation=animation)
     elif suffix == ".html":
         from moveset.io.html import read_html
 

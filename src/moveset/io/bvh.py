@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from moveset.errors import FormatError, InputError
-from moveset.io.bvh_parser import BvhFile, read_bvh
+from moveset.io.bvh_parser import MAX_NAME, BvhFile, read_bvh
 from moveset.io.limits import MAX_DEPTH, MAX_FRAMES, MAX_JOINTS, MAX_POSES, atomic_write
 from moveset.motion import rotations
 from moveset.motion.clip import Motion
@@ -249,9 +249,12 @@ def continuous_euler(matrices: np.ndarray, order: str, before: np.ndarray | None
 
 def _hierarchy_text(skeleton: Skeleton, scale: float, order: str) -> tuple[list[str], list[int]]:
     """Lines of the hierarchy and the order in which it names the joints: depth first, without recursion."""
-    names = [re.sub(r"[\s{}]+", "_", name) for name in skeleton.joints]
+    names = [re.sub(r"[\s{}]+", "_", name).encode()[:MAX_NAME].decode(errors="ignore") for name in skeleton.joints]
     if len(set(names)) < len(names) or not all(names):
-        raise InputError("joint names that are empty or alike but for spaces cannot be written as BVH; rename joints")
+        raise InputError(
+            f"joint names that are empty, or alike but for spaces or behind {MAX_NAME} bytes, cannot be written as "
+            "BVH; rename joints"
+        )
     turns = " ".join(f"{axis}rotation" for axis in order)
     offsets = (skeleton.offsets.double() * scale).tolist()
     lines, joints = ["HIERARCHY"], []

@@ -21,7 +21,7 @@ _NUMBER = re.compile(rb"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 _DIGITS = b"0123456789+-.eE \t"
 _BLOCK = 256
 _MAX_HEADER_LINES = 100_000
-_MAX_NAME = 128
+MAX_NAME = 128
 _SECONDS = (1e-3, 100.0)  # of a frame
 # What names are written in: the first that fits all. BVH has no say in it; Japanese and Chinese tools use their own.
 _ENCODINGS = ("utf-8", "cp932", "gb18030", "latin-1")
@@ -226,8 +226,8 @@ def _hierarchy(reader: _Reader) -> tuple[list[_Joint], tuple[tuple[int, tuple[fl
             name = b" ".join(reader.rest_of_line())
             if not name or name in names:
                 reader.fail(f"the joint name {_show(name)} is {'used twice' if name else 'empty'}; rename the joint")
-            if len(name) > _MAX_NAME:
-                reader.fail(f"a joint name of {len(name)} bytes exceeds the limit of {_MAX_NAME}; rename the joint")
+            if len(name) > MAX_NAME:
+                reader.fail(f"a joint name of {len(name)} bytes exceeds the limit of {MAX_NAME}; rename the joint")
             if len(joints) >= MAX_JOINTS or len(stack) >= MAX_DEPTH:
                 reader.fail(f"more than {MAX_JOINTS} joints or {MAX_DEPTH} levels of them; simplify the skeleton")
             reader.expect(b"{")

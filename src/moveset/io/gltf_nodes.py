@@ -13,7 +13,10 @@ from moveset.motion import rotations
 
 @dataclass(frozen=True, eq=False)
 class Nodes:
-    """The node tree: parents (-1 at the top), rest transforms (N, …) float64 with one scale a node."""
+    """The node tree: parents (-1 at the top), rest transforms (N, …) float64 with one scale a node.
+
+    ``mirrored`` (or sheared) and ``uneven`` are numbers of nodes whose transform one scale does not say.
+    """
 
     names: list[str]
     parents: list[int]
@@ -22,6 +25,8 @@ class Nodes:
     translation: Tensor
     rotation: Tensor
     scale: Tensor
+    mirrored: set[int]
+    uneven: set[int]
 
     def under(self, some: Iterable[int]) -> list[int]:
         """Some nodes and all below them, each once; of one tree parents before children."""
@@ -51,6 +56,16 @@ class Nodes:
             node = self.parents[node]
         return out[::-1]
 
+    def check(self, glb: Glb, above: Iterable[int], joints: Iterable[int]) -> None:
+        """Raises FormatError where the nodes down to the root or below it make another body of it than bones can be.
+
+        A joint below that stretches unevenly squashes little: its bones keep their mean length.
+        """
+        above = {*above}
+        if wrong := (above & self.uneven) | ((above | {*joints}) & self.mirrored):
+            name = self.names[min(wrong)]
+            glb.fail(f"its node {name!r} mirrors, shears or stretches unevenly; apply all transforms and export again")
+
 
 def read_nodes(glb: Glb) -> Nodes:
     entries = [glb.entry("nodes", k) for k in range(len(glb.items(glb.tree, "nodes", MAX_NODES)))]
@@ -77,22 +92,38 @@ def read_nodes(glb: Glb) -> Nodes:
     names = [name or f"node_{k}" for k, name in enumerate(names)]
     translation, rotation, scale = torch.zeros(count, 3), rotations.identity(count), torch.ones(count)
     translation, rotation, scale = translation.double(), rotation.double(), scale.double()
+    mirrored, uneven = set[int](), set[int]()
     for k, entry in enumerate(entries):
         if "matrix" in entry:
             matrix = torch.from_numpy(glb.vector(entry, "matrix", (0.0,) * 16)).reshape(4, 4).T
-            rotation[k], scale[k] = turn_and_size(glb, matrix[:3, :3])
-            translation[k] = matrix[:3, 3]
+            translation[k], sizes = matrix[:3, 3], matrix[:3, :3].norm(dim=0)
+            turn = matrix[:3, :3] / sizes.clamp_min(1e-12)
+            if _turns(turn):
+                rotation[k] = rotations.from_matrix(turn)
+            else:
+                mirrored.add(k)
         else:
             translation[k] = torch.from_numpy(glb.vector(entry, "translation", (0.0, 0.0, 0.0)))
             rotation[k] = unit_quaternions(glb, torch.from_numpy(glb.vector(entry, "rotation", (0.0, 0.0, 0.0, 1.0))))
-            scale[k] = float(glb.vector(entry, "scale", (1.0, 1.0, 1.0)).mean())
-    return Nodes(names, parents, children, depth, translation, rotation, scale)
+            sizes = torch.from_numpy(glb.vector(entry, "scale", (1.0, 1.0, 1.0)))
+            if (sizes < 0).any():
+                mirrored.add(k)
+        scale[k] = sizes.mean()
+        if sizes.max() - sizes.min() > _EVEN * sizes.max():
+            uneven.add(k)
+    return Nodes(names, parents, children, depth, translation, rotation, scale, mirrored, uneven)
 
 
-def turn_and_size(glb: Glb, matrix: Tensor) -> tuple[Tensor, Tensor]:
-    """Rotation (4,) and scale () of a (3, 3) matrix."""
-    size = matrix.norm(dim=0).mean()
-    turn = matrix / size.clamp_min(1e-12)
-    if size < 1e-9 or (turn.T @ turn - torch.eye(3).double()).abs().max() > 0.02 or torch.linalg.det(turn) < 0:
-        glb.fail("a matrix mirrors, shears or stretches unevenly; apply all transforms and export again")
-    return rotations.from_matrix(turn), size
+def turn_of(glb: Glb, matrix: Tensor) -> Tensor:
+    """Rotation (4,) of a (3, 3) matrix."""
+    turn = matrix / matrix.norm(dim=0).mean().clamp_min(1e-12)
+    if not _turns(turn):
+        glb.fail("a bind matrix mirrors, shears or stretches unevenly; apply all transforms and export again")
+    return rotations.from_matrix(turn)
+
+
+_EVEN = 0.02  # of a size, between axes
+
+
+def _turns(matrix: Tensor) -> bool:
+    return bool((matrix.T @ matrix - torch.eye(3).double()).abs().max() <= _EVEN and torch.linalg.det(matrix) > 0)

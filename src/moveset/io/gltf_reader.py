@@ -1,5 +1,6 @@
 """Reading animations from glTF: ours exactly, others' sampled at a frame rate. F frames, J joints."""
 
+import itertools
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +13,7 @@ from moveset.errors import InputError
 from moveset.io.bvh import ROUNDING, STRETCH, warn_of_stretch
 from moveset.io.glb import Glb
 from moveset.io.gltf_clip import Clip, read_clip
-from moveset.io.gltf_nodes import Nodes, read_nodes, turn_and_size
+from moveset.io.gltf_nodes import Nodes, read_nodes, turn_of
 from moveset.io.limits import MAX_FRAMES, MAX_JOINTS, MAX_POSES
 from moveset.motion import rotations
 from moveset.motion.clip import Motion
@@ -48,6 +49,7 @@ def read_glb(path: str | Path, *, fps: float | None = None, animation: str | Non
     clip = read_clip(glb, animation)
     joints, bind = _read_joints(glb, nodes, clip)
     rig = _rig(glb, nodes, clip, joints)
+    nodes.check(glb, rig.chains[0], itertools.chain(*rig.chains))
     times, rate = _instants(glb, clip, fps)
     if len(times) * sum(map(len, rig.chains)) > MAX_POSES:
         glb.fail(f"{len(times)} frames of {len(rig.joints)} joints exceed the limit; split the file")
@@ -103,7 +105,7 @@ def _read_joints(glb: Glb, nodes: Nodes, clip: Clip) -> tuple[list[int], dict[in
     if len(matrices) < len(joints):
         glb.fail("it has fewer bind matrices than joints; it is damaged")
     # Stored by columns: the transpose of what is read by rows, and the inverse of a rotation is its transpose.
-    return joints, {j: turn_and_size(glb, m[:3, :3])[0] for j, m in zip(joints, matrices, strict=False)}
+    return joints, {j: turn_of(glb, m[:3, :3]) for j, m in zip(joints, matrices, strict=False)}
 
 
 def vrm_bones(glb: Glb) -> dict[str, int]:
