@@ -27,7 +27,7 @@ from typing import Any
 from arguments import Parser, at_least, library, positive, report_path, write_report
 from moveset.bench.machine import describe_machine
 from moveset.errors import InputError, exit_code_of
-from moveset.server.wire import HEADER
+from moveset.io.packets import HEADER
 
 PROMPTS = ("a person walks forward", "a person waves with the left hand", "a man runs fast", "a person bows")
 _ACKNOWLEDGE = 0.25  # seconds between two acknowledgements

@@ -17,9 +17,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from moveset.io.packets import pack_packet, unpack_packets
 from moveset.motion.retarget import retarget
 from moveset.motion.rigs import get_rig
-from moveset.server.wire import pack_packet, unpack_packets
 from tests.motions import gait, wander
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 import torch
 
+from moveset.io.packets import pack_packet
 from moveset.motion.retarget import retarget
-from moveset.server.wire import pack_packet
 from tests.motions import wander
 
 

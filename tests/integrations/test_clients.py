@@ -16,7 +16,7 @@ import pytest
 
 from moveset import MotionStream
 from moveset.io import load
-from moveset.server.wire import pack_packet, unpack_packets
+from moveset.io.packets import pack_packet, unpack_packets
 from tests.motions import wander
 
 CLIENTS = Path(__file__).resolve().parents[2] / "examples" / "clients"

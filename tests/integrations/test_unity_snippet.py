@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import torch
 
-from moveset.server.wire import pack_packet
+from moveset.io.packets import pack_packet
 from tests.motions import wander
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -14,7 +14,7 @@ from contextlib import suppress
 import pytest
 import websockets
 
-from moveset.server.wire import unpack_packets
+from moveset.io.packets import unpack_packets
 from tests import loops
 
 pytestmark = pytest.mark.skipif(not os.path.exists("/proc/self/status"), reason="reads memory from /proc")

@@ -4,7 +4,7 @@ import pytest
 import schemathesis
 from hypothesis import HealthCheck, given, settings
 
-from moveset.server.wire import pack_packet
+from moveset.io.packets import pack_packet
 from tests.motions import wander
 
 ROUTES = {

@@ -11,9 +11,9 @@ import pytest
 import torch
 
 from moveset.io import load
+from moveset.io.packets import pack_packet, unpack_packets
 from moveset.motion.retarget import retarget
 from moveset.pipelines.text_to_motion import TextToMotion
-from moveset.server.wire import pack_packet, unpack_packets
 from tests.motions import wander
 
 BYTES = {"Content-Type": "application/octet-stream"}

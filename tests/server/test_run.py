@@ -16,11 +16,11 @@ import pytest
 import websockets
 
 from moveset.cli.__main__ import main
+from moveset.io.packets import pack_packet
 from moveset.server.app import create_app
 from moveset.server.limits import Limits
 from moveset.server.run import listen, make_server
 from moveset.server.service import Options
-from moveset.server.wire import pack_packet
 from tests import loops
 from tests.motions import wander
 

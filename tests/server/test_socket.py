@@ -9,9 +9,9 @@ from contextlib import contextmanager
 import pytest
 from starlette.websockets import WebSocketDisconnect
 
+from moveset.io.packets import skeleton_json, unpack_packets
 from moveset.pipelines.motion_stream import MotionStream
 from moveset.server.socket import stream
-from moveset.server.wire import skeleton_json, unpack_packets
 
 WALK, BOW = "a person walks forward", "a person bows"
 URL = "ws://127.0.0.1/v1/stream"

@@ -10,8 +10,8 @@ import pytest
 from PIL import Image
 
 import moveset
+from moveset.io.packets import unpack_packets
 from moveset.motion.kinematics import fk
-from moveset.server.wire import unpack_packets
 
 POSITIONS = "frames => frames.map(frame => Array.from(__moveset.player.jointPositions(frame, 0)))"
 

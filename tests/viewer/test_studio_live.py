@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import moveset
+from moveset.io.packets import unpack_packets
 from moveset.motion.kinematics import fk
-from moveset.server.wire import unpack_packets
 
 
 class Spy:

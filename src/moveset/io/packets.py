@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 
 from moveset.errors import FormatError, InputError
-from moveset.io.limits import MAX_FRAMES, MAX_NUMBER
+from moveset.io.limits import MAX_BYTES, MAX_FRAMES, MAX_NUMBER
 from moveset.motion.clip import Motion
 from moveset.motion.rigs import roles
 from moveset.motion.skeleton import HML22, Skeleton
@@ -67,7 +67,7 @@ def pack_packet(
 
 
 def unpack_packets(
-    data: bytes, *, skeleton: Skeleton = HML22, max_bytes: int = 64 * 2**20, max_frames: int = MAX_FRAMES
+    data: bytes, *, skeleton: Skeleton = HML22, max_bytes: int = MAX_BYTES, max_frames: int = MAX_FRAMES
 ) -> Take:
     """The take of one or more packets back to back.
 

@@ -11,12 +11,12 @@ from typing import Any
 
 from moveset.errors import InputError
 from moveset.io import WRITABLE, save
+from moveset.io.packets import pack_packet, skeleton_json
 from moveset.motion.clip import Motion
 from moveset.motion.contacts import stances
 from moveset.pipelines.postprocess import Postprocess
 from moveset.server.jobs import Answer, Job
 from moveset.server.limits import Limits
-from moveset.server.wire import pack_packet, skeleton_json
 
 JSON = "application/json"
 SEED, WARNINGS = "X-Moveset-Seed", "X-Moveset-Warnings"

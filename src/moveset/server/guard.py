@@ -12,10 +12,10 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from moveset.server.failures import RequestError, busy
 from moveset.server.limits import Limits
 from moveset.server.metrics import Metrics
-from moveset.server.wire import MEDIA_TYPE
 
 _HOST = re.compile(r"(\[[0-9a-fA-F:.]+\]|[A-Za-z0-9._-]+)(?::(\d{1,5}))?")
 _SAFE = ("GET", "OPTIONS")
+MEDIA_TYPE = "application/octet-stream"
 _TYPES = {"/v1/generate": "application/json", "/v1/jobs": "application/json", "/v1/export": MEDIA_TYPE}
 _HEADERS = {
     "X-Content-Type-Options": "nosniff",

@@ -9,10 +9,10 @@ from fastapi.responses import JSONResponse
 from moveset.pipelines.postprocess import Postprocess
 from moveset.server.failures import RequestError
 from moveset.server.files import SEED, WARNINGS
+from moveset.server.guard import MEDIA_TYPE
 from moveset.server.jobs import Answer, Job
 from moveset.server.protocol import GenerateBody, Name, plain
 from moveset.server.service import Service
-from moveset.server.wire import MEDIA_TYPE
 
 _LOOK = 0.5  # seconds between two looks at whether a client is still there
 

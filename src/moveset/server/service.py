@@ -13,6 +13,7 @@ import torch
 
 from moveset import __version__
 from moveset.errors import InputError, MovesetError
+from moveset.io.packets import skeleton_json, unpack_packets
 from moveset.pipelines.postprocess import Postprocess
 from moveset.pipelines.request import check_request
 from moveset.server import files
@@ -22,7 +23,6 @@ from moveset.server.jobs import Answer, Job, JobBook, Order
 from moveset.server.limits import Limits
 from moveset.server.metrics import Metrics
 from moveset.server.protocol import GenerateBody
-from moveset.server.wire import skeleton_json, unpack_packets
 from moveset.server.worker import Worker
 
 

@@ -16,6 +16,7 @@ from typing import Any
 import torch
 
 from moveset.errors import MovesetError
+from moveset.io.packets import pack_packet, skeleton_json
 from moveset.pipelines.stream_batch import StreamBatch
 from moveset.server.catalog import Catalog
 from moveset.server.failures import RequestError, busy, sayable, stopping
@@ -23,7 +24,6 @@ from moveset.server.jobs import Job
 from moveset.server.limits import Limits
 from moveset.server.metrics import Metrics
 from moveset.server.sessions import Message, Session
-from moveset.server.wire import pack_packet, skeleton_json
 
 _log = logging.getLogger("moveset.server")
 _RUSH = 4  # batches in a row before a clip gets its turn

@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from moveset.errors import FormatError
+from moveset.io.packets import CONTACTS, HEADER, pack_packet, skeleton_json, unpack_packets
 from moveset.motion.skeleton import HML22, KIT21
-from moveset.server.wire import CONTACTS, HEADER, pack_packet, skeleton_json, unpack_packets
 from tests.motions import wander
 
 WIDTH = 3 + 4 * 22
