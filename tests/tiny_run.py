@@ -16,8 +16,9 @@ from typing import Any
 import pytest
 
 from moveset.data.segments import SegmentSet
+from moveset.io.process import noted_signals
 from moveset.training import pipeline
-from moveset.training.engine import EngineConfig, noted_signals, run
+from moveset.training.engine import EngineConfig, run
 from moveset.training.pipeline import Place, Report, train_all
 from moveset.training.tasks import load_recipe, task_maker, with_settings
 from tests.synthetic import synthetic_corpus

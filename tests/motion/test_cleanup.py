@@ -6,7 +6,7 @@ import torch
 from moveset.data import bandai_namco, cmu
 from moveset.errors import InputError
 from moveset.motion import measures, rotations
-from moveset.motion.cleanup import lock_feet, move_feet, smooth
+from moveset.motion.cleanup import lock_feet, move_feet
 from moveset.motion.clip import Motion
 from moveset.motion.contacts import stances
 from moveset.motion.skeleton import HML22, Skeleton
@@ -161,18 +161,6 @@ def test_bad_requests_are_named():
     other = Skeleton("other", HML22.joints, HML22.parents, HML22.offsets, HML22.pairs, HML22.feet)
     with pytest.raises(InputError, match="not on 'other'"):
         lock_feet(wander(5, 0, other))
-    with pytest.raises(InputError, match="-1 seconds"):
-        smooth(wander(5, 0), -1)
-
-
-def test_smoothing_takes_jitter_and_leaves_the_motion():
-    clean = gait(80)
-    jittery = shaken(clean, 7)
-    smoothed = smooth(jittery, 0.06)
-    assert measures.jerk(smoothed.joints, 20.0) < 0.5 * measures.jerk(jittery.joints, 20.0)
-    off = (smoothed.joints - clean.joints).norm(dim=-1).mean()
-    assert off < 0.03
-    assert smooth(jittery, 0.0) is jittery
 
 
 def test_decay_starts_as_told_and_ends_at_rest():

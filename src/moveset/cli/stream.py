@@ -1,6 +1,7 @@
 """``moveset stream``: motion without end, written and reported while it is made."""
 
 import json as jsonlib
+import signal
 import statistics
 import sys
 import time
@@ -16,7 +17,7 @@ import tyro
 
 from moveset.cli.generate import prepare as prepare
 from moveset.cli.generate import warn
-from moveset.errors import InputError
+from moveset.errors import InputError, MovesetError
 
 if TYPE_CHECKING:
     from moveset.cli.prompt_lines import PromptLines
@@ -95,8 +96,8 @@ def stream(
     if loop and total is None and not forever:
         raise InputError("--loop needs an end or none at all; give --total S or --forever")
     from moveset.cli.growing_files import GrowingFiles, plan_takes
-    from moveset.cli.interrupts import Interrupts
     from moveset.cli.prompt_lines import PromptLines
+    from moveset.io.process import noted_signals
     from moveset.pipelines.model_config import StreamConfig
     from moveset.pipelines.model_folder import ModelFolder
     from moveset.pipelines.motion_stream import MotionStream
@@ -120,22 +121,25 @@ def stream(
         made = MotionStream(bundle, request, seed_motion=_clip(seed_motion), device=device)
         limit = None if forever else total if total is not None else None if lines else request.seconds
         frames = None if limit is None else max(1, round(limit * bundle.config.fps))
-        interrupts = stack.enter_context(Interrupts())
+        signals = stack.enter_context(noted_signals())
         files = stack.enter_context(GrowingFiles(output, made.codec.skeleton, bundle.config.fps, _notes(made, request)))
         _tell_durations(request, bundle.config.segment / bundle.config.fps)
         _tell_unseen(request, frames, bundle.config.segment)
         latencies = _run(
-            made, files, lines, interrupts, frames=frames, forever=forever, realtime=realtime, in_place=in_place,
+            made, files, lines, signals, frames=frames, forever=forever, realtime=realtime, in_place=in_place,
             json=json,
         )  # fmt: skip
     if not json:
         _summary(files, made, latencies)
-    interrupts.check()
+    if signals == [signal.SIGTERM]:
+        raise MovesetError("stopped by SIGTERM; what was made until then is in the files")
+    if signals:
+        raise KeyboardInterrupt
     return 0
 
 
 def _run(
-    made: "MotionStream", files: Any, lines: "PromptLines | None", interrupts: Any, *, frames: int | None,
+    made: "MotionStream", files: Any, lines: "PromptLines | None", signals: Sequence[int], *, frames: int | None,
     forever: bool, realtime: bool, in_place: bool, json: bool,
 ) -> Sequence[float]:  # fmt: skip
     """Segments until there is a reason to stop; the latencies of the last thousand."""
@@ -147,8 +151,8 @@ def _run(
         while frames is None or done < frames:
             live = lines is not None and not lines.ended
             if realtime or live:
-                _wait(begun + (done - each) / made.codec.fps, interrupts)
-            if interrupts.pending:
+                _wait(begun + (done - each) / made.codec.fps, signals)
+            if signals:
                 break
             if lines is not None:
                 _tell(made, lines)
@@ -194,8 +198,8 @@ def _tell(made: "MotionStream", lines: "PromptLines") -> None:
         return
 
 
-def _wait(until: float, interrupts: Any) -> None:
-    while not interrupts.pending and (left := until - time.monotonic()) > 0:
+def _wait(until: float, signals: Sequence[int]) -> None:
+    while not signals and (left := until - time.monotonic()) > 0:
         time.sleep(min(left, _NAP))
 
 

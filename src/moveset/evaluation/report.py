@@ -25,8 +25,8 @@ PAGE = """# Results
 **Commit {commits}; measured {days}.**
 
 Written from the results of `moveset evaluate --suite motionpcm` and `--suite rdm` (`make tables` makes all of them
-anew, by up to twenty repeats); do not edit by hand. The protocol is that of the papers, the data and the evaluator are this
-repository's own, so numbers compare within a table and with nothing else. What the papers print stands below each
+anew, by up to twenty repeats); do not edit by hand. The protocol is that of the papers, the data and the evaluator are
+this repository's own, so numbers compare within a table and with nothing else. What the papers print stands below each
 table for the order of its rows only."""
 
 

@@ -1,7 +1,8 @@
-"""Several processes at work: one at a time in a folder, and helpers that end with the one that started them."""
+"""Several processes at work: one at a time in a folder, helpers that end with the one that started them, signals."""
 
 import multiprocessing
 import os
+import signal
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -57,3 +58,25 @@ def end_with_parent() -> None:
 def cores() -> int:
     """Cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+@contextmanager
+def noted_signals() -> Iterator[list[int]]:
+    """Collects SIGINT and SIGTERM instead of dying, so that what was made is kept; a second one interrupts at once."""
+    received: list[int] = []
+    # Only the main thread may set handlers; elsewhere signals do what they always did.
+    if threading.current_thread() is not threading.main_thread():
+        yield received
+        return
+
+    def note(number: int, frame: object) -> None:
+        received.append(number)
+        if len(received) > 1:
+            raise KeyboardInterrupt
+
+    before = {number: signal.signal(number, note) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield received
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

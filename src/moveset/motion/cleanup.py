@@ -1,4 +1,4 @@
-"""Repairs of finished motions: feet that hold still while they stand, feet above the floor, less jitter. F frames."""
+"""Repairs of finished motions: feet that hold still while they stand, feet above the floor. F frames."""
 
 from itertools import pairwise
 from math import dist
@@ -96,23 +96,6 @@ def move_feet(motion: Motion, shifts: Tensor) -> Motion:
     turned[:, ankles] = rotations.mul(heel, turned[:, ankles])
     local = rotations.unroll(rotations.normalize(global_to_local(turned, motion.skeleton)))
     return Motion(local, motion.root, motion.fps, motion.skeleton)
-
-
-def smooth(motion: Motion, seconds: float) -> Motion:
-    """Root path and local rotations smoothed over time by a Gaussian with a standard deviation of ``seconds``.
-
-    Raises:
-        InputError: a negative duration.
-    """
-    if seconds < 0:
-        raise InputError(f"cannot smooth over {seconds} seconds; give a duration such as 0.05, or 0 for none")
-    if seconds == 0 or len(motion) < 2:
-        return motion
-    sigma = seconds * motion.fps
-    flat = rotations.unroll(motion.rotations.double()).flatten(1)
-    turned = rotations.normalize(gaussian_smooth(flat, sigma).reshape(motion.rotations.shape))
-    root = gaussian_smooth(motion.root.double(), sigma)
-    return Motion(turned.float(), root.float(), motion.fps, motion.skeleton)
 
 
 def _legs(skeleton: Skeleton) -> list[tuple[int, int, int]]:

@@ -37,8 +37,9 @@ class IncrementalDecoder:
 
     Args:
         blend_seconds: 0 decodes the segments as they are. Above 0 a jump of pose or speed from one segment to the next
-            becomes an offset that dies away within this time after the seam (``inertia.decay``), or within the segment
-            if that is shorter; a segment that goes on smoothly stays as it is. The path that is carried is not touched.
+            becomes an offset that dies away within this time after the seam (``smoothing.decay``), or within the
+            segment if that is shorter; a segment that goes on smoothly stays as it is. The path that is carried is not
+            touched.
 
     Raises:
         InputError: a negative duration.

@@ -1,7 +1,7 @@
 """Clips one after the other, and clips that repeat, without a pop. F frames, J joints.
 
 At a seam two clips differ in pose and in speed. Both sides give way by half: an offset that is half the difference at
-the seam, and starts with half the difference of the speeds, dies away into either clip (``inertia.decay``). Poses and
+the seam, and starts with half the difference of the speeds, dies away into either clip (``smoothing.decay``). Poses and
 their speeds are then continuous, and nothing changes beyond the blend.
 """
 

@@ -19,7 +19,7 @@ class Skeleton:
     In the rest pose every joint's rotation is the identity, so ``offsets`` are at once local and world directions.
 
     Args:
-        name: what it is called (``get_skeleton`` finds the built-in ones).
+        name: what it is called (``rigs.get_rig`` finds the built-in ones).
         joints: joint names, parents before children.
         parents: index of each joint's parent; -1 for the root, which comes first.
         offsets: (J, 3) position of each joint relative to its parent in the rest pose, metres, Y up, facing +Z.

@@ -43,15 +43,7 @@ def sample_phased(model: Epsilon, schedule: Schedule, grid: PhaseGrid, noise_BND
         model: a student of ``grid.phases`` phases.
         grid: the grid that the student was trained on.
     """
-    z_BND = noise_BND
-    for t, s in grid.jumps:
-        t_B = _everywhere(t, z_BND)
-        eps_BND = model(z_BND, t_B)
-        if s == 0:
-            z_BND = predict_z0(schedule, z_BND, eps_BND, t_B)
-        else:
-            z_BND = ddim_step(schedule, z_BND, eps_BND, t_B, _everywhere(s, z_BND))
-    return z_BND
+    return sample_ddim(model, schedule, [t for t, _ in grid.jumps], noise_BND)
 
 
 def sample_lcm(model: Epsilon, schedule: Schedule, times: Sequence[int], noise: Sequence[Tensor]) -> Tensor:

@@ -12,7 +12,6 @@ for the largest model).
 
 import hashlib
 import signal
-import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
@@ -23,7 +22,7 @@ import torch
 from torch import Tensor, nn
 
 from moveset.errors import InputError
-from moveset.io.process import locked
+from moveset.io.process import locked, noted_signals
 from moveset.training import checkpoint, resume
 from moveset.training.fabric import launch
 from moveset.training.log import TrainingLog
@@ -342,25 +341,3 @@ def _autocast(loop: Loop) -> Iterator[None]:
             yield
         finally:
             torch.set_autocast_cache_enabled(cached)
-
-
-@contextmanager
-def noted_signals() -> Iterator[list[int]]:
-    """Collects SIGTERM and SIGINT instead of dying; a second one of a kind acts as usual."""
-    received: list[int] = []
-    if threading.current_thread() is not threading.main_thread():
-        yield received
-        return
-    previous = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGINT)}
-
-    def note(number: int, frame: object) -> None:
-        received.append(number)
-        signal.signal(number, previous[signal.Signals(number)])
-
-    for number in previous:
-        signal.signal(number, note)
-    try:
-        yield received
-    finally:
-        for number, handler in previous.items():
-            signal.signal(number, handler)

@@ -19,8 +19,9 @@ from typing import Any
 from moveset.data.dataset import open_for_training
 from moveset.errors import InputError, MovesetError
 from moveset.io.limits import write_text
+from moveset.io.process import noted_signals
 from moveset.training import checkpoint
-from moveset.training.engine import EngineConfig, noted_signals, run
+from moveset.training.engine import EngineConfig, run
 from moveset.training.export import Export, export
 from moveset.training.tasks import TASKS, Recipe, Sources, load_exports, load_recipes, task_maker
 
