@@ -74,7 +74,7 @@ class Npz:
     def fail(self, message: str) -> NoReturn:
         raise FormatError(f"{self.path}: {message}")
 
-    def array(self, name: str, kinds: str, shape: tuple[int | None, ...] | None, *, finite: bool = True) -> np.ndarray:
+    def array(self, name: str, kinds: str, shape: tuple[int | None, ...] | None) -> np.ndarray:
         """An array of one of the dtype kinds and of a shape, in which None stands for any size."""
         if name not in self.names:
             self.fail(f"it lacks {name!r}; save it again")
@@ -83,7 +83,7 @@ class Npz:
             self.fail(f"{name!r} is encrypted or packed in an unusual way; save it with numpy.savez")
         try:
             with self.zip.open(member) as file:
-                values = parse_array(file, member.file_size, f"{self.path}, {name!r}", kinds, finite=finite)
+                values = parse_array(file, member.file_size, f"{self.path}, {name!r}", kinds)
         except (zipfile.BadZipFile, zlib.error, EOFError, OSError, ValueError, NotImplementedError) as error:
             raise FormatError(f"{self.path}: {name!r} is damaged ({_one_line(error)}); save it again") from error
         if shape is not None and (

@@ -11,7 +11,7 @@ from moveset.motion import rotations
 from moveset.motion.body_axes import Roles, across, body_frame, centre, frame, shoulder_line, top, unit
 from moveset.motion.skeleton import HML22, Skeleton
 
-_X, _Y, _Z = torch.eye(3, dtype=torch.float64)
+_X, _Y, _ = torch.eye(3, dtype=torch.float64)
 _UPRIGHT = 0.94  # cosine, 20 degrees: trunk of somebody who stands
 _STRETCHED = 0.88  # of a leg: how far the lower foot is below the hips
 _CALM = 2.0  # legs a second: faster is running
@@ -32,12 +32,12 @@ def derived_pose(skeleton: Skeleton, roles: Roles, turned: Tensor, placed: Tenso
     return _Body(skeleton, roles, turned, placed, fps).pose()
 
 
-def by_hinges(turns: Tensor, skeleton: Skeleton, roles: Roles, turned: Tensor, placed: Tensor) -> Tensor:
+def by_hinges(turns: Tensor, roles: Roles, turned: Tensor, placed: Tensor) -> Tensor:
     """A standing pose (J, 4) with thighs and upper arms turned about themselves until knees bend about +X and elbows
     of level arms about the vertical; those whose bends show no axis stay.
 
     Args:
-        turns: the pose; skeleton, roles, turned, placed: as for ``derived_pose``.
+        turns: the pose; roles, turned, placed: as for ``derived_pose``.
     """
     out = turns.clone()
     for side, sign in (("left", 1.0), ("right", -1.0)):

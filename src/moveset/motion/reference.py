@@ -101,9 +101,9 @@ def find_reference(motion: Motion) -> Reference:
     turned, placed = few.global_rotations.double(), few.joints.double()
     placed, turned = rotations.rotate(upward, placed), rotations.mul(upward, turned)
     if rest is not None:
-        return Reference(by_hinges(rest.turns, skeleton, found, turned, placed), upward, "rest pose")
+        return Reference(by_hinges(rest.turns, found, turned, placed), upward, "rest pose")
     if (turns := _t_pose(turned, placed, found)) is not None:
-        return Reference(by_hinges(turns, skeleton, found, turned, placed), upward, "T-pose")
+        return Reference(by_hinges(turns, found, turned, placed), upward, "T-pose")
     return Reference(derived_pose(skeleton, found, turned, placed, few.fps), upward, "derived")
 
 

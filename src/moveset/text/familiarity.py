@@ -42,11 +42,6 @@ class KnownPrompts:
         best_B, where_B = (normalize(pooled.float(), dim=-1) @ self.pooled.T).max(dim=-1)
         return best_B, where_B
 
-    def nearest(self, pooled: Tensor) -> tuple[str, float]:
-        """The most similar caption to one (P,) pooled embedding, and their cosine."""
-        best, where = self.similarity(pooled[None])
-        return self.sentences[int(where)], float(best)
-
     def unread(self, sentence: str) -> tuple[str, ...]:
         """Words of a sentence that were in no caption of the training, in no form (``text.vocabulary.unread``).
 

@@ -8,7 +8,7 @@ P classes.
 """
 
 from collections.abc import Sequence
-from typing import Protocol, runtime_checkable
+from typing import Protocol
 
 import torch
 from torch import Tensor
@@ -35,7 +35,6 @@ CLASSES = ("VERB", "NOUN", "DET", "ADP", "NUM", "AUX", "PRON", "ADJ", "ADV", *OW
 _CLASS_OF = {word: name for name, words in OWN_CLASSES.items() for word in words}
 
 
-@runtime_checkable
 class Tagged(Protocol):
     """A caption with its "lemma/PART_OF_SPEECH" tokens, such as ``data.humanml3d.Caption``."""
 

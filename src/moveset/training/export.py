@@ -35,7 +35,7 @@ from moveset.training.trained import TrainedNetwork, load_trained
 KNOWN_CAPTIONS = 2000
 _JUDGED = 256  # sentences by which it is found how near known ones a sentence of the data lies
 _UNFAMILIAR = 0.05  # share of them that may be taken for something else
-RDM, MD, DECODER, EVALUATOR = "rdm", "md", "decoder", "evaluator"
+RDM, DECODER, EVALUATOR = "rdm", "decoder", "evaluator"
 
 
 @dataclass(frozen=True, kw_only=True)
