@@ -7,6 +7,7 @@ import resource
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -14,6 +15,7 @@ import pytest
 from moveset import load
 from moveset.cli.__main__ import main
 from moveset.cli.growing_files import GrowingFiles
+from moveset.cli.prompt_lines import PromptLines
 from moveset.errors import MovesetError
 from moveset.io import read_metadata
 from moveset.io.take_writer import Take
@@ -183,6 +185,22 @@ def test_prompts_from_a_file_take_effect(stream, tmp_path):
     found = rows(out)
     assert len(found) >= 1
     assert found[-1]["prompt"] == "a person bows"
+    # The file was begun before these were read, and does not claim another.
+    assert not {"prompt", "starts"} & read_metadata(tmp_path / "w.npz").keys()
+
+
+def test_a_named_pipe_is_read_from_one_writer_after_the_other(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    found = []
+    with PromptLines(tmp_path / "pipe") as lines:
+        for text in ("a person bows", "a person waves"):
+            (tmp_path / "pipe").write_text(f"{text}\n")
+            end = time.monotonic() + 20.0
+            while len(found) < 1 or found[-1] != text:
+                assert time.monotonic() < end, found
+                found += lines.new()
+                time.sleep(0.01)
+        assert not lines.ended
 
 
 def test_of_prompts_that_come_at_once_the_last_that_can_be_told_counts(stream, tmp_path):

@@ -27,6 +27,8 @@ class PromptLines:
         self._source, self._lines = source, queue.SimpleQueue[str]()
         if str(source) != "-" and (source.is_dir() or not source.exists()):
             raise InputError(f"there is no file {str(source)!r} to read prompts from; give a file, a pipe or -")
+        # A named pipe ends when its last writer does: with this process among them the next one is heard, too.
+        self._mode = os.O_RDWR if source.is_fifo() else os.O_RDONLY
         self._over = threading.Event()
 
     def __enter__(self) -> Self:
@@ -53,7 +55,7 @@ class PromptLines:
         rest = b""
         try:
             # Not by way of sys.stdin, whose lock the interpreter wants when it ends.
-            handle = _standard_input() if str(self._source) == "-" else os.open(self._source, os.O_RDONLY)
+            handle = _standard_input() if str(self._source) == "-" else os.open(self._source, self._mode)
             while data := os.read(handle, _BYTES):
                 *lines, rest = (rest + data).split(b"\n")
                 rest = rest[:_LONGEST]

@@ -66,10 +66,11 @@ def stream(
         total: Seconds to make in all; without it as long as the prompts last.
         forever: Go on until interrupted.
         loop: Begin again after the last prompt, with --total or --forever.
-        prompts: Read more prompts while it runs, one a line, from a file, a named pipe or - (standard input). Each
-            takes effect with the next segment, and of several that come between two segments the last; while they may
-            still come, the motion is made in real time. Without --total or --forever the stream ends after the input
-            does. A list that is known beforehand is better given as PROMPTs with --seconds.
+        prompts: Read more prompts while it runs, one a line, from a file, a named pipe (which never ends) or -
+            (standard input). Each takes effect with the next segment, and of several that come between two segments the
+            last; while they may still come, the motion is made in real time. Without --total or --forever the stream
+            ends after the input does. What was said when is told by --json, not by the files. A list that is known
+            beforehand is better given as PROMPTs with --seconds.
         realtime: Make a second of motion a second, one segment ahead, instead of as fast as possible.
         model: A shipped stream model (see `moveset models`) or a model folder.
         network: pcm-1: the student of one evaluation a segment (pcm-2, pcm-4: of more, in models that have them). rdm:
@@ -122,7 +123,8 @@ def stream(
         limit = None if forever else total if total is not None else None if lines else request.seconds
         frames = None if limit is None else max(1, round(limit * bundle.config.fps))
         signals = stack.enter_context(noted_signals())
-        files = stack.enter_context(GrowingFiles(output, made.codec.skeleton, bundle.config.fps, _notes(made, request)))
+        notes = _notes(made, request) | (_said(made, request) if lines is None else {})
+        files = stack.enter_context(GrowingFiles(output, made.codec.skeleton, bundle.config.fps, notes))
         _tell_durations(request, bundle.config.segment / bundle.config.fps)
         _tell_unseen(request, frames, bundle.config.segment)
         latencies = _run(
@@ -131,7 +133,7 @@ def stream(
         )  # fmt: skip
     if not json:
         _summary(files, made, latencies)
-    if signals == [signal.SIGTERM]:
+    if signals[:1] == [signal.SIGTERM]:
         raise MovesetError("stopped by SIGTERM; what was made until then is in the files")
     if signals:
         raise KeyboardInterrupt
@@ -222,7 +224,6 @@ def _notes(made: "MotionStream", request: "StreamRequest") -> dict[str, str | in
     from moveset import __version__
     from moveset.pipelines.role import Role, named
 
-    each = made.bundle.config.segment / made.bundle.config.fps
     chosen = request.settings
     plan = {} if named(chosen.network).role is not Role.DENOISER else {
         "start": chosen.start, "lag": chosen.lag, "past_lag": chosen.past_lag or chosen.lag,
@@ -230,13 +231,20 @@ def _notes(made: "MotionStream", request: "StreamRequest") -> dict[str, str | in
     return {
         "generator": f"moveset {__version__}",
         "model": made.bundle.config.name,
-        "prompt": " | ".join(request.timeline.prompts),
-        "starts": " | ".join(f"{each * start:g}" for start in request.timeline.starts),
         "seed": request.seed,
         "network": chosen.network,
         "steps": chosen.steps,
         **plan,
         "guidance": chosen.guidance,
+    }
+
+
+def _said(made: "MotionStream", request: "StreamRequest") -> dict[str, str]:
+    """What was said, and from which second on; files are begun before prompts that arrive later are known."""
+    each = made.bundle.config.segment / made.bundle.config.fps
+    return {
+        "prompt": " | ".join(request.timeline.prompts),
+        "starts": " | ".join(f"{each * start:g}" for start in request.timeline.starts),
     }
 
 

@@ -12,7 +12,7 @@ _LEAST = 3  # letters of a stem
 _FIGURES = re.compile(r"(?<!\w)\d+(?:[.,]\d+)*")
 # Captions have these words, and whoever is captured is alone and does something all the same.
 _SEVERAL = re.compile(
-    r"\b(?:people|persons|men|women|children|kids|boys|girls|guys|ladies|gentlemen|couple|crowd|each\s+other"
+    r"\b(?:people|persons|men|women|children|kids|boys|girls|guys|ladies|gentlemen|couple(?!\s+(?:of|more)\b)|crowd|each\s+other"
     r"|one\s+another)\b(?!['’])",
     re.IGNORECASE,
 )
@@ -110,7 +110,7 @@ def _stems_of(word: str) -> frozenset[str]:
 def several(sentence: str) -> str:
     """The words that tell of more than one person; "" where none do.
 
-    >>> several("Two people dance"), several("a man's room")
+    >>> several("Two people dance"), several("a man takes a couple of steps")
     ('people', '')
     """
     found = _SEVERAL.search(sentence)
