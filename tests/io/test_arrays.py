@@ -4,6 +4,7 @@ import contextlib
 import io
 import tracemalloc
 import zipfile
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -47,6 +48,40 @@ def test_amass_round_trip(motion, tmp_path):
     assert (found.joints - motion.joints).abs().max() < 1e-5
     assert rotations.angle(rotations.mul(rotations.inv(found.rotations), motion.rotations)).max() < 2e-3
     assert found.skeleton is HML22
+
+
+def test_amass_of_another_body_with_the_same_names_stands_on_the_same_floor(tmp_path):
+    motion = gait(8)
+    small = replace(HML22, name="child", offsets=0.7 * HML22.offsets)
+    write_amass(Motion(motion.rotations, 0.7 * motion.root, motion.fps, small), tmp_path / "a.npz")
+    found = read_npz(tmp_path / "a.npz")
+    # It is scaled as by retargeting: it was hml22's pose with the other body's pelvis, in the floor up to the knees.
+    assert float(found.joints[..., 1].min()) == pytest.approx(float(motion.joints[..., 1].min()), abs=0.01)
+
+
+@pytest.mark.parametrize("degrees", [0.0, 90.0, 180.0, 270.0])
+def test_who_crawls_towards_any_side_is_not_stood_up(tmp_path, degrees):
+    motion = gait(8)
+    # On all fours along the floor: the trunk level, the pelvis a thigh above it.
+    down = rotations.mul(rotations.about("y", degrees), rotations.about("x", 90.0))
+    turned = motion.rotations.clone()
+    turned[:, 0] = down
+    turned[:, [HML22.index("left_hip"), HML22.index("right_hip")]] = rotations.about("x", -90.0)
+    turned[:, [HML22.index("left_knee"), HML22.index("right_knee")]] = rotations.about("x", 90.0)
+    level = Motion(turned, torch.zeros_like(motion.root), motion.fps)
+    crawling = Motion(turned, level.root - torch.tensor([0.0, float(level.joints[..., 1].min()), 0.0]), motion.fps)
+    write_amass(crawling, tmp_path / "a.npz")
+    assert (read_npz(tmp_path / "a.npz").joints - crawling.joints).abs().max() < 1e-5
+
+
+def test_who_stands_along_y_is_read_as_that(tmp_path):
+    motion = gait(8)
+    for height in (0.0, -0.9):  # a tracker's floor is anywhere
+        moved = motion.root + torch.tensor([0.0, height, 0.0])
+        poses = rotations.to_rotvec(motion.rotations).reshape(8, 66).numpy()
+        np.savez(tmp_path / "a.npz", poses=poses, trans=moved.numpy() - np.array((0.0, -0.22, 0.03)), fps=20)
+        found = read_npz(tmp_path / "a.npz")
+        assert (found.joints - replace(motion, root=moved).joints).abs().max() < 1e-5
 
 
 def test_amass_conventions(tmp_path):

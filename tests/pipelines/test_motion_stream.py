@@ -5,6 +5,7 @@ import itertools
 import json
 import pickle
 from collections import deque
+from dataclasses import replace
 
 import pytest
 import torch
@@ -266,6 +267,13 @@ def test_a_seed_motion_is_told_clean_and_is_no_first_segment(opened, monkeypatch
     assert all(index > 0 for _, _, index in seen)
     assert {prev_t for _, prev_t, index in seen if index == 1} == {0}
     assert {(t, prev_t) for t, prev_t, index in seen if index == 2} == {(500, 333), (333, 166), (166, 0)}
+
+
+def test_another_body_with_the_same_names_is_another_body(opened):
+    clip = walking(40)
+    small = replace(clip, root=0.7 * clip.root, skeleton=replace(HML22, name="child", offsets=0.7 * HML22.offsets))
+    own, child = (next(plain(opened, seed_motion=m)) for m in (clip, small))
+    assert torch.allclose(own.motion.joints[..., 1], child.motion.joints[..., 1], atol=0.05)
 
 
 def test_any_skeleton_and_rate_will_do(opened):

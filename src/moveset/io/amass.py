@@ -9,6 +9,7 @@
 Angles are axis times radians, lengths metres, Z up. The body is hml22's whatever the shape parameters.
 """
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +20,7 @@ from moveset.io.numpy_file import Npz
 from moveset.motion import rotations
 from moveset.motion.clip import Motion
 from moveset.motion.retarget import retarget
-from moveset.motion.skeleton import HML22
+from moveset.motion.skeleton import HML22, Skeleton
 
 # Where SMPL's pelvis lies in its template, metres, rounded from the mean shape: AMASS translates the template, so the
 # pelvis of a frame is at trans + this, whatever the pose.
@@ -30,6 +31,7 @@ _PARTS = (("root_orient", "pose_body"), ("global_orient", "body_pose"))
 _PATHS = ("trans", "transl")
 _RATES = ("mocap_framerate", "mocap_frame_rate", "fps")
 _UPRIGHT = 0.7  # cosine
+_FLOOR = 0.06  # metres
 
 
 def write_amass(motion: Motion, path: str | Path) -> None:
@@ -42,7 +44,7 @@ def write_amass(motion: Motion, path: str | Path) -> None:
     Raises:
         InputError: the path cannot be written to, or the skeleton cannot be retargeted to SMPL's joints.
     """
-    motion = motion if motion.skeleton.joints[:22] == HML22.joints else retarget(motion, "hml22")
+    motion = retarget(_body(motion), HML22)
     up = rotations.inv(_Z_TO_Y).to(motion.rotations)  # pieces of a stream are float64
     local = motion.rotations[:, :22].clone()
     local[:, 0] = rotations.mul(up, local[:, 0])
@@ -83,13 +85,35 @@ def amass_motion(npz: Npz, fps: float | None = None) -> Motion:
     if not 0 < fps <= 1000:
         npz.fail(f"{fps:g} frames per second are not in (0, 1000]; give the true rate by --source-fps")
     local = rotations.from_rotvec(torch.from_numpy(poses))
-    up = rotations.rotate(local[:, 0], torch.tensor((0.0, 1.0, 0.0), dtype=torch.float64)).mean(dim=0)
-    # Video trackers write the same arrays with Y up: there bodies stand along Y.
-    upright = bool(up[1] > _UPRIGHT and up[1] > up[2])
-    turn = (rotations.identity() if upright else _Z_TO_Y).double()
+    root = trans + torch.tensor(_SMPL_PELVIS)
+    turn = (rotations.identity() if _along_y(Motion(local, root, fps, HML22)) else _Z_TO_Y).double()
     local[:, 0] = rotations.mul(turn, local[:, 0])
-    root = rotations.rotate(turn, trans + torch.tensor(_SMPL_PELVIS))
+    root = rotations.rotate(turn, root)
     return Motion(rotations.unroll(rotations.normalize(local)).float(), root.float(), fps, HML22)
+
+
+def _along_y(motion: Motion) -> bool:
+    """Whether bodies stand along Y, as in the same arrays by video trackers, and not along Z.
+
+    Who crawls or lies with the head towards Y in a world with Z up does not: there the lowest joint keeps to height
+    zero along Z, as on a floor, with the pelvis above it, and not along Y.
+    """
+    up = rotations.rotate(motion.rotations[:, 0], torch.tensor((0.0, 1.0, 0.0), dtype=torch.float64)).mean(dim=0)
+    if not (up[1] > _UPRIGHT and up[1] > up[2]):
+        return False
+    lowest = motion.joints.amin(dim=1)
+    on_floor = (lowest.abs() < _FLOOR).double().mean(dim=0)
+    above = float((motion.root[:, 2] - lowest[:, 2]).median())
+    return not (on_floor[2] > 0.5 > on_floor[1] and float(motion.root[:, 2].median()) > _FLOOR < above)
+
+
+def _body(motion: Motion) -> Motion:
+    """Without what SMPL's bodies have behind hml22's joints, which then may be one body."""
+    count, skeleton = len(HML22), motion.skeleton
+    if skeleton.joints[:count] != HML22.joints or len(skeleton) == count:
+        return motion
+    body = Skeleton(skeleton.name, skeleton.joints[:count], skeleton.parents[:count], skeleton.offsets[:count])
+    return replace(motion, rotations=motion.rotations[:, :count], skeleton=body)
 
 
 def _poses(npz: Npz) -> np.ndarray:

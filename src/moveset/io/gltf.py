@@ -120,7 +120,7 @@ def write_vrma(motion: Motion, path: str | Path, *, metadata: Mapping[str, objec
         InputError: the path cannot be written to, or the skeleton cannot be retargeted to VRM's bones.
     """
     vrm = RIGS["vrm"]
-    motion = motion if set(motion.skeleton.joints) == set(vrm.joints) else retarget(motion, vrm)
+    motion = retarget(motion, vrm)
     head = glb_head(motion.skeleton, motion.fps, len(motion), metadata or {}, body=False)
     with atomic_write(path) as file:
         file.write(head)

@@ -45,8 +45,7 @@ class InitialMotion:
         """
         if not isinstance(codec, NativeCodec):
             raise InputError(f"a model of {codec.name!r} features cannot go on from a motion; take one of native ones")
-        if motion.skeleton.joints != codec.skeleton.joints:
-            motion = retarget(motion, codec.skeleton)
+        motion = retarget(motion, codec.skeleton)
         given, motion = motion, motion.resampled(codec.fps)
         if len(motion) < frames:
             raise InputError(
