@@ -60,6 +60,11 @@ def test_rows_have_their_shipped_folders_or_no_weights():
     assert chosen["real"] == (None, "")
     assert chosen["pcm-1"] == (shipped()[CLIPS], "")
     assert chosen["k20"] == (None, "no weights given")
+    alone = {row.key: (folder, missing) for row, folder, missing in chosen_rows("motionpcm", alone=True)}
+    assert alone["real"] == (None, "")
+    assert {missing for key, (_, missing) in alone.items() if key not in ("real", "training", "nearest")} == {
+        "no weights given"
+    }
 
 
 def test_given_folders_fill_rows_by_their_name(tmp_path: Path):

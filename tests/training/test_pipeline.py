@@ -10,6 +10,7 @@ import pytest
 from moveset import MotionStream, TextToMotion
 from moveset.cli import tables
 from moveset.cli.__main__ import main
+from moveset.data.dataset import CorpusDataset
 from moveset.errors import InputError
 from moveset.evaluation import report
 from moveset.evaluation.evaluator import Evaluator
@@ -75,6 +76,32 @@ def test_what_other_settings_made_is_refused_with_all_that_stands_on_it(tiny_run
         with pytest.raises(InputError, match=f"{name} was trained by other settings"):
             again(folder, only=[name])
     assert again(folder, only=["movement", "rdm-7"]).trained == ()
+
+
+def test_other_sentences_are_other_data_for_what_reads_them(tiny_run, tmp_path, monkeypatch):
+    said = CorpusDataset.sha256
+    monkeypatch.setattr(CorpusDataset, "sha256", lambda self, split: said(self, split) + " and another sentence")
+    assert again(tiny_run.folder, only=["vae", "movement"]).trained == ()
+    for name in ("length", "teacher", "evaluator"):
+        with pytest.raises(InputError, match=f"{name} was trained by other settings, on other data"):
+            again(tiny_run.folder, only=[name])
+
+
+def test_a_training_begun_by_itself_is_not_taken_over(tiny_run, tmp_path):
+    shutil.copytree(tiny_run.folder / "length", tmp_path / "length")
+    with pytest.raises(InputError, match="length holds a training that was begun by itself"):
+        train_all("tiny", tiny_run.corpus, tmp_path, only=["length"])
+
+
+def test_words_that_are_not_here_are_missed_before_anything_is_trained(tiny_run, tmp_path, monkeypatch):
+    every = tuple(
+        replace(stage, task=replace(stage.task, words="glove:nowhere")) if stage.name == "evaluator" else stage
+        for stage in stages("tiny")
+    )
+    monkeypatch.setattr(pipeline, "stages", lambda *_: every)
+    with pytest.raises(InputError, match="nowhere"):
+        train_all("tiny", tiny_run.corpus, tmp_path, only=["movement", "evaluator"])
+    assert not (tmp_path / "movement").exists()
 
 
 def test_a_stage_needs_what_it_stands_on(tiny_run, tmp_path):

@@ -50,8 +50,11 @@ def run_suite(
     only: Sequence[str],
     how: How,
     json: bool,
+    *,
+    alone: bool = False,
 ) -> int:
-    """All rows of a paper's tables whose weights are there, one after the other, and the tables."""
+    """All rows of a paper's tables whose weights are there, one after the other, and the tables; ``alone`` means those
+    of the folders, without the models that ship."""
     from dataclasses import replace
 
     from moveset.evaluation.report import write_report
@@ -62,7 +65,7 @@ def run_suite(
         raise InputError("a suite says itself what is evaluated; leave --motions, --network, --steps and settings out")
     if importlib.util.find_spec("matplotlib") is None:
         raise InputError("the tables of a suite have pictures, which need matplotlib; `pip install 'moveset[train]'`")
-    rows, out = chosen_rows(name, tuple(map(Path, folders)), only), how.out / name
+    rows, out = chosen_rows(name, tuple(map(Path, folders)), only, alone=alone), how.out / name
     if out.is_dir() and (there := load_table(out)).measured:
         there.check_alike([row for row, _, missing in rows if not missing], state_now(common), common.foot_lock)
     for row, folder, missing in rows:

@@ -182,7 +182,8 @@ def _tables(recipe: str, corpus: Path, out: Path, jobs: int) -> None:
     for suite, kinds in (("motionpcm", ClipExport), ("rdm", StreamExport | BaselineExport)):
         made = [models / model.name for model in load_exports(recipe) if isinstance(model, kinds)]
         if there := [str(folder) for folder in made if folder.is_dir()]:
-            run_suite(suite, there, common, (), How(out=out / "results", resume=True, processes=jobs), False)
+            how = How(out=out / "results", resume=True, processes=jobs)
+            run_suite(suite, there, common, (), how, False, alone=True)
 
 
 def _export(recipe: str, runs: Path, corpus: Path, folder: Path) -> int:

@@ -200,13 +200,16 @@ def rdm() -> Suite:
 _SUITES: dict[str, Callable[[], Suite]] = {"motionpcm": motionpcm, "rdm": rdm}
 
 
-def chosen_rows(name: str, given: Sequence[Path] = (), only: Sequence[str] = ()) -> list[tuple[Row, Path | None, str]]:
+def chosen_rows(
+    name: str, given: Sequence[Path] = (), only: Sequence[str] = (), *, alone: bool = False
+) -> list[tuple[Row, Path | None, str]]:
     """The rows that were asked for, each with what ``find_weights`` says of it.
 
     Args:
         name: "motionpcm" or "rdm".
         given: model folders besides those that ship; one with a shipped one's name takes its place.
         only: keys of rows; all if empty.
+        alone: without those that ship.
 
     Raises:
         InputError: no such suite or row, two folders of one name, or a folder that is none.
@@ -216,10 +219,11 @@ def chosen_rows(name: str, given: Sequence[Path] = (), only: Sequence[str] = ())
     rows = [*get_suite(name).rows, *extra_rows(get_suite(name), folders)]
     if unknown := set(only) - {row.key for row in rows}:
         raise InputError(f"suite {name!r} has no row {sorted(unknown)[0]!r}; it has {', '.join(r.key for r in rows)}")
-    return [(row, *find_weights(row, folders)) for row in rows if not only or row.key in only]
+    own = {} if alone else shipped()
+    return [(row, *find_weights(row, folders, own)) for row in rows if not only or row.key in only]
 
 
-def find_weights(row: Row, folders: Mapping[str, Path]) -> tuple[Path | None, str]:
+def find_weights(row: Row, folders: Mapping[str, Path], own: Mapping[str, Path]) -> tuple[Path | None, str]:
     """The model folder of a row, and why it cannot be evaluated: "" if it can.
 
     Raises:
@@ -227,7 +231,7 @@ def find_weights(row: Row, folders: Mapping[str, Path]) -> tuple[Path | None, st
     """
     if row.model in (REAL, TRAINING, NEAREST):
         return None, ""
-    folder = folders.get(_stem(row.model)) or shipped().get(row.model)
+    folder = folders.get(_stem(row.model)) or own.get(row.model)
     if folder is None:
         return None, "no weights given"
     if row.network not in networks(folder):

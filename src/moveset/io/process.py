@@ -62,7 +62,10 @@ def cores() -> int:
 
 @contextmanager
 def noted_signals() -> Iterator[list[int]]:
-    """Collects SIGINT and SIGTERM instead of dying, so that what was made is kept; a second one interrupts at once."""
+    """Collects SIGINT and SIGTERM instead of dying, so that what was made is kept; a second one of a kind interrupts.
+
+    Of unlike ones the second does not: Ctrl-C reaches all processes of a terminal, and their parent may end them, too.
+    """
     received: list[int] = []
     # Only the main thread may set handlers; elsewhere signals do what they always did.
     if threading.current_thread() is not threading.main_thread():
@@ -70,9 +73,9 @@ def noted_signals() -> Iterator[list[int]]:
         return
 
     def note(number: int, frame: object) -> None:
-        received.append(number)
-        if len(received) > 1:
+        if number in received:
             raise KeyboardInterrupt
+        received.append(number)
 
     before = {number: signal.signal(number, note) for number in (signal.SIGINT, signal.SIGTERM)}
     try:

@@ -211,7 +211,7 @@ EXPORTS: tuple[Export, ...] = (
         name="rdm-tiny",
         runs={"rdm": "rdm-7", "pcm-1": "rdm-student", "sides": "sides"},
         guidance={"rdm": 1.5, "pcm-1": 1.5},
-        sampling={"network": "pcm-1", "sampler_steps": 4, "start": 4},
+        sampling={"network": "pcm-1", "sampler_steps": 4, "start": 4, "symmetric": ("pcm-1",)},
     ),
     StreamExport(
         name="md-7-tiny", runs={"rdm": "rdm-7", "md": "md-7", "sides": "sides"}, guidance={"rdm": 1.5, "md": 1.5},

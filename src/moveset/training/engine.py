@@ -45,7 +45,7 @@ class EngineConfig:
         keep_every: besides those, checkpoints at multiples of this stay for good; 0 for none.
         grad_clip: largest norm of an optimiser's whole gradient; 0 for no clipping.
         precision: "32-true", "bf16-mixed", or "auto": bf16 on a CUDA device or processor that has instructions for it.
-        device: "auto", "cpu", "cuda" or "mps".
+        device: "auto", "cpu" or "cuda".
         devices: processes on this machine; under ``torchrun`` its own number counts.
         threads: CPU threads of torch, 0 to leave them alone.
         workers: processes that make batches ahead, for tasks of segments on a fast device (``data.loader``); 0 makes

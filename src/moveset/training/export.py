@@ -19,6 +19,7 @@ from moveset.diffusion.steps import Variance
 from moveset.errors import InputError
 from moveset.evaluation.evaluator import Evaluator, EvaluatorCard
 from moveset.motion.features import get_codec
+from moveset.motion.native import NativeCodec
 from moveset.pipelines.model_config import DENOISER, FLOW, IDLE, SIDES, BaselineConfig, ClipConfig, StreamConfig
 from moveset.pipelines.model_folder import save_model
 from moveset.pipelines.role import is_student, named
@@ -194,12 +195,15 @@ def _stream(
         modules[FLOW] = load_trained(runs / what.runs[RDM], "flow_ema", part="coupling_flow").module
     points = _one_grid(found[name] for name in students)
     fields, known, pooled, store = _common(what, dataset, rdm.task, found, cache)
+    sampling = {**what.sampling}
+    if not isinstance(get_codec(rdm.task["codec"]), NativeCodec):
+        sampling.pop("symmetric", None)  # only native features have a mirror image of their own
     config = StreamConfig(
         **fields,
         segment=rdm.task["grid"]["frames"],
         depth_cap=rdm.task["depth_cap"],
         points=points,
-        **{"network": RDM, **what.sampling},
+        **{"network": RDM, **sampling},
     )
     bases = dict.fromkeys(students, RDM) if what.differences else None
     return save_model(

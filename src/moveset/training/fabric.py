@@ -26,10 +26,11 @@ def launch(config: "EngineConfig") -> "Fabric":
         raise InputError("training needs lightning-fabric; install it with pip install 'moveset[train]'") from error
     device = config.device
     if device == "auto":
-        device = "cuda" if torch.cuda.is_available() else "mps" if torch.backends.mps.is_available() else "cpu"
-    available = {"cpu": True, "cuda": torch.cuda.is_available(), "mps": torch.backends.mps.is_available()}
-    if not available.get(device, False):
-        usable = ", ".join(name for name, usable in available.items() if usable)
+        device = "cuda" if torch.cuda.is_available() else "cpu"
+    if device == "mps":
+        raise InputError("trainings add up in double precision, which 'mps' does not have; give --device cpu")
+    if device != "cpu" and not (device == "cuda" and torch.cuda.is_available()):
+        usable = "cpu, cuda" if torch.cuda.is_available() else "cpu"
         raise InputError(f"device {device!r} cannot be used here; this machine has {usable}")
     precision = config.precision
     if precision == "auto":
@@ -40,7 +41,7 @@ def launch(config: "EngineConfig") -> "Fabric":
         nodes = int(os.environ["WORLD_SIZE"]) // devices
     else:
         # Hundreds of processes by a slip of the hand would bring the machine down before anything could be said.
-        most = torch.cuda.device_count() if device == "cuda" else 1 if device == "mps" else 4 * (os.cpu_count() or 1)
+        most = torch.cuda.device_count() if device == "cuda" else 4 * (os.cpu_count() or 1)
         if devices > most:
             raise InputError(f"{devices} devices are too many for {device}; use 1 to {most}")
     strategy = "ddp" if devices * nodes > 1 else "auto"

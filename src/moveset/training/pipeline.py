@@ -16,10 +16,12 @@ from multiprocessing import connection, get_context
 from pathlib import Path
 from typing import Any
 
-from moveset.data.dataset import open_for_training
+from moveset.data.dataset import Dataset, open_for_training
+from moveset.data.glove_files import read_glove
 from moveset.errors import InputError, MovesetError
 from moveset.io.limits import write_text
 from moveset.io.process import noted_signals
+from moveset.text.encoder import get_text_encoder
 from moveset.training import checkpoint
 from moveset.training.engine import EngineConfig, run
 from moveset.training.export import Export, export
@@ -139,7 +141,7 @@ def train_all(
         only: names of models, with all that they need; of stages; or of their beginnings ("rdm"). What stages need
             must be done already.
         share: of the steps of every training, and of its warm-up.
-        device: "auto", "cpu", "cuda" or "mps".
+        device: "auto", "cpu" or "cuda".
         jobs: trainings side by side, in processes of their own.
         say: told a line at a time what happens; by default stderr.
 
@@ -154,9 +156,10 @@ def train_all(
     place = Place(data=data, out=out)
     for folder in ("stages", "models"):
         (out / folder).mkdir(parents=True, exist_ok=True)
-    keys = _keys(every, open_for_training(data).fingerprint)
+    keys = _keys(every, open_for_training(data))
     _check(every, chosen, keys, place)
     open_stages = [stage for stage in chosen if not _done(stage, keys, place)]
+    _check_texts(open_stages)
     skipped = tuple(stage.name for stage in chosen if stage not in open_stages)
     log = _Log(out / LOG, open_stages, say)
     log(f"{recipe}: {len(open_stages)} of {len(chosen)} stages to do ({', '.join(skipped) or 'none'} done)")
@@ -256,15 +259,32 @@ def _export(stage: Stage, keys: Mapping[str, str], place: Place, log: "_Log") ->
     return folder
 
 
-def _keys(every: Iterable[Stage], fingerprint: str) -> dict[str, str]:
+def _keys(every: Iterable[Stage], dataset: Dataset) -> dict[str, str]:
     keys: dict[str, str] = {}
+    motions, told = dataset.fingerprint, [dataset.fingerprint, dataset.sha256("train"), dataset.sha256("val")]
     for stage in every:
         engine = {} if stage.engine is None else asdict(stage.engine)
         how = {name: engine[name] for name in ("steps", "grad_clip", "seed") if name in engine}
         settings = asdict(stage.task if stage.model is None else stage.model)
-        parts = [stage.name, settings, how, fingerprint, {name: keys[name] for name in stage.needs}]
+        data = told if stage.model is not None or _reads(stage) else motions
+        parts = [stage.name, settings, how, data, {name: keys[name] for name in stage.needs}]
         keys[stage.name] = hashlib.sha256(json.dumps(parts, sort_keys=True, default=str).encode()).hexdigest()
     return keys
+
+
+def _reads(stage: Stage) -> bool:
+    """Whether a training reads sentences."""
+    return any(hasattr(stage.task, name) for name in ("text_encoder", "words"))
+
+
+def _check_texts(todo: Iterable[Stage]) -> None:
+    """Raises InputError for a text encoder or words that are not here, before days of trainings that need none."""
+    for encoder in {stage.task.text_encoder for stage in todo if hasattr(stage.task, "text_encoder")}:
+        get_text_encoder(encoder)
+    for words in {stage.task.words for stage in todo if hasattr(stage.task, "words")}:
+        kind, _, table = words.partition(":")
+        if kind == "glove":
+            read_glove(Path(table))
 
 
 def _check(every: Iterable[Stage], chosen: Sequence[Stage], keys: Mapping[str, str], place: Place) -> None:
@@ -272,9 +292,13 @@ def _check(every: Iterable[Stage], chosen: Sequence[Stage], keys: Mapping[str, s
     chosen."""
     by_name = {stage.name: stage for stage in every}
     for stage in chosen:
-        noted = _noted(place, stage)
+        noted, folder = _noted(place, stage), place.out / stage.name
+        if stage.model is None and not noted and checkpoint.steps(folder):
+            raise InputError(
+                f"{folder} holds a training that was begun by itself, maybe by other settings or on other data; move "
+                "it away, or give another folder"
+            )
         if noted.get("key", keys[stage.name]) != keys[stage.name] and stage.model is None:
-            folder = place.out / stage.name
             raise InputError(
                 f"{folder} was trained by other settings, on other data or on top of something else; remove it, or "
                 "give another folder"
