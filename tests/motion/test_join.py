@@ -11,6 +11,7 @@ from moveset.data import bandai_namco
 from moveset.errors import InputError
 from moveset.motion import rotations
 from moveset.motion.clip import Motion
+from moveset.motion.contacts import foot_contacts
 from moveset.motion.join import join, make_loop
 from moveset.motion.retarget import retarget
 from moveset.motion.rigs import get_rig
@@ -190,9 +191,53 @@ def test_a_loop_runs_on_without_a_pop():
         assert jerk(twice(make_loop(walk))).max() < 1.5 * jerk(walk).max()
 
 
+def slides(motion: Motion, planted: torch.Tensor) -> int:
+    """Frames in which a toe that is planted (F, 4) goes over the floor, faster than 0.5 m/s, and takes no step."""
+    toes = motion.joints[:, [10, 11]]
+    fast = torch.diff(toes, dim=0)[..., [0, 2]].norm(dim=-1) * motion.fps > 0.5
+    down = planted[:, [1, 3]] & (toes[..., 1] < 0.02)
+    return int((fast & down[1:] & down[:-1]).sum())
+
+
+@pytest.mark.parametrize("frames", [52, 54, 57, 69, 75])
+def test_a_walk_that_loops_keeps_its_feet_where_they_stand(frames, monkeypatch):
+    """Cut anywhere in its stride: pose and speed of the ends differ, and the blend pulls legs along the floor."""
+    walk = gait(frames)
+    planted, held = foot_contacts(walk.joints, walk.fps, HML22), make_loop(walk)
+    monkeypatch.setattr("moveset.motion.join.HINGES", {})
+    bare = make_loop(walk)
+    assert slides(walk, planted) == 0
+    assert slides(bare, planted) >= 7
+    assert slides(held, planted) < 0.5 * slides(bare, planted)
+
+
+@pytest.mark.parametrize("skeleton", [HML22, KIT21], ids=lambda s: s.name)
+@pytest.mark.parametrize("frames", [54, 69])
+def test_no_foot_is_lower_in_a_loop_than_in_its_clip_or_the_floor(frames, skeleton):
+    walk = retarget(gait(frames), skeleton)
+    lowest, own = (m.joints[:, list(skeleton.feet), 1].min() for m in (make_loop(walk), walk))
+    assert lowest > own.clamp(max=0.0) - 1e-3
+
+
+def test_a_loop_is_not_lifted_onto_a_floor_that_is_not_its_own():
+    down = torch.tensor([0.0, -0.8, 0.0])
+    walk = gait(57)
+    deep = make_loop(walk.transformed(rotations.identity(), down))
+    torch.testing.assert_close(deep.joints, make_loop(walk).joints + down, atol=2e-3, rtol=0)
+
+
+def test_a_loop_on_any_skeleton_closes_whatever_it_is_called():
+    for body in (get_rig("mixamo"), replace(get_rig("vrm"), name="hml22")):
+        loop = make_loop(retarget(gait(57), body))
+        apart = rotations.angle(rotations.mul(rotations.inv(loop.rotations[0, 1:]), loop.rotations[-1, 1:]))
+        assert apart.max() < 2e-3
+
+
 def test_a_loop_changes_nothing_in_its_middle():
     motion = wander(60, 80)
     torch.testing.assert_close(make_loop(motion, 0.5).joints[21:39], motion.joints[21:39], atol=1e-5, rtol=0)
+    walk = gait(117)
+    torch.testing.assert_close(make_loop(walk, 0.5).joints[41:76], walk.joints[41:76], atol=1e-5, rtol=0)
 
 
 @pytest.mark.parametrize(

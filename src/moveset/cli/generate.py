@@ -13,6 +13,7 @@ import tyro
 from moveset.errors import InputError
 
 if TYPE_CHECKING:
+    from moveset.motion.clip import Motion
     from moveset.pipelines.text_to_motion import Generation
 
 DEFAULT_OUTPUT = Path("motion.glb")
@@ -107,7 +108,8 @@ def generate(
         "files": [str(path) for path in files],
         "timings_ms": stage_times(timings),
         "warnings": list(first.warnings),
-        "skating": skating(first),
+        # On the spot all feet slide, and other bodies' are not known.
+        "skating": skating(first, first.motions[0] if finish.in_place or finish.skeleton else written),
     }
     tell(report, json)
     return 0
@@ -147,11 +149,11 @@ def stage_times(timings: Counter[str]) -> dict[str, float]:
     return {stage: round(spent, 2) for stage, spent in stages.items()}
 
 
-def skating(made: "Generation") -> dict[str, float]:
-    """Share of frames with a sliding foot before and after foot locking."""
+def skating(made: "Generation", written: "Motion") -> dict[str, float]:
+    """Share of frames with a sliding foot, as generated and as ``written``."""
     from moveset.motion.measures import skating as measure
 
-    before, after = (float(measure(m.joints, m.fps, skeleton=m.skeleton)) for m in (made.raw[0], made.motions[0]))
+    before, after = (float(measure(m.joints, m.fps, skeleton=m.skeleton)) for m in (made.raw[0], written))
     return {"before": round(before, 4), "after": round(after, 4)}
 
 

@@ -14,8 +14,12 @@ from torch import Tensor
 
 from moveset.errors import InputError
 from moveset.motion import rotations
+from moveset.motion.cleanup import lock_feet
 from moveset.motion.clip import Motion
+from moveset.motion.contacts import stances
+from moveset.motion.positions import HINGES
 from moveset.motion.retarget import retarget
+from moveset.motion.skeleton import Skeleton
 from moveset.motion.smoothing import decay
 
 _SEAM = 0.5  # frames outside the clips
@@ -75,7 +79,9 @@ def make_loop(motion: Motion, blend_seconds: float = 0.5) -> Motion:
 
     Equal are all local rotations, the pelvis' tilt and its height; place and heading go on from cycle to cycle, as a
     walk does (play it again from ``canonical`` placement, or take ``in_place`` first to stay). The difference between
-    end and start is shared by both and dies away within ``blend_seconds``, or up to twice that as in ``join``.
+    end and start is shared by both and dies away within ``blend_seconds``, or up to twice that as in ``join``. On
+    skeletons with known knees (hml22, kit21) feet that the clip has planted there stay planted, and none goes further
+    under the floor y = 0 than the clip's own do; what that changes dies away within as much again.
 
     Raises:
         InputError: fewer than 4 frames, or a duration that is negative or not finite.
@@ -90,12 +96,48 @@ def make_loop(motion: Motion, blend_seconds: float = 0.5) -> Motion:
     again = clip.transformed(turn, shift)
     gap = _Gap.between(end, _Edge.of(again, last=False, beyond=0.0), beyond=0.0)
     reach, half = _gentle(clip, again, blend_seconds * motion.fps), len(clip) // 2
-    ended = gap.closed(clip, reach, last=True)
+    ended, started = gap.closed(clip, reach, last=True)[half:], gap.closed(again, reach, last=False)[1:half]
+    # One cycle with the seam inside: what is done to the seam's frame is done to the loop's first and its last.
+    around, seam = _one_after_the_other(ended, started), len(ended) - 1
+    if reach and _knees_known(motion.skeleton):
+        around = _with_feet_held(around, clip, seam, reach)
     back = rotations.inv(turn)
-    started = gap.closed(again, reach, last=False).transformed(back, -rotations.rotate(back, shift))
-    turned = rotations.unroll(torch.cat((started.rotations[:half], ended.rotations[half:])))
-    root = torch.cat((started.root[:half], ended.root[half:]))
-    return Motion(turned.float(), root.float(), motion.fps, motion.skeleton)
+    started = around[seam:].transformed(back, -rotations.rotate(back, shift))
+    loop = _one_after_the_other(started, around[: seam + 1])
+    return Motion(loop.rotations.float(), loop.root.float(), motion.fps, motion.skeleton)
+
+
+def _knees_known(skeleton: Skeleton) -> bool:
+    """Whether its feet can be locked; a name alone promises no joints."""
+    hinges = HINGES.get(skeleton.name, {})
+    return bool(hinges) and hinges.keys() <= {*skeleton.joints} and len(skeleton.feet) == 4
+
+
+def _one_after_the_other(before: Motion, after: Motion) -> Motion:
+    """Frames of two clips as they are."""
+    turned = rotations.unroll(torch.cat((before.rotations, after.rotations)))
+    return Motion(turned, torch.cat((before.root, after.root)), before.fps, before.skeleton)
+
+
+def _with_feet_held(around: Motion, clip: Motion, seam: int, reach: float) -> Motion:
+    """A cycle ``around`` the seam of a loop, its feet near the seam held where the clip has planted them.
+
+    A foot that slides in the blend is not found planted by its speed there, hence the contacts of the clip itself; at
+    the seam those of its end and of its start.
+    """
+    floor = clip.joints[:, list(clip.skeleton.feet), 1].min().clamp(max=0.0)
+    up = torch.stack((torch.zeros_like(floor), -floor, torch.zeros_like(floor)))
+    planted = stances(clip.joints + up, clip.fps, clip.skeleton)
+    half = len(clip) - 1 - seam
+    contacts = torch.cat((planted[half:-1], planted[:1] | planted[-1:], planted[1:half]))
+    upright = rotations.identity()
+    held = lock_feet(around.transformed(upright, up), contacts=contacts).transformed(upright, -up)
+    # Nothing at the far end, where both halves of the clip meet as they are.
+    away, far = (torch.arange(len(around)) - seam).abs(), min(2.0 * reach, seam + 1.0, half)
+    share = ((far - away) / (far - min(reach, 0.5 * far))).clamp(0.0, 1.0).double()
+    share = share**2 * (3.0 - 2.0 * share)
+    turned = rotations.slerp(around.rotations, held.rotations.double(), share[:, None])
+    return Motion(turned, torch.lerp(around.root, held.root.double(), share[:, None]), clip.fps, clip.skeleton)
 
 
 @dataclass(frozen=True, eq=False)

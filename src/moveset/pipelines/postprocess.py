@@ -1,7 +1,7 @@
 """What happens to motion after the networks, in order: joined, feet held, looped, in place, frame rate, skeleton."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from moveset.errors import InputError
@@ -57,9 +57,16 @@ class Postprocess:
         if self.in_place:
             motion = motion.in_place()
         if self.fps is not None:
-            motion = motion.resampled(self.fps)
+            motion = _loop_at(motion, self.fps) if self.loop else motion.resampled(self.fps)
         if self.skeleton is not None:
             from moveset.motion.retarget import retarget
 
             motion = retarget(motion, self.skeleton)
         return motion
+
+
+def _loop_at(motion: "Motion", fps: float) -> "Motion":
+    """A loop at another frame rate, still closed: whole frames over exactly its cycle, about as long as it was."""
+    steps = len(motion) - 1
+    kept = max(round(steps / motion.fps * fps), 1)
+    return replace(motion.resampled(kept / steps * motion.fps), fps=fps)
