@@ -103,6 +103,18 @@ def test_frames_that_are_said_to_have_another_rate_are_those_of_the_file(tmp_pat
         assert (found.fps, len(found)) == (60.0, 24)
 
 
+@pytest.mark.parametrize("fps", [24.0, 25.0, 29.97, 30.0, 60.0])
+@pytest.mark.parametrize("frames", [2, 40, 41, 60])
+@pytest.mark.parametrize("name", ["a.glb", "a.gltf", "a.vrma"])
+def test_our_frames_at_another_rate_are_as_many_as_those_of_the_motion(name, frames, fps, tmp_path):
+    """The oracle is the motion itself: what is behind its last frame nobody knows."""
+    made = wander(frames, seed=1)
+    save(made, tmp_path / name)
+    found, wanted = load(tmp_path / name, fps=fps), load(tmp_path / name).resampled(fps)
+    assert (len(found), found.fps) == (len(wanted), fps) == (len(made.resampled(fps)), fps)
+    assert (found.joints - wanted.joints).norm(dim=-1).max() < 1e-4
+
+
 def test_the_rate_of_sparse_keys_can_be_chosen(changed, tmp_path):
     path = changed(swing(WAVE), keyed(WAVE))
     assert main(["convert", str(path), str(tmp_path / "b.npz"), "--fps", "50"]) == 0

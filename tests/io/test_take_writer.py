@@ -236,6 +236,28 @@ def test_a_part_is_recovered_up_to_its_last_whole_frame(motion, suffix, tail, tm
         recover_take(path)
 
 
+@pytest.mark.parametrize("rescued", [False, True])
+@every_format
+def test_notes_of_the_file_before_are_not_those_of_the_take(motion, suffix, rescued, tmp_path):
+    path = tmp_path / f"take{suffix}"
+    save(motion, path, metadata={"prompt": "a person sleeps", "seed": 1})
+    if rescued:
+        abandoned(motion, path)
+        recover_take(path)
+    else:
+        write(motion, path)
+    found = read_metadata(path)
+    assert found.get("prompt") == ("a person walks" if rescued and suffix != ".bvh" else None)
+    assert "seed" not in found
+
+
+def test_notes_stay_with_the_file_that_a_take_of_nothing_leaves(motion, tmp_path):
+    notes = {"prompt": "a person sleeps"}
+    save(motion, tmp_path / "take.bvh", metadata=notes)
+    open_take(tmp_path / "take.bvh", HML22, 20.0).close()
+    assert read_metadata(tmp_path / "take.bvh") == notes
+
+
 def test_a_bvh_part_is_a_bvh_file_between_two_pieces(motion, tmp_path):
     with open_take(tmp_path / "take.bvh", HML22, 20.0) as take:
         for end in (28, 29, 89):

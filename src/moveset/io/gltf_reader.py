@@ -268,9 +268,20 @@ def _instants(glb: Glb, clip: Clip, fps: float | None) -> tuple[Tensor, float]:
     rate = fps or _rate(glb, [keys - start for keys in clocks.values()])
     if length * rate >= MAX_FRAMES:
         glb.fail(f"{length * rate:.0f} frames exceed the limit of {MAX_FRAMES}; split the file")
-    # Times are float32, so a last key at a frame's own time may lie behind it by a little.
-    count = math.ceil(length * rate - 0.02) + 1
+    count = _count(length, rate, _stated_rate(glb))
     return (start + torch.arange(count, dtype=torch.float64) / rate).clamp(max=start + length), rate
+
+
+def _count(length: float, rate: float, stated: float | None) -> int:
+    """Instants within ``length`` seconds, and one behind them for an end that lies between two.
+
+    Where keys are frames, at the rate that a file of ours states, nothing is between two of them and behind the last:
+    as many as ``Motion.resampled`` makes of them.
+    """
+    # Times are float32, so a last key at a frame's own time may lie behind it by a little.
+    if stated and abs(length * stated - round(length * stated)) < 0.02:
+        return math.floor(round(length * stated) / stated * rate + 1e-6) + 1
+    return math.ceil(length * rate - 0.02) + 1
 
 
 def _rate(glb: Glb, clocks: list[Tensor]) -> float:
@@ -279,9 +290,8 @@ def _rate(glb: Glb, clocks: list[Tensor]) -> float:
     Editors and optimisers leave out keys where little happens: what happens between two of them is then only in the
     curve, so keys that are sparse are not taken for frames.
     """
-    stated = _own(glb).get("fps")
-    if isinstance(stated, int | float) and 0.01 <= stated <= 1000:
-        return float(stated)
+    if stated := _stated_rate(glb):
+        return stated
     keys = torch.cat(clocks).unique()
     if len(keys) < 2:
         return _SPARSE
@@ -293,6 +303,12 @@ def _rate(glb: Glb, clocks: list[Tensor]) -> float:
             rate = rate if rate > _FRAMES else rate * math.ceil(_SPARSE / rate - 1e-3)
             return float(round(rate)) if abs(rate - round(rate)) < 0.01 * rate else rate
     return float(min(max(_SPARSE, round(1.0 / float(keys.diff().median()))), 120))
+
+
+def _stated_rate(glb: Glb) -> float | None:
+    """The rate of the frames in a file of ours; None in others."""
+    stated = _own(glb).get("fps")
+    return float(stated) if isinstance(stated, int | float) and 0.01 <= stated <= 1000 else None
 
 
 def _own(glb: Glb) -> dict[str, Any]:

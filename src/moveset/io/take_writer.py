@@ -139,10 +139,8 @@ class Take:
                 ) from error
             finally:
                 self._store.close()
-            if self.frames and self._notes and self.path.suffix.lower() == ".bvh":
-                from moveset.io import save_beside
-
-                save_beside(self._notes, self.path)
+            if self.frames:
+                _note(self._notes, self.path)
         return self.path if self.frames else None
 
     def __enter__(self) -> Self:
@@ -154,6 +152,8 @@ class Take:
 
 def recover_take(path: str | Path) -> int:
     """Finish a take whose process was killed, from its part; the number of frames that are in its file now.
+
+    A BVH has no metadata then, for its part has none.
 
     Args:
         path: of the take or of its part: ``walk.bvh`` or ``walk.bvh.part``.
@@ -169,12 +169,25 @@ def recover_take(path: str | Path) -> int:
         raise InputError(f"there is no {part}, so nothing to recover; give the path that the take was opened with")
     try:
         recover = {".bvh": recover_bvh, ".html": recover_html}.get(path.suffix.lower(), recover_rows)
-        return recover(path)
+        frames = recover(path)
     except OSError as error:
         reason = error.strerror or error
         raise MovesetError(
             f"cannot recover {path}: {reason}; check its permissions and the space on its disk"
         ) from error
+    _note({}, path)
+    return frames
+
+
+def _note(notes: Mapping[str, str | int | float | None], path: Path) -> None:
+    """Remember ``notes`` with a finished take that has no place for them: a BVH.
+
+    Where there are none, and a part has none, those of the file before must not be taken for its own.
+    """
+    if path.suffix.lower() == ".bvh" and (notes or path.with_name(path.name + ".json").exists()):
+        from moveset.io import save_beside
+
+        save_beside(notes, path)
 
 
 def _checked(path: str | Path) -> Path:
