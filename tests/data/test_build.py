@@ -8,10 +8,12 @@ import subprocess
 import sys
 import tarfile
 import time
+from collections.abc import Sequence
 from contextlib import suppress
 from itertools import pairwise
 from pathlib import Path
 from threading import Thread
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -20,9 +22,11 @@ from hypothesis import strategies as st
 from moveset.data.build import build_corpus, clean_sentences, cut
 from moveset.data.compose import add_compositions
 from moveset.data.corpus import Corpus, CorpusWriter
-from moveset.data.raw import find_takes, unpacked
+from moveset.data.raw import FREE, find_takes, unpacked
+from moveset.data.splits import split_of
 from moveset.errors import FormatError, InputError
 from moveset.io.process import locked
+from tests.synthetic import synthetic_motion
 
 
 @given(st.integers(1, 5000))
@@ -78,6 +82,50 @@ def test_an_archive_beside_folders_is_not_left_out(tmp_path):
     assert unpacked(tmp_path, tmp_path / "scratch") == tmp_path
 
 
+def archives_of_all(raw: Path) -> Path:
+    raw.mkdir()
+    for name in FREE:
+        archive(raw / f"{name}.tar.xz", {f"{name}/x.txt": name.encode()})
+    (raw / "humanml3d-cmu.jsonl").write_text("\n")
+    return raw
+
+
+def test_what_an_interrupted_build_left_packed_is_unpacked_beside_the_rest(tmp_path, monkeypatch):
+    raw = archives_of_all(tmp_path / "raw")
+    whole, done = tarfile.TarFile.extractall, []
+
+    def interrupted(tar: tarfile.TarFile, *args: Any, **settings: Any) -> None:
+        if done:
+            raise KeyboardInterrupt
+        done.append(tar)
+        whole(tar, *args, **settings)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(tarfile.TarFile, "extractall", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            unpacked(raw, raw)
+    assert [name for name in FREE if (raw / name).is_dir()] == [FREE[0]]
+    (raw / FREE[0] / "x.txt").write_text("not unpacked again")
+    (tmp_path / "same").symlink_to(raw)
+    assert unpacked(raw, tmp_path / "same").samefile(raw)
+    assert [(raw / name / "x.txt").read_text() for name in FREE] == ["not unpacked again", *FREE[1:]]
+
+
+def test_sources_can_be_added_where_archives_are_unpacked_in_place(tmp_path):
+    raw = archives_of_all(tmp_path / "raw")
+    for sources in (("more-mocap",), ("cmu", "more-mocap"), FREE):
+        assert unpacked(raw, raw, sources) == raw
+        assert {name for name in FREE if (raw / name).is_dir()} == {*sources}
+
+
+def test_half_of_an_archive_is_completed_and_no_folder_replaced(tmp_path):
+    archive(tmp_path / "bandai-namco.tar.xz", {"dataset-1/x.txt": b"packed", "dataset-2/x.txt": b"packed"})
+    (tmp_path / "dataset-1").mkdir()
+    (tmp_path / "dataset-1" / "x.txt").write_text("there")
+    unpacked(tmp_path, tmp_path, ("bandai-namco",))
+    assert [(tmp_path / f"dataset-{k}" / "x.txt").read_text() for k in (1, 2)] == ["there", "packed"]
+
+
 def test_who_comes_second_waits_until_all_is_unpacked(tmp_path):
     raw, scratch = tmp_path / "raw", tmp_path / "scratch"
     raw.mkdir()
@@ -124,6 +172,35 @@ def test_no_data_names_the_remedy(tmp_path):
         build_corpus(tmp_path, tmp_path / "c.safetensors", workers=1)
     with pytest.raises(InputError, match="no takes"):
         find_takes(tmp_path)
+
+
+def own_capture(raw: Path, names: Sequence[str]) -> Path:
+    """Takes as people lay out their own."""
+    folder = raw / "more-mocap"
+    folder.mkdir(parents=True)
+    about = {"source": "studio", "file": "take.bvh", "unit_m": 0.01, "sentence": "a person walks"}
+    synthetic_motion("walk", 60).save(folder / "take.bvh")
+    (folder / "takes.jsonl").write_text("".join(json.dumps({"take": name, **about}) + "\n" for name in names))
+    return raw
+
+
+def test_spans_of_takes_that_are_not_there_decide_no_split(tmp_path):
+    every = [f"{k:02d}_01" for k in range(99)]
+    names = [next(name for name in every if split_of(name) == side) for side in ("train", "val", "test")]
+    raw = own_capture(tmp_path / "raw", names)
+    # Of a take that is not there, and of one of CMU whose name an own take happens to have.
+    spans = [{"id": "1", "trial": t, "start": 0, "end": 3, "use": "train", "sentences": ["hi"]} for t in ("x", *names)]
+    (raw / "humanml3d-cmu.jsonl").write_text("".join(json.dumps(span) + "\n" for span in spans))
+    build_corpus(raw, tmp_path / "c.safetensors", workers=1, sources=("more-mocap",), compositions=0)
+    corpus = Corpus.open(tmp_path / "c.safetensors")
+    assert {record.take: record.split for record in corpus.records} == {name: split_of(name) for name in names}
+    assert "hi" not in {caption for k in range(len(corpus)) for caption in corpus.captions(k)}
+
+
+def test_takes_that_would_be_kept_in_one_file_are_refused(tmp_path):
+    raw = own_capture(tmp_path / "raw", ("a/walk", "a__walk"))
+    with pytest.raises(InputError, match=r"'a/walk' of studio and 'a__walk' of studio count as one name"):
+        build_corpus(raw, tmp_path / "c.safetensors", workers=1, sources=("more-mocap",))
 
 
 def test_compositions_of_nothing_are_none():

@@ -78,6 +78,23 @@ def test_lines_of_another_form_are_refused(line):
         parse_caption(line)
 
 
+@pytest.mark.parametrize("times", ["0.0#inf", "-inf#0", "-1.0#3.0", "0#1e308", "1#-3"])
+def test_times_that_no_motion_has_are_damage(tmp_path, times):
+    data = HumanML3D.open(
+        folder(tmp_path, HUMANML3D, {"a": 60}, {"a": [f"a man walks.#man/NOUN#{times}"]}, train=["a"])
+    )
+    with pytest.raises(FormatError, match=r"a\.txt: the text line .* within 0 and 86400 s; restore"):
+        data.items("train")
+
+
+def test_a_byte_order_mark_is_no_text(tmp_path):
+    written = folder(tmp_path, HUMANML3D, {"a": 60, "b": 60}, train=["a", "b"])
+    plain = HumanML3D.open(written).items("train")
+    for path in (written / "train.txt", written / "texts" / "a.txt"):
+        path.write_bytes(b"\xef\xbb\xbf" + path.read_bytes())
+    assert HumanML3D.open(written).items("train") == plain
+
+
 def test_what_is_wrong_is_said(tmp_path):
     with pytest.raises(InputError, match="new_joint_vecs"):
         HumanML3D.open(tmp_path)

@@ -22,7 +22,7 @@ from moveset.data.bandai_captions import bandai_captions
 from moveset.data.compose import add_compositions
 from moveset.data.corpus import CorpusWriter
 from moveset.data.descriptions import STANDING_STILL, described, said_otherwise, spelled_out
-from moveset.data.importing import import_all, read_cached
+from moveset.data.importing import cache_of, import_all, read_cached
 from moveset.data.raw import FREE, find_spans, find_takes, unpacked
 from moveset.data.records import ClipRecord
 from moveset.data.spans import Span
@@ -30,7 +30,7 @@ from moveset.data.splits import Split, free_parts, overlap, split_of
 from moveset.data.takes import TakeRef
 from moveset.data.typos import mend, word_list
 from moveset.data.verbs import common_verbs
-from moveset.errors import MovesetError
+from moveset.errors import InputError, MovesetError
 from moveset.io.limits import write_text
 from moveset.motion.clip import Motion
 
@@ -108,11 +108,12 @@ class _Spans:
     """Which frames of which take are told about, and which are on a held-out side."""
 
     def __init__(self, refs: Sequence[TakeRef], spans: dict[str, list[Span]]) -> None:
-        self.spans = spans
+        # Those of takes that are not here decide nothing, nor do CMU's tell of another set's take of the same name.
+        self.spans = {ref.name: spans[ref.name] for ref in refs if ref.name in spans and ref.source.startswith("cmu")}
         self.failed: dict[str, str] = {}
         self._held_out: dict[str, list[tuple[int, int, Split]]] = {}
         for ref in refs:
-            for span in spans.get(ref.name, ()):
+            for span in self.spans.get(ref.name, ()):
                 if span.split in ("val", "test"):
                     self._held_out.setdefault(ref.group, []).append((*_frames(span), span.split))
 
@@ -221,7 +222,7 @@ def build_corpus(
         keep_work: keep the imported takes for the next build.
 
     Raises:
-        InputError: no raw data, or the output cannot be written.
+        InputError: no raw data, two takes of one name, or the output cannot be written.
         FormatError: an archive or a list is damaged.
     """
     output.parent.mkdir(parents=True, exist_ok=True)
@@ -231,6 +232,7 @@ def build_corpus(
     work.mkdir(exist_ok=True)
     rejected = {ref.name: f"its file {ref.path.name} is missing" for ref in refs if not ref.path.is_file()}
     present = [ref for ref in refs if ref.path.is_file()]
+    _refuse_doubles(present, work)
     import_all(present, work, workers)
     writer, spans = CorpusWriter(), _Spans(present, found)
     words = word_list(sentence for told in found.values() for span in told for sentence in span.sentences)
@@ -256,6 +258,16 @@ def build_corpus(
     if not keep_work:
         shutil.rmtree(work)
     return report
+
+
+def _refuse_doubles(refs: Sequence[TakeRef], work: Path) -> None:
+    """Imported takes are found again by their names."""
+    first: dict[Path, TakeRef] = {}
+    for ref in refs:
+        other = first.setdefault(cache_of(ref, work), ref)
+        if other is not ref:
+            both = f"{other.name!r} of {other.source} and {ref.name!r} of {ref.source}"
+            raise InputError(f"the takes {both} count as one name; give one of them another in its list")
 
 
 def _upright(

@@ -18,6 +18,7 @@ from moveset.errors import FormatError, InputError
 from moveset.io.numpy_file import array_shape, read_array
 
 _MAX_TEXT = 2**20
+_MAX_SECONDS = 24 * 3600
 
 
 @dataclass(frozen=True)
@@ -38,7 +39,8 @@ class Layout:
 
     #: Clips with this many frames or more are left out, in both.
     too_long = 200
-    #: Times in the text files are cut at this rate in both sets; KIT-ML's are all zero, which makes it harmless.
+    #: Times in the text files are cut at this rate in both sets, as in published loaders, whatever ``fps`` is: KIT-ML's
+    #: own are all zero, and who writes others has to write row / ``text_fps``.
     text_fps = 20
 
 
@@ -73,10 +75,10 @@ class Item:
 
 
 def parse_caption(line: str) -> Caption:
-    """A line "caption#tokens#start#end"; times that are not numbers count as 0, as in the sets' own loaders.
+    """A line "caption#tokens#start#end"; times that are nan count as 0, as in the sets' own loaders.
 
     Raises:
-        FormatError: the line has another form.
+        FormatError: the line has another form, or times that are none of a motion.
 
     >>> parse_caption("a man walks.#a/DET man/NOUN walk/VERB#0.0#nan").tokens
     ('a/DET', 'man/NOUN', 'walk/VERB')
@@ -89,6 +91,9 @@ def parse_caption(line: str) -> Caption:
     except ValueError:
         raise FormatError(f"the text line {line.strip()[:80]!r} has times that are not numbers") from None
     start, end = (0.0 if math.isnan(t) else t for t in (start, end))
+    if not all(0 <= t <= _MAX_SECONDS for t in (start, end)):
+        wrong = f"has times that are not within 0 and {_MAX_SECONDS} s"
+        raise FormatError(f"the text line {line.strip()[:80]!r} {wrong}; restore the original")
     return Caption(fields[0].strip(), tuple(fields[1].split()), start, end)
 
 
@@ -245,7 +250,7 @@ def _lines(path: Path) -> list[str]:
     if path.stat().st_size > _MAX_TEXT:
         raise FormatError(f"{path} is larger than the limit of {_MAX_TEXT} bytes; it is no text of the data set")
     try:
-        text = path.read_text(encoding="utf-8")
+        text = path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError:
         raise FormatError(f"{path} is not UTF-8 text; restore the original") from None
     return [line.strip() for line in text.splitlines() if line.strip()]

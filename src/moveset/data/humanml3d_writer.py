@@ -1,5 +1,6 @@
 """A corpus as a HumanML3D or KIT-ML folder, for whatever reads those: ``data.humanml3d`` says what one holds."""
 
+import math
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -58,7 +59,7 @@ def write_humanml3d(corpus: Corpus, folder: Path, layout: Layout = HUMANML3D, *,
                 name = f"{'M' * (item % 2)}{item // 2:06d}"
                 np.save(folder / "new_joint_vecs" / f"{name}.npy", rows.numpy())
                 np.save(folder / "new_joints" / f"{name}.npy", (codec.joints(rows) / codec.convention.unit).numpy())
-                _write(folder / "texts" / f"{name}.txt", _texts(clip, corpus.records[item // 2].fps))
+                _write(folder / "texts" / f"{name}.txt", _texts(clip, layout))
                 names[split].append(name)
                 trained += [rows] if split == "train" else []
     statistics = Normalizer.fit(trained, codec.groups)
@@ -77,13 +78,19 @@ def _on(motion: Motion, codec: HmlCodec) -> Motion:
     return motion.resampled(codec.fps)
 
 
-def _texts(clip: Clip, fps: float) -> list[str]:
-    """Lines "caption#tokens#start#end": of the whole clip with times 0, then of its parts."""
+def _texts(clip: Clip, layout: Layout) -> list[str]:
+    """Lines "caption#tokens#start#end": of the whole clip with times 0, then of its parts.
+
+    A part's times are those of its rows by the readers' clock, which is not KIT-ML's frame rate.
+    """
     lines = [_line(caption, 0.0, 0.0) for caption in clip.captions]
     start = 0
     for part in clip.parts:
-        lines += [_line(caption, start / fps, part.stop / fps) for caption in part.captions]
-        start = part.stop
+        # The first row that is not before the next part's first frame.
+        stop = math.ceil(part.stop / clip.fps * layout.fps - 1e-6)
+        times = start / layout.text_fps, stop / layout.text_fps
+        lines += [_line(caption, *times) for caption in part.captions]
+        start = stop
     return lines
 
 

@@ -1,8 +1,10 @@
 """Eleven small sets of motion capture as BVH, each on skeletons of its own, with a sentence for every take."""
 
 import json
+import re
 import warnings
 from pathlib import Path
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -17,36 +19,60 @@ from moveset.motion.contacts import spans
 from moveset.motion.retarget import retarget
 from moveset.motion.skeleton import HML22
 
+#: Names by which takes of CMU and of Bandai-Namco are known, which are read and told in other ways.
+_TAKEN = re.compile(r"cmu([\d-]|$)|bandai")
+
 
 def list_takes(root: Path) -> list[TakeRef]:
-    """Takes of ``root/takes.jsonl``.
+    """Takes of ``root/takes.jsonl``; empty lines count for nothing.
 
     Raises:
         InputError: there is no list.
-        FormatError: a line of it is damaged.
+        FormatError: a line of it is damaged, or has the name of another one's take.
     """
     listing = Path(root) / "takes.jsonl"
     if not listing.is_file():
         raise InputError(f"{listing} is missing; give the folder that holds takes.jsonl and takes/")
-    takes = []
-    for number, line in enumerate(listing.read_text(encoding="utf-8").splitlines(), start=1):
+    try:
+        lines = listing.read_text(encoding="utf-8-sig").splitlines()
+    except UnicodeDecodeError:
+        raise FormatError(f"{listing} is not UTF-8 text; save it as UTF-8, or restore the original file") from None
+    takes: dict[str, tuple[int, TakeRef]] = {}
+    for number, line in enumerate(lines, start=1):
+        if not line.strip():
+            continue
         try:
-            take = json.loads(line)
-            name, source = str(take["take"]), str(take["source"])
-            ref = TakeRef(
-                name=name,
-                source=source,
-                path=Path(root) / str(take["file"]),
-                subject=name,  # nobody says who else is the same performer, or on the same floor
-                group=name,
-                sentence=str(take["sentence"]),
-                unit=float(take["unit_m"]),
-                leave_out="its joints jump" if take.get("quality") == "spikes" else "",
-            )
-        except (ValueError, KeyError, TypeError) as error:
-            raise FormatError(f"{listing}, line {number}: not a take ({error}); restore the original file") from error
-        takes.append(ref)
-    return takes
+            take = _listed(Path(root), json.loads(line))
+            if take.name in takes:
+                raise ValueError(f"its name {take.name!r} is that of line {takes[take.name][0]}, too")
+        except (ValueError, TypeError) as error:
+            remedy = "mend the line, or restore the original file"
+            raise FormatError(f"{listing}, line {number}: not a take ({error}); {remedy}") from error
+        takes[take.name] = number, take
+    return [take for _, take in takes.values()]
+
+
+def _listed(root: Path, take: dict[str, Any]) -> TakeRef:
+    """A line's take; what is wrong with it is a ValueError or a TypeError."""
+    if missing := [key for key in ("take", "source", "file", "unit_m", "sentence") if key not in take]:
+        raise ValueError(f"it has no {missing[0]}")
+    for key in ("take", "source", "file"):
+        if not isinstance(take[key], str):
+            raise ValueError(f"its {key} is {json.dumps(take[key])}, not text")
+    if not isinstance(take["sentence"], str | None):
+        raise ValueError(f"its sentence is {json.dumps(take['sentence'])}, neither text nor null")
+    if _TAKEN.match(take["source"]):
+        raise ValueError(f"its source {take['source']!r} begins like those of other sets, cmu and bandai")
+    return TakeRef(
+        name=take["take"],
+        source=take["source"],
+        path=root / take["file"],
+        subject=take["take"],  # nobody says who else is the same performer, or on the same floor
+        group=take["take"],
+        sentence=take["sentence"],
+        unit=float(take["unit_m"]),
+        leave_out="its joints jump" if take.get("quality") == "spikes" else "",
+    )
 
 
 def read_take(ref: TakeRef) -> ImportedTake:

@@ -30,19 +30,25 @@ _MAX_MEMBERS = 200_000
 def unpacked(raw: Path, scratch: Path, sources: Sequence[str] = FREE) -> Path:
     """The folder that holds the sources' folders; archives in ``raw`` are unpacked to ``scratch``.
 
+    Where both are one folder, what is still packed is unpacked beside what is there.
+
     Raises:
-        InputError: ``raw`` holds neither folders nor archives of these sources, or a folder of one and an archive of
-            another, which would be left out.
+        InputError: ``raw`` holds neither folders nor archives of these sources; or, where ``scratch`` is another
+            folder, a folder of one and an archive of another, which would be left out.
         FormatError: an archive is damaged, tries to write elsewhere, or is absurdly large.
     """
     wanted = {f"{source}.tar.xz": _ARCHIVES[f"{source}.tar.xz"] for source in sources}
     folders = [folder for names in wanted.values() for folder in names]
     there = [folder for folder in folders if (raw / folder).is_dir()]
     archives = [raw / name for name in wanted if (raw / name).is_file()]
-    if there:
-        if packed := [archive.name for archive in archives if not {*wanted[archive.name]} & {*there}]:
-            raise InputError(f"{raw} has {there[0]} as a folder and {packed[0]} still packed; unpack that beside it")
+    in_place = raw.resolve() == scratch.resolve()
+    # In place, part of an archive may be what an interrupted build left.
+    enough = all if in_place else any
+    packed = [archive.name for archive in archives if not enough(folder in there for folder in wanted[archive.name])]
+    if there and not packed:
         return raw
+    if there and not in_place:
+        raise InputError(f"{raw} has {there[0]} as a folder and {packed[0]} still packed; unpack that beside it")
     if not archives:
         raise InputError(f"{raw} holds none of {', '.join((*folders, *wanted))}; give the folder with the raw data")
     # Who builds another corpus at the same time waits, and finds everything there.
@@ -50,7 +56,7 @@ def unpacked(raw: Path, scratch: Path, sources: Sequence[str] = FREE) -> Path:
         for archive in archives:
             if not all((scratch / folder).is_dir() for folder in wanted[archive.name]):
                 _unpack(archive, scratch)
-        if (raw / _SPANS).is_file():
+        if not in_place and (raw / _SPANS).is_file():
             shutil.copyfile(raw / _SPANS, scratch / _SPANS)
     return scratch
 
@@ -67,8 +73,7 @@ def _unpack(archive: Path, to: Path) -> None:
         shutil.rmtree(partial, ignore_errors=True)
         raise FormatError(f"{archive} cannot be unpacked ({error}); copy or download it again") from error
     for folder in _ARCHIVES[archive.name]:
-        if (partial / folder).is_dir():
-            shutil.rmtree(to / folder, ignore_errors=True)
+        if (partial / folder).is_dir() and not (to / folder).is_dir():
             os.replace(partial / folder, to / folder)
     shutil.rmtree(partial, ignore_errors=True)
 
