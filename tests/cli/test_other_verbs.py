@@ -175,6 +175,12 @@ def test_what_a_training_or_all_of_them_would_ignore_is_refused(tmp_path, capsys
     for option in (*of_one, ("--folder", str(tmp_path)), ("--tensorboard", "True")):
         assert main(["train", "all", "--out", str(tmp_path / "runs"), *option]) == 2
         assert f"{option[0]} is of one training, not of 'all'" in capsys.readouterr().err
+    for what, option in (("rdm-7", "--teacher"), ("length", "--vae"), ("vae", "--vae")):
+        assert main(["train", what, "--folder", str(tmp_path / "runs"), option, "nowhere"]) == 2
+        assert f"{option} is of trainings that stand on one, not of '{what}'" in capsys.readouterr().err
+    given = ["train", "all", "--out", str(tmp_path / "runs"), "--raw", "raw", "--corpus", str(tmp_path)]
+    assert main(given) == 2
+    assert "leave --raw out" in capsys.readouterr().err
     for option in (("--share", "0.5"), ("--only", "vae"), ("--jobs", "2"), ("--raw", str(tmp_path)), ("--tables",)):
         for what in ("vae", "export"):
             assert main(["train", what, "--folder", str(tmp_path / "runs"), *option]) == 2

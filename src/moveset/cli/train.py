@@ -122,6 +122,8 @@ def train(
         return _all(recipe, out or runs, corpus, raw, only, share, device or "auto", jobs, tables)
     if what == "export":
         return _export(recipe, runs, corpus, folder or runs / "models")
+    unneeded = {"vae": None if TASKS[what].vae else vae, "teacher": None if TASKS[what].teacher else teacher}
+    _refuse(unneeded, f"is of trainings that stand on one, not of {what!r}")
     folder, given["device"] = folder or runs / what, device
     chosen = load_recipe(recipe, what)
     engine = replace(chosen.engine, **{name: value for name, value in given.items() if value is not None})
@@ -153,6 +155,8 @@ def _all(
     judge = _judge(recipe)
     if tables and f"export {judge}" not in {stage.name for stage in chosen} and not (out / "models" / judge).is_dir():
         raise InputError(f"--tables needs the evaluator; give --only {judge}, too")
+    if raw is not None and corpus.is_dir():
+        raise InputError(f"--raw builds a corpus file, and {corpus} is a folder, which is used as it is; leave --raw out")
     if raw is not None and not corpus.is_file():
         corpus.parent.mkdir(parents=True, exist_ok=True)
         build_corpus(raw, corpus, workers=os.cpu_count() or 1)
