@@ -357,9 +357,11 @@ def test_nonsense_settings_are_refused(setting, value):
 
 
 def test_an_absent_device_is_refused(tmp_path):
-    absent = "mps" if not torch.backends.mps.is_available() else "cuda"
-    with pytest.raises(InputError, match="cannot be used here; this machine has cpu"):
-        train(tmp_path, device=absent)
+    if not torch.cuda.is_available():
+        with pytest.raises(InputError, match="cannot be used here; this machine has cpu"):
+            train(tmp_path, device="cuda")
+    with pytest.raises(InputError, match="double precision, which 'mps' does not have"):
+        train(tmp_path, device="mps")
 
 
 def test_more_processes_than_the_machine_can_bear_are_refused(tmp_path):

@@ -156,7 +156,7 @@ def _all(
     if tables and f"export {judge}" not in {stage.name for stage in chosen} and not (out / "models" / judge).is_dir():
         raise InputError(f"--tables needs the evaluator; give --only {judge}, too")
     if raw is not None and corpus.is_dir():
-        raise InputError(f"--raw builds a corpus file, and {corpus} is a folder, which is used as it is; leave --raw out")
+        raise InputError(f"--raw builds a corpus file, and {corpus} is a folder, used as it is; leave --raw out")
     if raw is not None and not corpus.is_file():
         corpus.parent.mkdir(parents=True, exist_ok=True)
         build_corpus(raw, corpus, workers=os.cpu_count() or 1)
