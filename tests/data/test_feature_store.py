@@ -13,9 +13,11 @@ from moveset.data.bandai_captions import bandai_captions
 from moveset.data.corpus import Corpus, CorpusWriter
 from moveset.data.dataset import CorpusDataset, FolderDataset, open_for_training
 from moveset.data.feature_store import FeatureStore
+from moveset.data.humanml3d import HUMANML3D, KIT
 from moveset.data.latents import LatentSet
 from moveset.errors import InputError, MovesetError
 from moveset.motion.features import get_codec
+from moveset.motion.retarget import retarget
 from tests.synthetic import TakeEntry, add_take, synthetic_motion
 from tests.training.hml_folder import write_folder
 
@@ -70,6 +72,21 @@ def test_features_of_a_folder_that_has_changed_are_refused(tmp_path, changed):
         (folder / changed).write_text((folder / changed).read_text().replace("#4.0", "#5.0"))
     with pytest.raises(InputError, match="other clips"):
         FeatureStore.of(open_for_training(folder), hml, store)
+
+
+@pytest.mark.parametrize("layout", [HUMANML3D, KIT])
+def test_who_turns_left_turns_left_in_every_store(tmp_path, layout):
+    """KIT-ML's axes are a mirror image of those of motions."""
+    folder, codec = write_folder(tmp_path / "data", layout), get_codec(layout.codec)
+    for kind in ("left", "right"):
+        motion = retarget(synthetic_motion(f"walk-turn-{kind}", 120, seed=0), codec.skeleton).resampled(codec.fps)
+        name = {"left": "000002", "right": "e"}[kind]
+        np.save(folder / "new_joint_vecs" / f"{name}.npy", codec.encode(motion).numpy())
+    opened = open_for_training(folder)
+    for _ in range(2):  # made, and then opened
+        store = FeatureStore.of(opened, codec, tmp_path / "store")
+        turns = {opened.clip(k).group: float(store.sides[k, 2]) for k in range(len(store.clips))}
+        assert (turns["000002"], turns["e"]) == (1.0, -1.0)
 
 
 def test_latents_of_another_corpus_are_refused(tmp_path):

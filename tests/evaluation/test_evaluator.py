@@ -8,6 +8,7 @@ import torch
 from moveset.data.humanml3d import parse_caption
 from moveset.errors import FormatError, InputError
 from moveset.evaluation.evaluator import Evaluator, EvaluatorCard
+from moveset.io.manifest import json_bytes, write_whole
 from moveset.models.evaluator import EvaluatorConfig
 from moveset.text.encoder import get_text_encoder
 from moveset.text.words import TokenWords
@@ -45,6 +46,18 @@ def test_what_is_saved_judges_alike(evaluator, tmp_path):
     half = Evaluator.open(evaluator.save(tmp_path / "h", half=True))
     torch.testing.assert_close(half.embed_motions(clips(40)), evaluator.embed_motions(clips(40)), rtol=0.02, atol=0.02)
     assert torch.equal(half.module.mean, evaluator.module.mean)
+
+
+def test_words_are_as_many_as_it_was_made_with(evaluator, tmp_path):
+    words = TokenWords(evaluator.words.encoder, 48)
+    folder = Evaluator(evaluator.card, evaluator.module, words).save(tmp_path / "e")
+    assert Evaluator.open(folder).words.most == 48
+    # Folders made before say nothing of it, and had 32.
+    config = json.loads((folder / "config.json").read_text())
+    del config["max_words"]
+    blobs = {"config.json": json_bytes(config), "model.safetensors": (folder / "model.safetensors").read_bytes()}
+    write_whole(tmp_path / "old", blobs)
+    assert Evaluator.open(tmp_path / "old").words.most == 32
 
 
 def test_a_clip_is_judged_alike_alone_and_among_others(evaluator):

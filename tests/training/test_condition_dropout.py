@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from moveset.motion.features import Normalizer
+from moveset.motion.features import Normalizer, get_codec
 from moveset.motion.native import NativeCodec
 from moveset.training.condition_dropout import CORRECTED, drop_captions, drop_heading_change, perturb_heading
 
@@ -41,6 +41,23 @@ def test_who_stands_takes_nothing_back():
     change, heading_noise = strayed(0.1)
     assert not change.any()
     assert heading_noise.abs().min() > 0
+
+
+@pytest.mark.parametrize("name", ["native", "hml", "kit"])
+@pytest.mark.parametrize("metres_a_second", [0.1, 0.4])
+def test_speeds_are_metres_a_second_in_any_codec(name, metres_a_second):
+    """Half as fast as who takes all of the share back takes half of it; KIT-ML's lengths are millimetres."""
+    codec = get_codec(name)
+    plain, clean = Normalizer(torch.zeros(codec.dim), torch.ones(codec.dim)), torch.zeros(ROWS, FRAMES, codec.dim)
+    one = torch.zeros(3, codec.dim)
+    one[:, codec.groups["root_velocity"]] = torch.tensor([0.0, 1.0])
+    unit = float(codec.root_path(one)[1][1].norm())
+    clean[..., codec.groups["root_velocity"]] = torch.tensor([0.0, metres_a_second / codec.fps / unit])
+    begun_B, draws = torch.ones(ROWS, dtype=torch.bool), torch.Generator().manual_seed(0)
+    made, turned = perturb_heading(clean, torch.zeros(ROWS), begun_B, 0.3, codec, plain, draws)
+    back = (clean - made)[..., codec.groups["root_yaw"]].sum(dim=(1, 2))
+    share = CORRECTED * {0.1: 0.0, 0.4: 0.5}[metres_a_second]
+    torch.testing.assert_close(back, share * turned, atol=1e-5, rtol=1e-4)
 
 
 def test_who_has_just_been_told_cannot_have_gone_astray():

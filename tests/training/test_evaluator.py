@@ -15,6 +15,7 @@ from moveset.training.evaluator import contrast
 from moveset.training.export import EvaluatorExport, export
 from moveset.training.tasks import load_recipe
 from moveset.training.trained import load_trained
+from tests.synthetic import synthetic_corpus
 from tests.training.hml_folder import write_folder
 
 
@@ -60,6 +61,34 @@ def test_statistics_and_the_frozen_encoder_are_in_the_checkpoint(tiny_run):
     torch.testing.assert_close(found.module.std[groups["root_yaw"]] * 5, plain.std[groups["root_yaw"]])
     torch.testing.assert_close(found.module.std[groups["positions"]], plain.std[groups["positions"]])
     assert Evaluator.open(tiny_run.model("t2m")).card.provenance["steps"] == 4
+
+
+def test_who_starts_with_anothers_weights_has_its_own_statistics_and_encoder(tiny_run, tmp_path):
+    """Else the judge that is exported would read features otherwise than it was trained to."""
+    corpus = synthetic_corpus(tmp_path / "other.safetensors", clips=18, seed=5)
+    movement = tmp_path / "movement"
+    tiny_run.train("movement", movement, corpus=corpus, steps=1)
+    init, sources = tiny_run.runs / "evaluator", {"teacher": movement}
+    task, _ = tiny_run.train(
+        "evaluator", tmp_path / "run", "lr=1e-9", corpus=corpus, sources=sources, init=init, steps=1
+    )
+    encoder = load_trained(movement, "movement").module.encoder.state_dict()
+    for name in ("evaluator", "evaluator_ema"):
+        made, old = (load_trained(folder, name).module for folder in (tmp_path / "run", init))
+        assert torch.equal(made.mean, task.store.normalizer.mean)
+        torch.testing.assert_close(made.std, task.store.normalizer.std / task.scale)
+        assert not torch.allclose(made.mean, old.mean)
+        assert all(torch.equal(value, encoder[key]) for key, value in made.movement.state_dict().items())
+    made, old = (load_trained(folder, "evaluator").module.state_dict() for folder in (tmp_path / "run", init))
+    learned = [key for key in made if not key.startswith("movement.") and key not in ("mean", "std")]
+    assert all(torch.allclose(made[key], old[key], atol=1e-6) for key in learned)
+
+
+def test_a_judge_reads_as_many_words_as_it_was_trained_with(tiny_run, tmp_path):
+    tiny_run.train("evaluator", tmp_path / "e", "max_words=3", steps=1)
+    what = EvaluatorExport(name="judge", runs={"evaluator": "e"})
+    judge = Evaluator.open(export(what, None, tmp_path, tmp_path / "cache", tmp_path / "exported"))
+    assert judge.words.read(["a person walks forward and then sits down", "go"])[2].tolist() == [3, 3]
 
 
 def test_resuming_is_exact(tiny_run, tmp_path):

@@ -130,7 +130,7 @@ def test_ten_steps_are_five_a_round_trip_and_five(settings):
     optimizer = MomoAdam(model.parameters(), **settings)
     losses(model, optimizer, 5, generator)
     twin, again = copy.deepcopy(model), generator.clone_state()
-    other = MomoAdam(twin.parameters())
+    other = MomoAdam(twin.parameters(), **settings)
     tensors, rest = flatten_optimizer(optimizer)
     unflatten_optimizer(other, {k: v.clone() for k, v in tensors.items()}, json.loads(json.dumps(rest)))
     assert losses(model, optimizer, 5, generator) == losses(twin, other, 5, again)

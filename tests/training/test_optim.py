@@ -7,6 +7,7 @@ from torch import nn
 
 from moveset.errors import FormatError
 from moveset.training.ema import Ema, ema_warmup
+from moveset.training.momo import MomoAdam
 from moveset.training.optim import cosine_lr, flatten_optimizer, unflatten_optimizer
 
 
@@ -40,8 +41,9 @@ def stepped(make, steps, model=None, optimizer=None):
     generator = torch.Generator().manual_seed(1)
     for _ in range(steps):
         optimizer.zero_grad()
-        model(torch.randn(4, 3, generator=generator)).square().sum().backward()
-        optimizer.step()
+        loss = model(torch.randn(4, 3, generator=generator)).square().sum()
+        loss.backward()
+        optimizer.step(*([loss.detach()] if getattr(optimizer, "wants_loss", False) else []))
     return model, optimizer
 
 
@@ -64,6 +66,29 @@ def test_an_optimiser_survives_tensors_and_json(make):
     other = make(twin.parameters())
     unflatten_optimizer(other, tensors, json.loads(json.dumps(rest)))
     assert other.state_dict()["param_groups"] == optimizer.state_dict()["param_groups"]
+    stepped(make, 2, model, optimizer), stepped(make, 2, twin, other)
+    assert all(torch.equal(a, b) for a, b in zip(model.parameters(), twin.parameters(), strict=True))
+
+
+@pytest.mark.parametrize(
+    ("make", "given"),
+    [
+        (torch.optim.AdamW, {"lr": 1e-2, "betas": (0.9, 0.99)}),
+        (MomoAdam, {"lr": 1e-2, "betas": (0.9, 0.99)}),
+        (torch.optim.SGD, {"lr": 1e-2, "momentum": 0.9}),
+    ],
+)
+def test_hyper_parameters_are_the_new_ones_and_moments_the_old_ones(make, given):
+    """As if they had been changed on the way."""
+    changed = {"lr": 3e-3, "weight_decay": 0.1} | ({"betas": (0.5, 0.9)} if "betas" in given else {"momentum": 0.5})
+    model, optimizer = stepped(lambda p: make(p, **given), 3)
+    tensors, rest = flatten_optimizer(optimizer)
+    tensors = {key: value.clone() for key, value in tensors.items()}
+    twin = nn.Linear(3, 2)
+    twin.load_state_dict(model.state_dict())
+    other = make(twin.parameters(), **changed)
+    unflatten_optimizer(other, tensors, json.loads(json.dumps(rest)))
+    optimizer.param_groups[0].update(changed)
     stepped(make, 2, model, optimizer), stepped(make, 2, twin, other)
     assert all(torch.equal(a, b) for a, b in zip(model.parameters(), twin.parameters(), strict=True))
 

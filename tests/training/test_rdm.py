@@ -174,6 +174,7 @@ def test_variants_train(tiny_run, tmp_path):
     ("what", "settings", "message"),
     [
         ("rdm-7", ["predict=eps"], "without a flow"),
+        ("motiondiffuse", ["sides=0.5", "side_weight=1"], "velocity, feet, heading and side_weight 0"),
         ("rdm-7", ["md_condition=none"], "without a flow"),
         ("rdm-7", ["max_tokens=77"], "disturbed captions"),
         ("rdm-1", ["jacobian=1"], "jacobian 1 is of the flow"),

@@ -23,7 +23,8 @@ from moveset.data.loader import in_order
 from moveset.errors import FormatError, InputError, MovesetError
 from moveset.io.process import LOCKS, locked
 from moveset.motion.features import FeatureCodec, Normalizer, get_codec
-from moveset.motion.sides import favoured
+from moveset.motion.hml import HmlCodec
+from moveset.motion.sides import SIDED, favoured
 
 _VERSION = 2
 
@@ -53,7 +54,7 @@ class FeatureStore:
         if index["version"] != _VERSION or "source" not in index:
             raise FormatError(f"{folder} was written by another version; delete it and it will be made again")
         self.clips = [Row(start, frames) for start, frames in index["clips"]]
-        #: (clips, 3), as ``motion.sides.favoured`` has them.
+        #: (clips, 3), as ``motion.sides.favoured`` has them; of a store that ``of`` opens in the axes of ``Motion``.
         self.sides = torch.tensor(index["sides"], dtype=torch.float32)
         #: ``Dataset.fingerprint`` of what it was made from.
         self.source: str = index["source"]
@@ -78,6 +79,9 @@ class FeatureStore:
                 if not (folder / "index.json").is_file():
                     _make(dataset, codec, folder, progress, workers)
         store = cls(folder)
+        if isinstance(codec, HmlCodec):
+            # Files have turns in the features' axes, those of older versions too; KIT-ML's are a mirror image.
+            store.sides[:, SIDED.index("turn")] *= float(codec.reflection[0])
         if store.source != dataset.fingerprint:
             raise InputError(
                 f"{folder} was made from other clips; delete it and the latents-*.safetensors beside it, and they will "

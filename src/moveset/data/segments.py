@@ -131,7 +131,7 @@ class ClipSet:
         weights = dataset.weights(clips, power=0.25, composed_share=cutting.composed_share)
         self.rows = [_row(dataset, clip, store, codec) for clip in clips]
         self.weights = weights / weights.sum()
-        if cutting.take_share and (takes := dataset.takes(split)):
+        if cutting.take_share and (takes := [part for take in dataset.takes(split) for part in _unbroken(take, store)]):
             self.rows += [_take(dataset, take, store) for take in takes]
             chance = dict(zip(clips, weights.tolist(), strict=True))
             more = torch.tensor([sum(chance[clip] for clip, _ in take) for take in takes], dtype=torch.float64)
@@ -257,6 +257,20 @@ def _row(dataset: Dataset, item: int, store: FeatureStore, codec: FeatureCodec) 
     of_parts = [favoured(joints[a:b], codec.skeleton) for a, b in pairwise((0, *stops))]
     said = tuple(part.captions for part in clip.parts)
     return Row((features,), stops, said, clip.captions, torch.stack((*of_parts, sides)))
+
+
+def _unbroken(take: Sequence[tuple[int, int]], store: FeatureStore) -> list[list[tuple[int, int]]]:
+    """A take without the places where a row is missing between two clips; what is left of it that has two or more.
+
+    Features that need a frame's successor have a row less than a clip has frames. Of clips that share no frame it is
+    that of the step from one to the next, and a jump over it is no movement.
+    """
+    parts = [[take[0]]]
+    for (before, first), (clip, begin) in pairwise(take):
+        if first + store.clips[before].frames < begin:
+            parts.append([])
+        parts[-1].append((clip, begin))
+    return [part for part in parts if len(part) > 1]
 
 
 def _take(dataset: Dataset, take: Sequence[tuple[int, int]], store: FeatureStore) -> Row:

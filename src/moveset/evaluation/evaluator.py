@@ -10,7 +10,7 @@ Shapes: M items, F frames, D features of the codec (not normalised), E width of 
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Self, cast
 
@@ -27,7 +27,7 @@ from moveset.motion.features import get_codec
 from moveset.pipelines.model_folder import find_folder, shipped
 from moveset.text.encoder import get_text_encoder
 from moveset.text.glove import GloveWords
-from moveset.text.words import TokenWords, Words
+from moveset.text.words import MAX_WORDS, TokenWords, Words
 
 FORMAT = 1
 DEFAULT_EVALUATOR = "t2m-small"
@@ -41,6 +41,7 @@ class EvaluatorCard:
         codec: of the features it judges, "hml" or "kit".
         max_frames: longer clips are cut.
         words: "glove", for which the folder has a table, or the name of a text encoder.
+        max_words: of a text encoder's tokens, the first ones, as it was trained; that of the words it is made with.
         provenance: on what and how it was trained; for people.
     """
 
@@ -49,6 +50,7 @@ class EvaluatorCard:
     fps: float = 20.0
     max_frames: int = 196
     words: str = "minilm"
+    max_words: int = MAX_WORDS
     provenance: Mapping[str, str | int | float] = field(default_factory=dict)
 
 
@@ -72,7 +74,8 @@ class Evaluator:
                 f"words of {words.width} numbers and {words.classes} classes do not fit an evaluator of "
                 f"{config.word_width} and {config.speech_classes}"
             )
-        self.card, self.words, self.sha256 = card, words, sha256
+        self.card = replace(card, max_words=words.most) if isinstance(words, TokenWords) else card
+        self.words, self.sha256 = words, sha256
         self.module = module.eval().requires_grad_(False)
 
     @classmethod
@@ -188,7 +191,7 @@ class Evaluator:
 
 def _read_words(card: EvaluatorCard, folder: VerifiedFolder) -> Words:
     if card.words != "glove":
-        return TokenWords(get_text_encoder(card.words))
+        return TokenWords(get_text_encoder(card.words), card.max_words)
     tensors = folder.tensors("words.safetensors")
     try:
         vocabulary = json.loads(tensors["vocabulary"].numpy().tobytes())

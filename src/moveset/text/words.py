@@ -11,6 +11,9 @@ from torch import Tensor
 
 from moveset.text.encoder import TextEmbedding, TextEncoder
 
+MAX_WORDS = 32
+"""Tokens of a sentence that an evaluator reads where nothing else is said."""
+
 
 class Said(Protocol):
     """A caption that is more than its sentence: ``data.humanml3d.Caption``."""
@@ -44,7 +47,7 @@ class TokenWords:
 
     classes = 0
 
-    def __init__(self, encoder: TextEncoder, most: int = 32) -> None:
+    def __init__(self, encoder: TextEncoder, most: int = MAX_WORDS) -> None:
         self.encoder, self.most = encoder, most
         self.name, self.width = encoder.name, encoder.dim
 

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from moveset.motion.features import FeatureCodec, Normalizer
+from moveset.motion.hml import HmlCodec
 
 CORRECTED = 0.5
 """Share of what a way has gone astray that a segment of a walk takes back."""
@@ -60,7 +61,9 @@ def perturb_heading(
     astray_B = torch.randn(len(clean_BnD), generator=generator, device=generator.device).to(clean_BnD.device)
     astray_B = astray_B * deviation * begun_B
     step_Bn2 = clean_BnD[..., planar] * std[planar] + mean[planar]
-    speed_B = step_Bn2.mean(dim=1).norm(dim=-1) * codec.fps
+    # KIT-ML's lengths are in millimetres.
+    unit = codec.convention.unit if isinstance(codec, HmlCodec) else 1.0
+    speed_B = step_Bn2.mean(dim=1).norm(dim=-1) * codec.fps * unit
     back_B = CORRECTED * astray_B * ((speed_B - _STANDS) / (_WALKS - _STANDS)).clamp(0.0, 1.0)
     window_n = torch.hann_window(clean_BnD.shape[1] + 2, periodic=False, device=clean_BnD.device)[1:-1]
     steered = clean_BnD.clone()

@@ -10,7 +10,7 @@ Shapes: B batch, F frames, D features, E width of the common space.
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Literal, TypeVar
+from typing import Literal, TypeVar, cast
 
 import torch
 from torch import Tensor
@@ -156,11 +156,10 @@ class EvaluatorTask(SingleNetworkTask):
         self.store = _features(self.dataset, config.codec, sources.cache, loop)
         self.scale = _emphasis(self.store.normalizer, config.codec, config.feat_bias).to(loop.device)
         self.evaluator: MatchingEvaluator = config.model.build().to(loop.device)
-        self.evaluator.movement.load_state_dict(movement.module.encoder.state_dict())
         self.evaluator.movement.requires_grad_(False)
-        self.evaluator.mean.copy_(self.store.normalizer.mean)
-        self.evaluator.std.copy_(self.store.normalizer.std / self.scale.cpu())
+        self.encoder = movement.module.encoder.state_dict()
         self.ema = Ema(self.evaluator, config.ema)
+        self.take_given()
         trained = [parameter for parameter in self.evaluator.parameters() if parameter.requires_grad]
         self.optimizer = torch.optim.Adam(trained, config.lr)
         train, self.val = self.dataset.split("train"), self.dataset.split("val")
@@ -170,6 +169,13 @@ class EvaluatorTask(SingleNetworkTask):
         self.sampler = CropSampler(self.store, train, weights, config.batch, self.seed, whole=0.5, shortest=(0.7, 24))
         with loop.fabric.rank_zero_first():
             self.read = reader(config, self.dataset, (*train, *self.val), sources.cache)
+
+    def take_given(self) -> None:
+        """The movement encoder of ``Sources.teacher`` and the statistics of these features (``resume.Given``)."""
+        for network in (self.evaluator, cast(MatchingEvaluator, self.ema.module)):
+            network.movement.load_state_dict(self.encoder)
+            network.mean.copy_(self.store.normalizer.mean)
+            network.std.copy_(self.store.normalizer.std / self.scale.cpu())
 
     def training_step(self, step: int, loop: Loop) -> dict[str, Tensor]:
         self.evaluator.movement.train(self.config.blurred)

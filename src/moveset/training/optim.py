@@ -45,7 +45,10 @@ def flatten_optimizer(optimizer: torch.optim.Optimizer) -> tuple[dict[str, Tenso
 def unflatten_optimizer(
     optimizer: torch.optim.Optimizer, tensors: Mapping[str, Tensor], rest: Mapping[str, Any]
 ) -> None:
-    """Loads what ``flatten_optimizer`` gave.
+    """Loads the moments of what ``flatten_optimizer`` gave.
+
+    Hyper-parameters stay those that the optimiser was made with: whoever resumes with other settings means these. No
+    optimiser of ours keeps anything else in its groups.
 
     Raises:
         FormatError: the state belongs to other parameters.
@@ -58,12 +61,9 @@ def unflatten_optimizer(
         if not fits or (isinstance(value, Tensor) and value.ndim > 0 and value.shape != shapes[int(index)]):
             raise FormatError(f"optimiser state {name!r} belongs to another model; check the recipe")
         state.setdefault(int(index), {})[key] = value
-    # JSON turns tuples (betas) into lists.
-    groups = [
-        {key: tuple(value) if isinstance(value, list) and key != "params" else value for key, value in group.items()}
-        for group in rest["param_groups"]
-    ]
     try:
+        own = optimizer.state_dict()["param_groups"]
+        groups = [{**mine, "params": stored["params"]} for mine, stored in zip(own, rest["param_groups"], strict=True)]
         optimizer.load_state_dict({"state": state, "param_groups": groups})
     except ValueError as error:
         raise FormatError(f"optimiser state belongs to another model ({error}); check the recipe") from error

@@ -371,11 +371,12 @@ def _sized(config: RDMConfig, data: SegmentData) -> RDMConfig:
 
 def _check(config: RDMConfig) -> None:
     """Raises InputError for settings that contradict each other (as a whole: they are made one after the other)."""
-    judged = config.velocity or config.feet or config.heading
+    asked = config.sides and config.side_weight  # who is told no sides is asked for none
+    judged = config.velocity or config.feet or config.heading or asked
     if config.predict == "eps" and (config.flow is not None or judged or config.weight != "x0"):
         raise InputError(
-            'predict="eps" is for models without a flow, with velocity, feet and heading 0 and weight "x0"; '
-            "change these"
+            'predict="eps" is for models without a flow, with velocity, feet, heading and side_weight 0 and weight '
+            '"x0"; change these'
         )
     for name in ("jacobian", "joint"):
         if getattr(config, name) and config.flow is None:

@@ -1,0 +1,51 @@
+"""What a training that goes on, or starts from another's weights, has of its own."""
+
+import json
+
+import torch
+
+from moveset.training import checkpoint
+from moveset.training.engine import EngineConfig, run
+from tests.training.tiny_task import TinyConfig, TinyTask, train
+
+ENGINE = EngineConfig(steps=10, save_every=5, validate_every=0, tensorboard=False, device="cpu")
+
+
+def test_settings_of_an_optimiser_that_are_changed_are_used(tmp_path):
+    train(tmp_path, steps=5)
+    made = []
+
+    def slower(loop):
+        made.append(TinyTask(TinyConfig(), loop))
+        made[0]._optimizers["discriminator"].param_groups[0].update(lr=0.0, betas=(0.5, 0.9))
+        return made[0]
+
+    assert run(slower, ENGINE, tmp_path, True).step == 10
+    (group,) = made[0].optimizers()["discriminator"].param_groups
+    assert (group["lr"], group["betas"]) == (0.0, (0.5, 0.9))
+    stored = json.loads((tmp_path / "step_10" / "state.json").read_text())["optimizers"]["discriminator"]
+    assert stored["param_groups"][0]["betas"] == [0.5, 0.9]
+    before, after = (checkpoint.read_tensors(tmp_path / f"step_{step}", "discriminator") for step in (5, 10))
+    assert all(torch.equal(before[name], value) for name, value in after.items())
+
+
+def test_what_a_task_is_given_is_not_taken_from_where_it_starts(tmp_path):
+    train(tmp_path / "old", steps=5)
+    made = []
+
+    class Shifted(TinyTask):
+        """The bias of its last layer is given."""
+
+        def take_given(self):
+            self.generator[-1].bias.data.fill_(7.0)
+
+    def make(loop):
+        made.append(Shifted(TinyConfig(lr=1e-30), loop))
+        return made[0]
+
+    old = checkpoint.read_tensors(tmp_path / "old" / "step_5", "generator")
+    run(make, EngineConfig(steps=1, validate_every=0, tensorboard=False, device="cpu"), tmp_path / "new",
+        init=tmp_path / "old")  # fmt: skip
+    new = made[0].generator.state_dict()
+    assert torch.equal(new["3.bias"], torch.full((3,), 7.0))
+    torch.testing.assert_close(new["3.weight"], old["3.weight"])
