@@ -24,6 +24,17 @@ def test_a_decoder_has_the_sizes_of_the_autoencoder_that_it_is_of(tiny_run, tmp_
     assert task.vae.config.width == found.module.config.width == found.task["model"]["width"] == 32
 
 
+def test_a_decoder_that_goes_on_from_another_has_the_encoder_of_its_own_autoencoder(tiny_run, tmp_path):
+    _, given = tiny_run.train("vae", tmp_path / "vae", "lr=0.01", steps=2)
+    _, result = tiny_run.train(
+        "decoder", tmp_path / "decoder", sources={"vae": given.checkpoint}, init=tiny_run.runs / "decoder", steps=1
+    )
+    encoder = load_trained(given.checkpoint, "vae_ema").module.encoder.state_dict()
+    for name in ("vae", "vae_ema"):
+        found = load_trained(result.checkpoint, name).module.encoder.state_dict()
+        assert all(found[key].equal(encoder[key]) for key in encoder)
+
+
 def test_only_a_timed_autoencoders_decoder_goes_on(tiny_run, tmp_path, monkeypatch):
     loaded = TrainedNetwork(TokenVAEConfig(width=32, layers=3, heads=2).build(), "token_vae", {}, {}, "", tmp_path)
     monkeypatch.setattr(vae, "load_trained", lambda *given: loaded)

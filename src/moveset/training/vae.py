@@ -148,6 +148,8 @@ class DecoderTask(VAETask):
         parts = (self.vae.patch_in, self.vae.length_in, self.vae.encoder, self.vae.merge, self.vae.encoder_mixer)
         for part in (*parts, self.vae.norm_latent, self.vae.to_latent):
             part.requires_grad_(False)
+        given = [name for name, parameter in self.vae.named_parameters() if not parameter.requires_grad]
+        self._given = {name: found.module.state_dict()[name] for name in given}
         learning = [p for p in self.vae.parameters() if p.requires_grad]
         betas = (0.9, config.beta2)
         self.optimizer = torch.optim.AdamW(learning, config.lr, betas=betas, weight_decay=config.weight_decay)
@@ -155,6 +157,11 @@ class DecoderTask(VAETask):
             crops = self.sampler.crops(0)
             mean, _ = self.vae.encode(*(x.to(loop.device) for x in self.store.batch(crops)))
         self.scale = mean.std(dim=0)
+
+    def take_given(self) -> None:
+        """The encoder is that of ``--vae``, whatever decoder it goes on from."""
+        for module in (self.vae, self.ema.module):
+            module.load_state_dict(self._given, strict=False)
 
     def _spread(self, log_variance: Tensor) -> Tensor:
         size = torch.rand((len(log_variance), 1, 1), generator=self.noise, device=self.noise.device)
