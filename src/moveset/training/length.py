@@ -74,7 +74,7 @@ class LengthTask(SingleNetworkTask):
 
 
 def _pairs(dataset: Dataset, split: Split) -> list[tuple[tuple[str, ...], int]]:
-    """Sentences of clips with how many frames these last; those that go on and on say nothing of that."""
+    """Sentences of clips with how many frames these last."""
     clips = [dataset.clip(item) for item in dataset.split(split)]
     found = [(clip.captions, clip.frames) for clip in clips]
     if not found:
