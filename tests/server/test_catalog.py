@@ -41,6 +41,16 @@ def test_streams_may_be_made_in_fewer_steps():
         assert (settings.steps, settings.sequential, settings.network) == (steps, True, "rdm")
 
 
+def test_nobody_may_ask_a_sampler_for_more_than_its_own_steps():
+    catalog = Catalog([Path("rdm-small")], "cpu")
+    bundle = catalog.stream(None)
+    for steps in range(1, 11):
+        assert catalog.request(bundle, None, 0, steps, None).settings.steps == steps
+    for steps in (11, 300, 1000):
+        with pytest.raises(InputError, match=f"^{steps} steps are more than the limit of 10 of model 'rdm-small'; "):
+            catalog.request(bundle, None, 0, steps, None)
+
+
 def test_models_are_known_by_name(models, tmp_path):
     catalog = Catalog(models, "cpu")
     assert catalog.clip(None) is catalog.clip("tiny")

@@ -49,6 +49,14 @@ def test_the_description_is_complete(client):
         assert set(found["paths"][path][method]["responses"]["200"]["headers"]) == {
             "X-Moveset-Seed", "X-Moveset-Warnings"
         }  # fmt: skip
+    for methods in found["paths"].values():
+        for method, route in methods.items():
+            told = {"400", "403", "500"} | ({"408", "413"} if method != "get" else set())
+            assert told <= set(route["responses"])
+    exported = found["paths"]["/v1/export"]["post"]["responses"]["200"]["content"]
+    assert "application/json" not in exported
+    assert {"video/mp4", "model/gltf-binary", "application/octet-stream"} <= set(exported)
+    assert "application/json" in found["paths"]["/v1/generate"]["post"]["responses"]["200"]["content"]
     body = found["components"]["schemas"]["GenerateBody"]
     assert body["additionalProperties"] is False
     assert client.post(

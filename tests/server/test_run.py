@@ -132,8 +132,9 @@ def test_a_port_that_is_taken(capsys, models):
         (["--allow-origin", "https://example.org/path"], "example.org"),
         *(
             (["--allow-origin", origin], "is no origin")
-            for origin in ("*", "", "https://", "file:///a", "app://a?b", "x:")
+            for origin in ("*", "", "https://", "file:///a", "app://a?b", "x:", "https://*.example.org", "http://a:0")
         ),
+        (["--allow-origin", "https://bücher.example"], "xn--"),
         (["--model", "nothing"], "nothing"),
         (["--device", "abacus"], "abacus"),
     ],
@@ -152,7 +153,25 @@ def test_origins_that_browsers_send_can_be_allowed(origin):
     from moveset.cli.serve import _options
 
     assert _options("127.0.0.1", (), "cpu", (origin,), 16, 120.0).origins == (origin,)
-    assert _options("127.0.0.1", (), "cpu", ("https://a.example/",), 16, 120.0).origins == ("https://a.example",)
+
+
+@pytest.mark.parametrize(
+    ("given", "sent"),
+    [
+        ("https://a.example/", "https://a.example"),
+        ("HTTPS://Game.Example", "https://game.example"),
+        ("https://game.example:443", "https://game.example"),
+        ("https://game.example:80", "https://game.example:80"),
+        ("http://localhost:80", "http://localhost"),
+        ("http://[FE80::1]:080/", "http://[fe80::1]"),
+        ("https://xn--bcher-kva.example", "https://xn--bcher-kva.example"),
+        ("App://Studio", "app://Studio"),  # no address: browsers keep what the program says
+    ],
+)
+def test_origins_are_spelled_as_browsers_send_them(given, sent):
+    from moveset.server.service import Options
+
+    assert Options(origins=(given,)).origins == (sent,) == Options(origins=(sent,)).origins
 
 
 def test_without_the_extra_it_says_how_to_get_it(monkeypatch, capsys):

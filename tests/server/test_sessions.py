@@ -125,6 +125,17 @@ def test_a_prompt_goes_back_to_the_first_segment_that_is_not_committed(clock):
     assert session.stream.number == 3
 
 
+@pytest.mark.parametrize("commit", [0, 1, 27, 28, 29, 84, 85, 200, 10_000])
+def test_a_prompt_is_never_put_off_beyond_what_was_sent(clock, commit):
+    session = begin(buffer=10.0, commit=commit)
+    for _ in range(3):
+        make(session)
+    session.go_back()
+    boundaries = [0, 28, 56, 84]
+    assert session.sent == next((frame for frame in boundaries if frame >= commit), 84)
+    assert session.stream.number == session.sent // 28
+
+
 def test_what_is_remembered_is_bounded(clock):
     session = begin(buffer=10.0, commit=0)
     for _ in range(200):

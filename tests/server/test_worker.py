@@ -8,6 +8,7 @@ import pytest
 from moveset.errors import InputError
 from moveset.pipelines.postprocess import Postprocess
 from moveset.pipelines.request import check_request
+from moveset.pipelines.stream_batch import StreamBatch
 from moveset.server.catalog import Catalog
 from moveset.server.failures import RequestError
 from moveset.server.jobs import Job, Order
@@ -90,6 +91,34 @@ def bench(catalog):
     for one in made:
         one.worker.stop()
         one.worker.join(0.1)
+
+
+def test_nothing_comes_after_paused(bench, monkeypatch):
+    begun, gate, step = threading.Event(), threading.Event(), StreamBatch.step
+
+    def slow(batch, streams):
+        if streams[0].number == 3:
+            begun.set()
+            gate.wait(20)
+        return step(batch, streams)
+
+    monkeypatch.setattr(StreamBatch, "step", slow)
+    one = bench()
+    session = one.stream("a")
+    assert begun.wait(20)
+    for change in (session.pause, session.resume, session.pause):
+        one.worker.tell(change)
+    before = len(one.events)
+    gate.set()
+    one.wait(lambda events: [e[1] for e in events].count("paused") == 2)
+    assert [e[1] for e in one.events[before:]] == ["segment", "paused", "resumed", "paused"]
+    sent = one.segments("a")[-1]["first_frame"] + 28
+    assert [e[2]["frame"] for e in one.events[before + 1 :]] == [sent] * 3
+    assert not session.due
+    one.worker.tell(session.resume)
+    one.wait(lambda events: len(events) > before + 5)
+    assert one.events[before + 4][1:] == ("resumed", {"type": "resumed", "frame": sent})
+    assert one.segments("a", one.events[before + 5 :])[0]["first_frame"] == sent
 
 
 def test_streams_go_on_while_long_clips_are_made(bench):

@@ -1,6 +1,5 @@
 """``moveset serve``: the studio page and the server that engines talk to."""
 
-import re
 import sys
 from typing import TYPE_CHECKING, Annotated
 
@@ -11,8 +10,6 @@ from moveset.errors import InputError
 if TYPE_CHECKING:
     from moveset.server.service import Options
 
-# What browsers send: a scheme and a host without a path, a scheme alone (file://), or "null" for pages without a site.
-_ORIGIN = re.compile(r"null|https?://[^/?#@\s]+|(?!https?:)[a-z][a-z0-9+.-]*://[^/?#@\s]*", re.ASCII)
 _LOOPBACK = ("127.0.0.1", "localhost", "::1")
 
 
@@ -84,14 +81,6 @@ def _options(
     from moveset.server.limits import Limits
     from moveset.server.service import Options
 
-    # An address as it is copied from a browser has a slash that its origin has not.
-    origins = tuple(origin.removesuffix("/") if origin.startswith("http") else origin for origin in origins)
-    for origin in origins:
-        if not _ORIGIN.fullmatch(origin):
-            raise InputError(
-                f"{origin!r} is no origin; give a scheme and a host, such as https://example.org, or what a program's "
-                "own pages say: null, file:// or app://name"
-            )
     room = Limits()
     limits = Limits(
         streams=streams,

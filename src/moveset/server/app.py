@@ -14,7 +14,7 @@ from moveset.errors import InputError, MovesetError
 from moveset.server import page, rest, socket
 from moveset.server.failures import RequestError
 from moveset.server.guard import Guard
-from moveset.server.protocol import sentence
+from moveset.server.protocol import NO_JSON, sentence
 from moveset.server.service import Options, Service
 
 
@@ -91,6 +91,9 @@ def _as_request_error(request: Request, error: Exception) -> RequestError:
         if error.status_code == 405:
             message = f"{request.url.path!r} does not take {request.method}; use {_methods(request)}"
             return RequestError(405, "wrong_method", message)
+        if error.status_code == 400:
+            # The framework's word for a body that breaks its reader: no UTF-8, or lists in lists in lists.
+            return RequestError(422, "invalid", NO_JSON)
         return RequestError(error.status_code, "invalid", str(error.detail))
     return RequestError(500, "internal", str(error))
 

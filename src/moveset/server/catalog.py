@@ -103,8 +103,8 @@ class Catalog:
         Raises:
             InputError: anything out of range.
         """
-        if is_student(bundle.config.network):
-            _check_steps(_stream_row(bundle), steps)
+        check = _check_steps if is_student(bundle.config.network) else _check_most_steps
+        check(_stream_row(bundle), steps)
         return check_stream(bundle.config, prompt, seed=seed, steps=steps, guidance=guidance)
 
     def batch(self, bundle: ModelFolder[StreamConfig], settings: StreamSettings) -> StreamBatch:
@@ -186,6 +186,14 @@ def _check_steps(row: dict[str, Any], steps: int | None) -> None:
     if steps is not None and steps not in row["steps"]:
         choice = ", ".join(map(str, row["steps"]))
         raise InputError(f"model {row['name']!r} has no {steps} steps; choose {choice}")
+
+
+def _check_most_steps(row: dict[str, Any], steps: int | None) -> None:
+    # One thread makes everybody's segments: more steps than the model's own would hold up all other streams.
+    if steps is not None and steps > row["default_steps"]:
+        raise InputError(
+            f"{steps} steps are more than the limit of {row['default_steps']} of model {row['name']!r}; ask for fewer"
+        )
 
 
 def _solvers(config: ClipConfig) -> dict[int, str]:

@@ -40,5 +40,9 @@ def busy(what: str, limit: int) -> RequestError:
     return RequestError(503, "busy", f"{limit} {what} are in work, which is the limit; try again in a moment", 2)
 
 
+def cancelled() -> RequestError:
+    return RequestError(409, "cancelled", "this job was cancelled; send it again if it is still wanted")
+
+
 def stopping() -> RequestError:
     return RequestError(503, "stopping", "the server is stopping; try again when it is back", 5)

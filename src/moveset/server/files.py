@@ -34,6 +34,7 @@ _TYPES = {
     "gif": "image/gif",
     "png": "image/png",
 }
+FILES = tuple(dict.fromkeys(_TYPES.values()))  # the content types of files
 
 
 def formats() -> tuple[str, ...]:

@@ -21,7 +21,7 @@ class Limits:
         kept_jobs: finished jobs that are remembered.
         kept_seconds: for how long.
         kept_bytes: bytes of their results together.
-        exports: files waiting to be written or in work.
+        exports: files waiting to be written or in work; pictures and films count apart.
         export: bytes of packets to be exported.
         picture_seconds: of a motion to be drawn (mp4, gif, png).
         frames: of a file to be written, after resampling.

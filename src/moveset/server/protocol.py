@@ -15,6 +15,7 @@ LIMITS = Limits()
 _SPACE = {"\t", "\n", "\r"}
 _SHOWN = 40  # characters of a value that an error quotes
 _TYPES = "start, prompt, played, pause, resume, set, stop"
+NO_JSON = "what was sent is no JSON that can be read; send an object in UTF-8, see /docs"
 _SAID = {
     "missing": "this is missing; /docs lists what is needed",
     "extra_forbidden": "there is no such field; leave it out, or see /docs",
@@ -45,7 +46,8 @@ def plain(text: str) -> str:
 
 Prompt = Annotated[str, Field(min_length=1, max_length=LIMITS.prompt), AfterValidator(plain)]
 Seed = Annotated[int, Field(ge=0, lt=SEEDS)]
-Steps = Annotated[int, Field(ge=1, le=1000)]
+# No model has more; how many the one has that is asked, the catalog knows.
+Steps = Annotated[int, Field(ge=1, le=1000, description="at most the model's own, which /v1/models tells")]
 Guidance = Annotated[float, Field(ge=0.0, le=MAX_GUIDANCE, allow_inf_nan=False)]
 Name = Annotated[str, Field(min_length=1, max_length=64)]
 Buffer = Annotated[float, Field(ge=LIMITS.buffer[0], le=LIMITS.buffer[1], allow_inf_nan=False)]
@@ -147,7 +149,7 @@ def sentence(errors: list[dict]) -> str:
     where = ".".join(str(part) for part in first["loc"] if part != "body")
     what = str(first["msg"]).removeprefix("Value error, ")
     if kind == "json_invalid":
-        where, what = "", "what was sent is no JSON; see /docs"
+        where, what = "", NO_JSON
     elif kind in _SAID:
         what = _SAID[kind].format(**first.get("ctx", {}))
     elif kind == "string_too_long":

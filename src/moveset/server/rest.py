@@ -8,7 +8,7 @@ from fastapi.responses import JSONResponse
 
 from moveset.pipelines.postprocess import Postprocess
 from moveset.server.failures import RequestError
-from moveset.server.files import SEED, WARNINGS
+from moveset.server.files import FILES, SEED, WARNINGS
 from moveset.server.guard import MEDIA_TYPE
 from moveset.server.jobs import Answer, Job
 from moveset.server.protocol import GenerateBody, Name, plain
@@ -37,17 +37,20 @@ _SAID = {
     400: "A number or a word that does not go.",
     403: "Another site's page.",
     404: "There is none of that name.",
+    408: "The rest of the request did not come in time.",
     409: "Not in this state.",
     413: "Too large.",
     415: "Another content type.",
     422: "Not of this form.",
+    500: "A fault of the server; its log tells more.",
     503: "Busy or stopping; see Retry-After.",
 }
 
 
+_FILE: dict[str, Any] = {kind: {"schema": {"type": "string", "format": "binary"}} for kind in FILES}
 # Of a clip: JSON, or a file whose seed and warnings stand in the headers.
 _CLIP: dict[str, Any] = {
-    "content": {"application/octet-stream": {}},
+    "content": _FILE,
     "headers": {
         SEED: {"description": "Of a file: the seed it was made from.", "schema": {"type": "integer"}},
         WARNINGS: {
@@ -60,7 +63,7 @@ _CLIP: dict[str, Any] = {
 
 def errors(*statuses: int) -> dict[int | str, dict[str, Any]]:
     """For the description: what an error answer looks like."""
-    return {status: {"description": _SAID[status], **_ERROR} for status in (400, 403, *statuses)}
+    return {status: {"description": _SAID[status], **_ERROR} for status in sorted((400, 403, 500, *statuses))}
 
 
 def service(request: Request) -> Service:
@@ -87,7 +90,7 @@ async def prompts(the: The, model: Annotated[Name | None, Query()] = None) -> JS
 @router.post(
     "/generate",
     summary="Make a clip and wait for it",
-    responses={**errors(404, 409, 413, 415, 422, 503), 200: _CLIP},
+    responses={**errors(404, 408, 409, 413, 415, 422, 503), 200: _CLIP},
 )
 async def generate(the: The, request: Request, body: GenerateBody) -> Response:
     """JSON with packets of frames, or one file, by ``format``. Who hangs up gives the clip up."""
@@ -102,7 +105,7 @@ async def generate(the: The, request: Request, body: GenerateBody) -> Response:
     return _result(job)
 
 
-@router.post("/jobs", status_code=202, summary="Make a clip later", responses=errors(404, 413, 415, 422, 503))
+@router.post("/jobs", status_code=202, summary="Make a clip later", responses=errors(404, 408, 413, 415, 422, 503))
 async def submit(the: The, body: GenerateBody) -> JSONResponse:
     """The same request as for ``/v1/generate``; answers at once."""
     return JSONResponse(the.book.describe(the.submit(the.order(body))), 202)
@@ -124,9 +127,9 @@ async def result(the: The, number: Name) -> Response:
     return _result(the.book.find(number))
 
 
-@router.delete("/jobs/{number}", summary="Give a clip up", responses=errors(404, 422))
+@router.delete("/jobs/{number}", summary="Give a clip up", responses=errors(404, 408, 413, 422))
 async def cancel(the: The, number: Name) -> JSONResponse:
-    """One in work ends after the clip that is being made."""
+    """One in work ends after the clip that is being made, or the file that is being written."""
     job = the.book.find(number)
     the.cancel(job)
     return JSONResponse(the.book.describe(job))
@@ -136,7 +139,8 @@ async def cancel(the: The, number: Name) -> JSONResponse:
     "/export",
     tags=["files"],
     summary="Frames to a file",
-    responses={**errors(413, 415, 422, 503), 200: {"content": {"application/octet-stream": {}}}},
+    response_class=Response,  # else the description says that it may be JSON
+    responses={**errors(408, 413, 415, 422, 503), 200: {"content": _FILE}},
     openapi_extra={
         "requestBody": {
             "required": True,

@@ -3,13 +3,10 @@
 import asyncio
 import secrets
 from collections.abc import Callable, Coroutine
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
-
-import torch
 
 from moveset import __version__
 from moveset.errors import InputError, MovesetError
@@ -18,12 +15,14 @@ from moveset.pipelines.postprocess import Postprocess
 from moveset.pipelines.request import check_request
 from moveset.server import files
 from moveset.server.catalog import Catalog
-from moveset.server.failures import RequestError, busy, stopping
+from moveset.server.failures import RequestError, busy, cancelled, stopping
 from moveset.server.jobs import Answer, Job, JobBook, Order
 from moveset.server.limits import Limits
 from moveset.server.metrics import Metrics
+from moveset.server.origins import as_sent
 from moveset.server.protocol import GenerateBody
 from moveset.server.worker import Worker
+from moveset.server.writer import Writer
 
 
 @dataclass(frozen=True)
@@ -35,6 +34,9 @@ class Options:
         origins: other sites whose pages may use this server, such as "https://example.org".
         hosts: names under which the server may be addressed; None allows any.
         page: folder of the page's files; None is the one that is shipped.
+
+    Raises:
+        InputError: an origin that no browser sends.
     """
 
     models: tuple[str | Path, ...] = ()
@@ -43,6 +45,9 @@ class Options:
     origins: tuple[str, ...] = ()
     hosts: tuple[str, ...] | None = ("127.0.0.1", "localhost", "[::1]")
     page: Path | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "origins", tuple(map(as_sent, self.origins)))
 
 
 class Service:
@@ -62,8 +67,8 @@ class Service:
         self.connections = 0
         self.farewells: set[Callable[[], Coroutine[Any, Any, None]]] = set()
         self._streams = 0
-        self._writer = ThreadPoolExecutor(1, "moveset-writer")
-        self._writing = 0
+        # A film takes as long to draw as many clips to make: what is written in a moment does not wait for it.
+        self.writer, self.drawer = Writer("moveset-writer"), Writer("moveset-drawer")
         self._answers: set[asyncio.Task[None]] = set()
 
     def start(self) -> None:
@@ -84,7 +89,8 @@ class Service:
             await asyncio.wait(self._answers, timeout=self.limits.stopping)
         for job in self.book.unfinished():
             job.end("cancelled", error=stopping())
-        self._writer.shutdown(wait=False, cancel_futures=True)
+        self.writer.stop()
+        self.drawer.stop()
 
     def health(self) -> dict[str, Any]:
         return {
@@ -154,7 +160,7 @@ class Service:
 
     def cancel(self, job: Job) -> None:
         if self.worker.cancel(job):
-            job.end("cancelled", error=RequestError(409, "cancelled", "this job was cancelled; send it again"))
+            job.end("cancelled", error=cancelled())
 
     async def export(self, data: bytes, format: str, finish: Postprocess, title: str) -> Answer:
         """Packets as a file.
@@ -167,9 +173,10 @@ class Service:
         files.check_format(format)
         if self.stopping:
             raise stopping()
-        if self._writing >= self.limits.exports:
+        writer = self._writer(format)
+        if writer.writing >= self.limits.exports:
             raise busy("files", self.limits.exports)
-        return await self._write(partial(self._exported, data, format, finish, title))
+        return await writer.write(partial(self._exported, data, format, finish, title))
 
     def next_stream(self) -> int:
         self._streams += 1
@@ -181,18 +188,8 @@ class Service:
         notes = {"generator": f"moveset {__version__}", **({"prompt": title} if title else {})}
         return files.write_file(take.motion, format, finish, notes)
 
-    async def _write(self, make: Callable[[], Answer]) -> Answer:
-        """Run on the one thread that writes files, so that drawing a video takes no time from the worker's lock."""
-
-        def calm() -> Answer:
-            with torch.inference_mode():
-                return make()
-
-        self._writing += 1
-        try:
-            return await asyncio.get_running_loop().run_in_executor(self._writer, calm)
-        finally:
-            self._writing -= 1
+    def _writer(self, format: str) -> Writer:
+        return self.drawer if format in files.PICTURES else self.writer
 
     def _made(self, job: Job, error: RequestError | None) -> None:
         """Called by the worker."""
@@ -205,7 +202,13 @@ class Service:
 
         async def write() -> None:
             try:
-                job.end("done", await self._write(partial(files.answer, job)))
+                answer = await self._writer(job.order.format).write(partial(_written, job))
+                # What draws films cannot be interrupted: who gave one up meanwhile is answered when it is drawn.
+                if job.cancelled:
+                    raise cancelled()
+                job.end("done", answer)
+            except RequestError as given_up:
+                job.end("cancelled", error=given_up)
             except MovesetError as problem:
                 job.end("failed", error=RequestError(400, "invalid", str(problem)))
             except Exception as problem:
@@ -217,3 +220,10 @@ class Service:
         task = asyncio.create_task(write())
         self._answers.add(task)
         task.add_done_callback(self._answers.discard)
+
+
+def _written(job: Job) -> Answer:
+    """On a writer's thread, where a job may have waited: nothing is written for who gave it up."""
+    if job.cancelled:
+        raise cancelled()
+    return files.answer(job)

@@ -32,11 +32,13 @@ class Session:
         number: of the stream, for people.
         deliver: hands messages to the client's connection; called by the worker, never waits.
         buffer: seconds that may be made ahead of what was acknowledged.
-        commit: frames after the acknowledged one that a new prompt leaves alone; None leaves all that was sent alone.
+        commit: frames after the acknowledged one that a new prompt leaves alone, as far as they were sent; None leaves
+            all that was sent alone.
 
     Attributes:
         asked: a prompt that was not taken up yet; a newer one takes its place.
         wishes: steps and guidance that were not taken up yet.
+        unsaid: paused and resumed, in order, that the client was not told yet.
         unsent: packets that are on their way to the connection.
         sent: frames handed to the connection.
         played: frames acknowledged.
@@ -49,6 +51,7 @@ class Session:
     begin: Begin | None
     asked: str | None = None
     wishes: dict[str, Any] = field(default_factory=dict)
+    unsaid: list[str] = field(default_factory=list)
     batch: StreamBatch | None = None
     stream: Stream | None = None
     fps: float = 20.0
@@ -67,7 +70,8 @@ class Session:
     @property
     def waiting(self) -> bool:
         """Whether the client wants something that the worker has to do."""
-        return not self.over and (self.begin is not None or self.asked is not None or bool(self.wishes))
+        wants = self.begin is not None or self.asked is not None or bool(self.wishes) or bool(self.unsaid)
+        return wants and not self.over
 
     @property
     def due(self) -> bool:
@@ -97,11 +101,13 @@ class Session:
         self.look()
 
     def pause(self) -> None:
-        """Make nothing until it is resumed."""
+        """Make nothing more until it is resumed; what is in work still comes, and then the client is told."""
+        self.unsaid.append("paused")
         if not self.paused:
             self.paused, self._paused_at, self.due_since = True, time.monotonic(), None
 
     def resume(self) -> None:
+        self.unsaid.append("resumed")
         if self.paused:
             now = time.monotonic()
             self.paused, self._clock, self._heard = False, self._clock + now - self._paused_at, now

@@ -153,7 +153,6 @@ class _Connection:
             self._say({"type": "stopped", "frames": session.sent, "reason": "asked"})
         else:
             worker.tell(session.pause if message.type == "pause" else session.resume)
-            self._say({"type": f"{message.type.removesuffix('e')}ed", "frame": session.sent})
 
     def _start(self, wish: Start) -> None:
         if self._session is not None:

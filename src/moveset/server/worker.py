@@ -19,7 +19,7 @@ from moveset.errors import MovesetError
 from moveset.io.packets import pack_packet, skeleton_json
 from moveset.pipelines.stream_batch import StreamBatch
 from moveset.server.catalog import Catalog
-from moveset.server.failures import RequestError, busy, sayable, stopping
+from moveset.server.failures import RequestError, busy, cancelled, sayable, stopping
 from moveset.server.jobs import Job
 from moveset.server.limits import Limits
 from moveset.server.metrics import Metrics
@@ -247,6 +247,7 @@ class Worker:
             begin, session.begin = session.begin, None
             asked, session.asked = session.asked, None
             wishes, session.wishes = session.wishes, {}
+            unsaid, session.unsaid = session.unsaid, []
         for do, what in ((self._begin, begin), (self._change, wishes or None), (self._prompt, asked)):
             if what is None:
                 continue
@@ -259,6 +260,9 @@ class Worker:
             except Exception as error:
                 _log.exception("a wish could not be fulfilled")
                 self._refuse(session, _broken(error), True)
+        if unsaid and not session.over:
+            # Said here, between two segments: all that was in work when it was asked for has gone out before.
+            session.deliver([{"type": word, "frame": session.sent} for word in unsaid])
 
     def _refuse(self, session: Session, error: dict[str, str], fatal: bool) -> None:
         session.deliver([{"type": "error", **error}])
@@ -317,7 +321,7 @@ class Worker:
             self._make(job)
             error = None
         except _Cancelled:
-            error = RequestError(409, "cancelled", "this job was cancelled; send it again if it is still wanted")
+            error = cancelled()
         except MovesetError as problem:
             error = RequestError(400, "invalid", str(problem))
         except Exception as problem:
