@@ -2,6 +2,7 @@
 
 import json
 
+import pytest
 import torch
 
 from moveset.training import checkpoint
@@ -20,7 +21,8 @@ def test_settings_of_an_optimiser_that_are_changed_are_used(tmp_path):
         made[0]._optimizers["discriminator"].param_groups[0].update(lr=0.0, betas=(0.5, 0.9))
         return made[0]
 
-    assert run(slower, ENGINE, tmp_path, True).step == 10
+    with pytest.warns(UserWarning, match="steps 5 -> 10"):
+        assert run(slower, ENGINE, tmp_path, True).step == 10
     (group,) = made[0].optimizers()["discriminator"].param_groups
     assert (group["lr"], group["betas"]) == (0.0, (0.5, 0.9))
     stored = json.loads((tmp_path / "step_10" / "state.json").read_text())["optimizers"]["discriminator"]
