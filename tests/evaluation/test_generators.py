@@ -1,6 +1,7 @@
 """Whatever makes motion gives joints of the length and frame rate that are asked for, each from its own seed."""
 
 import json
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -285,7 +286,11 @@ def test_other_frame_rates_are_resampled(tmp_path):
     joints = folder_motions(folder, None, 30.0).items[0].joints()
     assert len(joints) == 41
     ramp = torch.arange(61.0)[:, None, None].expand(61, 22, 3)
-    assert torch.allclose(resampled(ramp, 30.0, 20.0)[:, 0, 0], torch.arange(41) * 1.5)
+    assert torch.allclose(resampled(ramp, 30.0, 20.0)[:, 0, 0], torch.arange(41) * 1.5, atol=1e-4)
+    # Straight lines between frames would be off by 5 mm here, and add to jerk.
+    for rate in (12.5, 20.0, 60.0):
+        wave, expected = (torch.sin(2 * math.pi * torch.arange(2 * r + 1) / r)[:, None, None] for r in (30.0, rate))
+        assert torch.allclose(resampled(wave, 30.0, rate), expected, atol=1e-3)
 
 
 def write(folder, name, array):

@@ -1,10 +1,9 @@
-"""Local rotations and root paths at another rate, by cubic splines.
+"""Local rotations, root paths and positions at another rate, by cubic splines.
 
 Where rates are no multiples, new frames fall between old ones; linear interpolation would ripple there, which halves
 every other acceleration.
 """
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -27,12 +26,20 @@ def resampled(local: Tensor, root: Tensor, times: Tensor, at: Tensor) -> tuple[T
     Raises:
         InputError: scipy is not installed.
     """
+    joints = local.shape[1]
+    values = splined(torch.cat((local.double().reshape(len(local), -1), root.double()), dim=1), times, at)
+    return rotations.normalize(values[:, :-3].reshape(-1, joints, 4)), values[:, -3:]
+
+
+def splined(values: Tensor, times: Tensor, at: Tensor) -> Tensor:
+    """Values (F, …) of rising ``times`` (F,) at others (G,): (G, …), float64.
+
+    Raises:
+        InputError: scipy is not installed.
+    """
     try:
         from scipy.interpolate import CubicSpline
     except ImportError:
         raise InputError("takes of other rates need scipy; install it with pip install 'moveset[train]'") from None
 
-    joints = local.shape[1]
-    channels = np.concatenate((local.double().numpy().reshape(len(local), -1), root.double().numpy()), axis=1)
-    values = torch.from_numpy(CubicSpline(times.numpy(), channels)(at.numpy()))
-    return rotations.normalize(values[:, :-3].reshape(-1, joints, 4)), values[:, -3:]
+    return torch.from_numpy(CubicSpline(times.numpy(), values.double().numpy())(at.numpy()))

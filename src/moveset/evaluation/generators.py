@@ -14,6 +14,7 @@ from typing import Any, Protocol
 import torch
 from torch import Tensor
 
+from moveset.data.resample import splined
 from moveset.errors import InputError
 from moveset.evaluation.samples import Sample, TestSet
 from moveset.motion.clip import Motion
@@ -202,13 +203,12 @@ def frames_at(frames: int, fps: float, rate: float) -> int:
 
 
 def resampled(joints: Tensor, fps: float, rate: float) -> Tensor:
-    """Positions (F, J, 3) at another frame rate, linear between frames; as many as lie within the clip."""
+    """Positions (F, J, 3) at another frame rate, by splines (``data.resample``); as many as lie within the clip."""
     if fps == rate or len(joints) == 1:
         return joints
     count = math.floor((len(joints) - 1) / fps * rate + 1e-6) + 1
-    where = torch.arange(count, dtype=torch.float64) / rate * fps
-    low = where.floor().clamp(max=len(joints) - 2).long()
-    return torch.lerp(joints[low], joints[low + 1], (where - low).clamp(0.0, 1.0).to(joints)[:, None, None])
+    times, at = torch.arange(len(joints), dtype=torch.float64) / fps, torch.arange(count, dtype=torch.float64) / rate
+    return splined(joints, times, at.clamp(max=float(times[-1]))).to(joints)
 
 
 def check_made(made: Sequence[Tensor], asked: Sequence[Sample], who: str, shape: tuple[int, int]) -> None:
