@@ -14,10 +14,11 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from multiprocessing import connection, get_context
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from moveset.data.dataset import Dataset, open_for_training
 from moveset.data.glove_files import read_glove
+from moveset.data.splits import Split
 from moveset.errors import InputError, MovesetError
 from moveset.io.limits import write_text
 from moveset.io.process import noted_signals
@@ -261,7 +262,8 @@ def _export(stage: Stage, keys: Mapping[str, str], place: Place, log: "_Log") ->
 
 def _keys(every: Iterable[Stage], dataset: Dataset) -> dict[str, str]:
     keys: dict[str, str] = {}
-    motions, told = dataset.fingerprint, [dataset.fingerprint, dataset.sha256("train"), dataset.sha256("val")]
+    motions = dataset.fingerprint
+    told = [motions, _sentences(dataset)]
     for stage in every:
         engine = {} if stage.engine is None else asdict(stage.engine)
         how = {name: engine[name] for name in ("steps", "grad_clip", "seed") if name in engine}
@@ -270,6 +272,14 @@ def _keys(every: Iterable[Stage], dataset: Dataset) -> dict[str, str]:
         parts = [stage.name, settings, how, data, {name: keys[name] for name in stage.needs}]
         keys[stage.name] = hashlib.sha256(json.dumps(parts, sort_keys=True, default=str).encode()).hexdigest()
     return keys
+
+
+def _sentences(dataset: Dataset) -> str:
+    """A hash of what is said in training and validation; motions, which may be gigabytes, have one of their own."""
+    sha, splits = hashlib.sha256(), ("train", "val")
+    for clip in (dataset.clip(item) for split in splits for item in dataset.split(cast(Split, split))):
+        sha.update(repr((clip.captions, [part.captions for part in clip.parts], clip.tagged)).encode())
+    return sha.hexdigest()
 
 
 def _reads(stage: Stage) -> bool:
