@@ -6,6 +6,7 @@ are fetched and read, which is what an engine does.
 
 import argparse
 import base64
+import http.client
 import json
 import struct
 import sys
@@ -25,9 +26,10 @@ def ask(server: str, body: dict) -> bytes:
         with urllib.request.urlopen(request, timeout=120) as reply:
             return reply.read()
     except urllib.error.HTTPError as error:
-        sys.exit(json.loads(error.read())["error"]["message"])
-    except urllib.error.URLError as error:
-        sys.exit(f"no server at {server} ({error.reason}); start one with: moveset serve")
+        told = error.headers.get_content_type() == "application/json"
+        sys.exit(json.load(error)["error"]["message"] if told else f"no moveset server at {server} ({error})")
+    except (OSError, http.client.HTTPException) as error:
+        sys.exit(f"no server at {server} ({getattr(error, 'reason', error)}); start one with: moveset serve")
 
 
 def frames(packets: bytes) -> list[tuple[float, ...]]:

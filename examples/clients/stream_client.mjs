@@ -23,7 +23,7 @@ export function parsePacket(buffer) {
   };
 }
 
-/** Records prompts one after the other, `seconds` each; resolves to the packets. */
+/** Records prompts one after the other, `seconds` each; resolves to the packets; an error has those that came. */
 export function record(server, prompts, seconds, log = console.log) {
   return new Promise((resolve, reject) => {
     if (typeof WebSocket === "undefined") throw new Error("this Node has no WebSocket; add --experimental-websocket");
@@ -31,15 +31,22 @@ export function record(server, prompts, seconds, log = console.log) {
     let packets = [];
     let next = 1;
     socket.binaryType = "arraybuffer";
+    const fail = (message) => {
+      socket.onmessage = socket.onerror = socket.onclose = null;
+      socket.close();
+      reject(Object.assign(new Error(message), { packets }));
+    };
     const send = (message) => socket.send(JSON.stringify(message));
     socket.onopen = () => send({ type: "start", prompt: prompts[0], seed: 7 });
-    socket.onerror = () => reject(new Error(`no server at ${server}; start one with: moveset serve`));
-    socket.onclose = () => reject(new Error("the server ended the stream"));
+    const missing = `no server at ${server}; start one with: moveset serve`;
+    socket.onerror = () => fail(packets.length ? "the server is gone" : missing);
+    socket.onclose = () => fail("the server ended the stream");
     socket.onmessage = ({ data }) => {
       if (typeof data === "string") {
         const event = JSON.parse(data);
-        if (event.type === "error") reject(new Error(event.message));
-        if (event.type === "prompt") log([`"${event.text}" from frame ${event.takes_effect_at} on`, ...event.warnings].join("; "));
+        if (event.type === "error") fail(event.message);
+        if (event.type === "prompt")
+          log([`"${event.text}" from frame ${event.takes_effect_at} on`, ...event.warnings].join("; "));
         if (event.type === "segment") log(`segment ${event.segment}: made in ${event.latency_ms.toFixed(0)} ms`);
         return;
       }
@@ -60,7 +67,8 @@ export function record(server, prompts, seconds, log = console.log) {
 }
 
 // In a page: import { record } from "./stream_client.mjs".
-if (typeof process !== "undefined" && import.meta.filename === process.argv[1]) {
+const script = typeof process !== "undefined" && process.argv[1];
+if (script && import.meta.url === (await urlOf(script))) {
   const { access, writeFile } = await import("node:fs/promises");
   const { dirname } = await import("node:path");
   process.on("uncaughtException", ({ message }) => {
@@ -71,7 +79,17 @@ if (typeof process !== "undefined" && import.meta.filename === process.argv[1]) 
   const prompts = process.argv.slice(2).filter((word) => !files.includes(word));
   const server = (process.env.MOVESET_SERVER ?? "http://127.0.0.1:8765").replace(/\/$/, "");
   for (const file of files) await access(dirname(file)); // before anything is made that could not be kept
-  const packets = await record(server, prompts.length ? prompts : ["a person walks forward"], 4);
+  // Whatever goes wrong, a stream cannot be had a second time.
+  const keep = async (message, packets, file) => {
+    const kept = file.replace(/\.\w+$/, ".mvst");
+    await writeFile(kept, Buffer.from(await new Blob(packets).arrayBuffer()));
+    throw new Error(`${message}; the packets are in ${kept}`);
+  };
+  if (prompts.length === 0) prompts.push("a person walks forward");
+  const packets = await record(server, prompts, 4).catch(async (error) => {
+    if (error.packets?.length && files.length) await keep(error.message, error.packets, files[0]);
+    throw error;
+  });
   for (const file of files) {
     const format = /(amass\.)?\w+$/i.exec(file)[0].toLowerCase();
     try {
@@ -84,10 +102,13 @@ if (typeof process !== "undefined" && import.meta.filename === process.argv[1]) 
       if (!reply.ok) throw new Error(said?.error?.message ?? `the server gave no file (${reply.status})`);
       await writeFile(file, Buffer.from(await reply.arrayBuffer()));
     } catch ({ message }) {
-      // Whatever it was, a stream cannot be had a second time.
-      const kept = file.replace(/\.\w+$/, ".mvst");
-      await writeFile(kept, Buffer.from(await new Blob(packets).arrayBuffer()));
-      throw new Error(`${message}; the packets are in ${kept}`);
+      await keep(message, packets, file);
     }
   }
+}
+
+/** A script's own address, whatever links lead to it. */
+async function urlOf(path) {
+  const [{ existsSync, realpathSync }, { pathToFileURL }] = await Promise.all([import("node:fs"), import("node:url")]);
+  return existsSync(path) && pathToFileURL(realpathSync(path)).href;
 }

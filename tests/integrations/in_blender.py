@@ -73,6 +73,7 @@ def main(parent, folder, url):
 
     sys.path.insert(0, parent)
     import moveset_blender
+    from moveset_blender.armature import to_blender
     from moveset_blender.files import read_take
     from moveset_blender.hml22 import HML22
     from moveset_blender.scene import sample_take
@@ -133,7 +134,36 @@ def main(parent, folder, url):
     attempt("again", bpy.ops.moveset.import_take, filepath=str(folder / "stream.mvst"))
     said["kept"] = before.use_fake_user and other.animation_data.action != before
 
+    # The way of an armature that is moved and turned as a whole, whatever frame the scene is at.
+    settings.target = "NEW"
+    scene.frame_set(1)
+    bpy.ops.moveset.import_take(filepath=str(folder / "stream.mvst"))
+    whole = bpy.context.active_object
+    for frame, aside, turn in ((1, 2.0, 0.0), (60, 5.0, 1.2)):
+        whole.location.x, whole.rotation_euler.z = aside, turn
+        whole.keyframe_insert("location", frame=frame)
+        whole.keyframe_insert("rotation_euler", frame=frame)
+    scene.frame_set(40)
+    sampled = sample_take(bpy.context, whole)
+    said["frame"] = scene.frame_current
+    shown["moved"] = heads(whole, sampled.skeleton.joints, 1 + np.arange(60))
+    shown["moved, sampled"] = to_blender(sampled.world()[1]) + np.array((2.0, 0.0, 0.0))
+    # Blender cuts long names.
+    scene.frame_set(1)
+    attempt("long", bpy.ops.moveset.import_take, filepath=str(folder / "long.npz"))
+    take = read_take(folder / "long.npz")
+    joints = [joint.encode()[:63].decode() for joint in take.skeleton.joints]
+    shown["long"] = heads(bpy.context.active_object, joints, 1 + np.arange(len(take.root)))
+    settings.target = "ACTIVE"
+
     # What goes wrong.
+    empty = bpy.data.objects.new("Empty", bpy.data.armatures.new("Empty"))
+    bpy.context.collection.objects.link(empty)
+    activate(empty)
+    settings.rate, scene.render.fps = "SET", 24
+    attempt("empty", bpy.ops.moveset.import_take, filepath=str(folder / "stream.mvst"))
+    said["fps left"] = scene.render.fps
+    settings.rate, scene.render.fps = "SCENE", 20
     activate(other)
     attempt("alone", bpy.ops.moveset.retarget)
     hero.scale = (0.01, 0.02, 0.01)

@@ -46,6 +46,9 @@ def blender(python, motions, served, tmp_path_factory):
     folder = tmp_path_factory.mktemp("blender")
     for name in ("walk", "mixamo", "ue5"):
         motions[name].save(folder / f"{name}.npz")
+    with np.load(folder / "walk.npz") as npz:
+        joints = [f"{joint}{'_' * 80 * (joint == 'head')}" for joint in npz["joints"]]
+        np.savez(folder / "long.npz", **(dict(npz) | {"joints": np.array(joints)}))
     stream = motions["stream"]
     packets = [pack_packet(stream[a : a + 28], first_frame=a) for a in range(0, len(stream), 28)]
     (folder / "stream.mvst").write_bytes(b"".join(packets))
@@ -125,9 +128,23 @@ def test_an_armature_does_what_another_one_does(blender, motions):
     assert said["kept"] is True
 
 
+def test_an_armature_that_moves_as_a_whole_takes_its_way_along(blender):
+    shown, said = blender
+    assert apart(shown["moved, sampled"], shown["moved"]) < 1e-4
+    assert said["frame"] == 40
+
+
+def test_joints_with_longer_names_than_bones_may_have_move(blender, motions):
+    shown, said = blender
+    assert said["long"] == ["FINISHED"]
+    assert apart(shown["long"], in_blender(motions["walk"].joints)) < 1e-4
+
+
 def test_errors_say_what_to_do(blender):
     _, said = blender
+    assert said["fps left"] == 24
     for name, sentence in {
+        "empty": "Empty has no bone recognisable as pelvis",
         "alone": "select the armature that moves",
         "uneven": r"Hero ue5 is scaled unevenly or mirrored; apply its scale",
         "stiff": "do not inherit rotation: mixamorig:RightArm",

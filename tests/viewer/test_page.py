@@ -18,11 +18,12 @@ NASTY = "</script><img src=x onerror=\"document.title='owned'\"><b>a person walk
 class Opened:
     """A page in a tab, with what went wrong on it and what it asked for."""
 
-    def __init__(self, browser, path, size=(480, 400), scheme="light", motion="no-preference"):
+    def __init__(self, browser, path, size=(480, 400), scheme="light", motion="no-preference", script=""):
         self.context = browser.new_context(
             viewport={"width": size[0], "height": size[1]}, color_scheme=scheme, reduced_motion=motion, offline=True
         )
         self.tab = self.context.new_page()
+        self.tab.add_init_script(script)
         self.tab.set_default_timeout(60_000)
         self.complaints, self.requests = [], []
         self.tab.on("console", self._heard)
@@ -88,6 +89,14 @@ def test_it_plays_by_itself_and_asks_for_nothing(page):
     page.wait("document.querySelector('.mv-caption').textContent === 'a person stands'")
     assert [urlsplit(url).scheme for url in page.requests] == ["file"]
     assert page.complaints == []
+
+
+def test_it_stands_still_until_it_is_asked_where_less_motion_is_wanted(browser, walk, tmp_path):
+    save(walk, tmp_path / "a.html")
+    with Opened(browser, tmp_path / "a.html", size=(240, 240), motion="reduce") as page:
+        assert not page.ask("player.playing")
+        page.tab.keyboard.press("Space")
+        page.wait("player.frame > 0")
 
 
 def test_joints_are_where_python_puts_them(page, walk):
@@ -224,6 +233,48 @@ def test_a_video_can_be_recorded(browser, tmp_path):
         assert head[1] > 1000
         assert head[2] == [0x1A, 0x45, 0xDF, 0xA3], "an EBML head"
         assert page.complaints == []
+
+
+def test_a_recording_that_is_ended_by_hand_is_saved_once(browser, tmp_path):
+    save(gait(60), tmp_path / "a.html")
+    with Opened(browser, tmp_path / "a.html", size=(240, 240)) as page:
+        saved = []
+        page.tab.on("download", lambda download: saved.append(download.suggested_filename))
+        page.tab.keyboard.press("v")
+        page.wait("player.recording !== null")
+        page.tab.wait_for_timeout(300)
+        page.tab.keyboard.press("v")
+        page.wait("player.recording === null")
+        page.tab.wait_for_timeout(500)
+        assert saved == ["motion.webm"]
+        assert page.complaints == []
+
+
+def test_no_video_is_offered_where_the_browser_cannot_record_one(browser, walk, tmp_path):
+    save(walk, tmp_path / "a.html")
+    cannot = "MediaRecorder.isTypeSupported = () => false"
+    with Opened(browser, tmp_path / "a.html", size=(240, 240), script=cannot) as page:
+        page.tab.keyboard.press("Space")
+        assert page.tab.get_by_role("button", name="Record a video").count() == 0
+        page.tab.keyboard.press("v")
+        assert not page.ask("player.playing")
+        assert page.complaints == []
+
+
+def test_a_still_picture_comes_back_with_the_graphics_card(page):
+    page.tab.keyboard.press("Space")
+    page.wait("player.stage.ratio === player.stage.full")
+    before = page.shown()
+    page.ask("(window.lost = player.canvas.getContext('webgl2').getExtension('WEBGL_lose_context')).loseContext()")
+    page.wait("player.stage.renderer.getContext().isContextLost()")
+    page.ask("lost.restoreContext()")
+    end = time.monotonic() + 20
+    while page.shown() != before:
+        assert time.monotonic() < end, "the picture is gone for good"
+
+
+def test_the_view_is_moved_with_the_right_button_and_no_menu_opens(page):
+    assert not page.ask("player.canvas.dispatchEvent(new MouseEvent('contextmenu', { cancelable: true }))")
 
 
 def test_a_notebook_frame_plays(browser, walk, tmp_path):

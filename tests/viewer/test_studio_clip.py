@@ -138,6 +138,43 @@ def test_a_timeline_is_lined_up_dragged_and_made(studio):
     studio.run("document.querySelectorAll('.timeline .words')[1].focus()")
     studio.page.keyboard.press("Delete")
     assert studio.run("document.querySelector('#timeline').hidden")
+    assert studio.run("document.activeElement.id") == "prompt"
+
+
+def test_a_double_click_on_an_edge_leaves_the_length_to_the_model(studio):
+    entries = [{"text": text, "seconds": 3, "made": None} for text in ("a person walks forward", "a person bows")]
+    studio.run("entries => __moveset.clip.restore(entries)", entries)
+    x, y = studio.run(
+        "(({ left, top, width }) => [left + width / 2, top + 20])"
+        "(document.querySelector('[data-handle=\"0\"]').getBoundingClientRect())"
+    )
+    studio.page.mouse.dblclick(x, y)
+    assert studio.run("__moveset.clip.timeline.entries.map((entry) => entry.seconds)") == [None, 3]
+
+
+def test_a_block_that_is_chosen_by_a_key_keeps_the_focus(studio):
+    entries = [{"text": text, "seconds": 3, "made": None} for text in ("a person walks forward", "a person bows")]
+    studio.run("entries => __moveset.clip.restore(entries)", entries)
+    studio.run("document.querySelectorAll('.timeline .words')[1].focus()")
+    studio.page.keyboard.press("Enter")
+    assert studio.run("document.querySelector('#prompt').value") == "a person bows"
+    assert studio.run("document.activeElement === document.querySelectorAll('.timeline .words')[1]")
+
+
+def test_what_is_written_meanwhile_is_no_part_of_what_is_made(studio):
+    held = []
+    studio.page.route("**/v1/generate", lambda route: held.append(route))
+    before = studio.run("__moveset.recent.added")
+    studio.say("a person walks forward")
+    while not held:
+        studio.page.wait_for_timeout(20)
+    studio.say("a person", "Control+Enter")
+    held[0].continue_()
+    studio.wait(f"__moveset.recent.added > {before}")
+    studio.page.unroute("**/v1/generate")
+    assert studio.run("__moveset.recent.kept[0].entries.map((entry) => entry.text)") == ["a person walks forward"]
+    # How long it became is told of the prompt that was made, and of no other.
+    assert studio.run("__moveset.clip.timeline.entries.map((entry) => entry.made === null)") == [False, True]
 
 
 def test_several_seeds_stand_side_by_side(studio):
@@ -222,3 +259,28 @@ def test_recent_takes_come_back(studio):
     studio.click(".shelf li:nth-child(2) button")
     assert shown(studio) == first
     assert studio.run("document.querySelector('#prompt').value") == "a person walks forward"
+    # The die and a change of length mean the take that is shown, not the one that was made last.
+    studio.click("#pin-seed")
+    assert studio.run("document.querySelector('#seed').value") == str(first["seed"])
+    kept = studio.run("__moveset.recent.added")
+    studio.click("#takes button:nth-child(2)")
+    studio.wait(f"__moveset.recent.added > {kept}")
+    assert shown(studio)["seed"] == first["seed"]
+
+
+def test_a_take_that_came_back_is_not_replaced_by_what_was_in_work(studio):
+    studio.make("a person walks forward")
+    held, kept = [], studio.run("__moveset.recent.added")
+    studio.page.route("**/v1/generate", lambda route: held.append(route))
+    studio.expected.append("ERR_ABORTED")
+    studio.say("a person sits down")
+    while not held:
+        studio.page.wait_for_timeout(20)
+    studio.click("#open-recent")
+    studio.click(".shelf li:nth-child(1) button")
+    held[0].continue_()
+    studio.page.unroute("**/v1/generate")
+    studio.page.wait_for_timeout(1000)
+    assert studio.run("__moveset.recent.added") == kept
+    assert studio.run("__moveset.stage.shown.title") == "a person walks forward"
+    assert studio.run("document.body.dataset.phase") == "shown"

@@ -32,6 +32,14 @@ class Spy:
         return [message for message in self.messages if message["type"] == kind]
 
 
+def route_next(studio, route):
+    """Let a function stand between the page and the server for the next stream alone."""
+    waiting = [route]
+    studio.page.route_web_socket(
+        "**/v1/stream", lambda socket: waiting.pop()(socket) if waiting else socket.connect_to_server()
+    )
+
+
 def start(studio, text):
     """Begin a stream and wait for its first frames."""
     studio.click("#mode-live")
@@ -145,6 +153,21 @@ def test_a_stream_pauses_goes_on_stops_and_is_kept(studio, tmp_path):
     assert studio.words("#made") == ""
 
 
+def test_a_recording_of_a_stream_ends_when_it_is_asked_to_and_is_one_file(studio):
+    saved = []
+    studio.page.on("download", lambda download: saved.append(download.suggested_filename))
+    start(studio, "a person walks forward")
+    studio.click("#open-downloads")
+    studio.click("[data-format=webm]")
+    studio.wait("__moveset.player.recording !== null")
+    assert "red button" in studio.words(".toast p")
+    studio.page.wait_for_timeout(300)
+    studio.click(".mv-record")
+    studio.wait("__moveset.player.recording === null && document.body.dataset.live === 'running'")
+    studio.page.wait_for_timeout(500)
+    assert saved == ["a-person-walks-forward.webm"]
+
+
 def test_a_stream_that_was_stopped_is_kept_where_the_next_one_begins_before_it_has_ended(studio):
     def route(socket):
         # A server with much to do says that a stream has stopped only after somebody has asked for another one.
@@ -186,6 +209,80 @@ def test_a_lost_stream_is_told_and_found_again(studio):
     studio.click("#reconnect")
     studio.wait("document.body.dataset.live === 'running' && document.querySelector('#gone').hidden")
     assert studio.run("__moveset.live.prompt") == "a person walks forward"
+
+
+def test_a_stream_that_is_left_before_it_begins_does_not_come_after_one(studio):
+    studio.make("a person bows")
+    held = []
+
+    def route(socket):
+        upstream = socket.connect_to_server()
+        upstream.on_message(
+            lambda message: held.append((socket, message)) if isinstance(message, bytes) else socket.send(message)
+        )
+
+    route_next(studio, route)
+    studio.click("#mode-live")
+    studio.say("a person walks forward")
+    while not held:
+        studio.page.wait_for_timeout(20)
+    studio.click("#mode-clip")
+    for socket, message in held:
+        socket.send(message)
+    studio.page.wait_for_timeout(300)
+    assert studio.run("__moveset.stage.shown.kind") == "clip"
+    # And what stands there is not greeted again.
+    assert studio.run("document.querySelector('.hero').getClientRects().length") == 0
+
+
+def test_a_stream_that_was_refused_does_not_clear_the_stage(studio):
+    studio.make("a person bows")
+
+    def route(socket):
+        refusal = {"type": "error", "code": "no", "message": "Not today."}
+        stopped = {"type": "stopped", "frames": 0, "reason": "refused"}
+        socket.on_message(lambda _: [socket.send(json.dumps(said)) for said in (refusal, stopped)])
+
+    route_next(studio, route)
+    studio.run("__moveset.clip.lastSeed = null")
+    studio.click("#mode-live")
+    studio.say("a person walks forward")
+    studio.wait("document.body.dataset.live === 'idle' && document.querySelector('.toast.fault')")
+    assert studio.run("document.body.dataset.phase") == "shown"
+
+
+def test_a_take_that_is_chosen_during_a_stream_stands_alone(studio):
+    studio.make("a person bows")
+    start(studio, "a person walks forward")
+    studio.click("#open-recent")
+    studio.click(".shelf li:nth-child(1) button")
+    studio.wait("document.body.dataset.live === 'idle'")
+    start(studio, "a person walks forward")
+    kept = studio.run("__moveset.recent.added")
+    studio.click("#live-keep")
+    studio.click("#open-recent")
+    studio.click(".shelf li:nth-child(1) button")
+    studio.wait(f"document.body.dataset.live === 'idle' && __moveset.recent.added === {kept + 2}")
+    assert studio.run("document.querySelector('#live-strip').hidden")
+    assert studio.words("#made") == ""
+
+
+def test_a_stream_is_stopped_before_it_has_begun(studio):
+    held = []
+    route_next(studio, lambda socket: socket.on_message(lambda _: held.append(socket)))
+    studio.click("#mode-live")
+    studio.say("a person walks forward")
+    while not held:
+        studio.page.wait_for_timeout(20)
+    (socket,) = held
+    studio.click("#live-stop")
+    skeleton = studio.run("__moveset.player.cast.entries[0].take.skeleton.data")
+    started = {"type": "started", "model": "m", "seed": 1, "steps": 1, "fps": 20, "segment_frames": 28, "buffer": 2,
+               "commit": None, "skeleton": skeleton}  # fmt: skip
+    socket.send(json.dumps(started))
+    socket.send(json.dumps({"type": "stopped", "frames": 0, "reason": "asked"}))
+    studio.wait("document.body.dataset.live === 'idle'")
+    assert studio.run("document.querySelectorAll('.toast').length") == 0
 
 
 def test_the_servers_refusal_is_shown_and_the_stream_goes_on(studio):

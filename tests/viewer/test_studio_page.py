@@ -116,6 +116,26 @@ def test_keys_alone_are_enough(studio):
     studio.run("document.querySelector('#single-keys').click()")
 
 
+def test_help_is_closed_by_a_press_beside_it_alone(studio):
+    studio.click("#open-help")
+    left, top = studio.run("(({ left, top }) => [left, top])(document.querySelector('#help').getBoundingClientRect())")
+    studio.page.mouse.click(left + 8, top + 8)
+    assert studio.run("document.querySelector('#help').open")
+    studio.page.mouse.click(left - 8, top + 8)
+    assert not studio.run("document.querySelector('#help').open")
+
+
+def test_prompts_are_removed_by_touch(browser, studio):
+    context = browser.new_context(viewport=NARROW, is_mobile=True, has_touch=True, reduced_motion="reduce")
+    page = context.new_page()
+    page.goto(studio.address)
+    entries = [{"text": text, "seconds": 3, "made": None} for text in ("a person walks forward", "a person bows")]
+    page.evaluate("entries => __moveset.clip.restore(entries)", entries)
+    seen = page.evaluate("getComputedStyle(document.querySelector('.remove')).opacity")
+    context.close()
+    assert seen == "1"
+
+
 def test_everything_has_a_name(studio):
     nameless = studio.run(
         "[...document.querySelectorAll('button, input, select, textarea, [role=slider], [role=dialog], dialog')]"
@@ -143,6 +163,57 @@ def test_suggestions_are_those_of_the_modes_model(studio):
         studio.click(f"#mode-{mode}")
         studio.wait(f"document.querySelectorAll('.chip').length === {len(wanted)}")
         assert chips() == wanted
+
+
+def test_suggestions_that_come_late_are_not_those_of_another_mode(studio):
+    clips = studio.run("Array.from(document.querySelectorAll('.chip'), (chip) => chip.textContent)")
+    held = []
+    studio.page.route("**/v1/prompts?model=rdm-small", lambda route: held.append(route))
+    studio.click("#mode-live")
+    while not held:
+        studio.page.wait_for_timeout(20)
+    studio.click("#mode-clip")
+    with studio.page.expect_response("**/v1/prompts?model=rdm-small"):
+        held[0].continue_()
+    studio.page.unroute("**/v1/prompts?model=rdm-small")
+    studio.page.wait_for_timeout(200)
+    assert studio.run("Array.from(document.querySelectorAll('.chip'), (chip) => chip.textContent)") == clips
+    # Of another model there are others.
+    with studio.page.expect_request("**/v1/prompts?model=motionpcm-small"):
+        studio.run("document.querySelector('#clip-model').dispatchEvent(new Event('change'))")
+
+
+def test_a_server_that_is_gone_is_told_when_suggestions_are_asked_for(studio):
+    studio.expected.append("net::ERR_FAILED")
+    studio.page.route("**/v1/prompts?*", lambda route: route.abort())
+    studio.click("#mode-live")
+    studio.wait("!document.querySelector('#gone').hidden")
+    studio.page.unroute("**/v1/prompts?*")
+    studio.click("#reconnect")
+    studio.wait("document.querySelector('#gone').hidden")
+    assert studio.run("document.body.dataset.mode") == "live"
+
+
+def test_keys_open_no_mode_that_the_server_has_no_model_for(studio):
+    studio.run("document.querySelector('#mode-live').disabled = true; document.activeElement.blur()")
+    studio.page.keyboard.press("2")
+    studio.run("document.querySelector('#mode-live').disabled = false")
+    assert studio.run("document.body.dataset.mode") == "clip"
+
+
+def test_the_page_works_where_the_browser_remembers_nothing(studio):
+    page = studio.context.new_page()
+    faults = []
+    page.on("pageerror", lambda error: faults.append(str(error)))
+    page.add_init_script(
+        "Object.defineProperty(window, 'localStorage', { get() { throw new DOMException('no', 'SecurityError') } })"
+    )
+    page.goto(studio.address)
+    page.wait_for_timeout(300)
+    page.locator("#open-theme").dispatch_event("click")
+    theme = page.evaluate("[document.documentElement.dataset.theme, typeof __moveset]")
+    page.close()
+    assert (theme, faults) == (["dark", "object"], [])
 
 
 def test_a_suggestion_is_one_press_away(studio):
@@ -193,4 +264,11 @@ def test_a_lost_server_is_told_and_found_again(studio):
     studio.page.unroute("**/v1/export?*")
     with studio.page.expect_download():
         studio.click("#reconnect")
+    studio.wait("document.querySelector('#gone').hidden")
+    # What failed in one mode is not tried again in the other.
+    studio.page.route("**/v1/generate", lambda route: route.abort())
+    studio.say("a person bows")
+    studio.wait("!document.querySelector('#gone').hidden")
+    studio.page.unroute("**/v1/generate")
+    studio.click("#mode-live")
     studio.wait("document.querySelector('#gone').hidden")

@@ -2,7 +2,7 @@
 
 import { mount, type SceneData, show } from "./embed";
 import { adopt, element } from "./player/dom";
-import type { Player, PlayerOptions } from "./player/player";
+import type { Player } from "./player/player";
 
 /** A scene in the list. */
 export interface ListedScene extends SceneData {
@@ -14,7 +14,6 @@ export interface ListedScene extends SceneData {
 export interface PageData {
   title: string;
   scenes: ListedScene[];
-  options?: PlayerOptions;
 }
 
 const CSS = `
@@ -53,7 +52,7 @@ export function mountPage(container: HTMLElement, page: PageData): Player {
   const listed = page.scenes.length > 1;
   const linked = Number(location.hash.slice(1)) - 1;
   let current = listed && page.scenes[linked] ? linked : 0;
-  const player = mount(stage, page.scenes[current], { keys: "page", ...page.options });
+  const player = mount(stage, page.scenes[current], { keys: "page" });
   const follow = () => (root.dataset.theme = player.theme);
   player.onstate = follow;
   follow();

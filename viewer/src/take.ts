@@ -18,6 +18,8 @@ export interface Pose {
 export class Take {
   fps = 20;
   frames = 0;
+  /** Another one after every change: frames that come once more need not be more. */
+  revision = 0;
   private rows: Float32Array;
   private known: Uint8Array | null = null;
   private readonly row: Float32Array;
@@ -36,6 +38,13 @@ export class Take {
       for (const packet of parsePackets(typeof part === "string" ? fromBase64(part) : part)) take.append(packet);
     }
     if (take.frames === 0) throw new WireError("a take without frames");
+    return take;
+  }
+
+  /** A take of its own with the same frames. */
+  copy(): Take {
+    const take = new Take(this.skeleton);
+    [take.fps, take.frames, take.rows, take.known] = [this.fps, this.frames, this.allRows(), this.allContacts()];
     return take;
   }
 
@@ -60,6 +69,7 @@ export class Take {
     const begun = this.frames;
     this.fps = packet.fps;
     this.frames += packet.frames;
+    this.revision++;
     this.rows = grown(this.rows, this.frames * this.width);
     this.rows.set(packet.rows, begun * this.width);
     if (packet.contacts && (this.known || begun === 0)) {
@@ -73,6 +83,7 @@ export class Take {
   /** Forget the frames from this one on: a stream may make anew what was not played yet. */
   truncate(frames: number): void {
     this.frames = Math.min(this.frames, Math.max(0, frames));
+    this.revision++;
   }
 
   /** All frames as the body of one packet, (F, 3 + 4 J). */

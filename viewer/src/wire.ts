@@ -15,8 +15,8 @@ const VERSION = 1;
 const CONTACTS = 1;
 
 /** Limits of what is accepted: far above what moveset makes, far below what could exhaust a page. */
-export const MAX_JOINTS = 512;
-export const MAX_FRAMES = 1_000_000;
+const MAX_JOINTS = 512;
+const MAX_FRAMES = 1_000_000;
 
 export interface Packet {
   joints: number;
@@ -77,7 +77,7 @@ function parsePacket(bytes: Uint8Array, at: number): Packet {
 }
 
 /** Size of a packet. */
-export function packetBytes(joints: number, frames: number, contacts: boolean): number {
+function packetBytes(joints: number, frames: number, contacts: boolean): number {
   return HEADER + frames * (4 * (3 + 4 * joints) + (contacts ? 4 : 0));
 }
 

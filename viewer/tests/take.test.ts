@@ -58,6 +58,21 @@ describe("Take", () => {
     expect([take.contacts(2), take.contacts(3)]).toEqual([[true, false, false, true], [false, false, false, true]]);
   });
 
+  it("is copied however long a stream was, and goes on by itself", () => {
+    const take = new Take(arm);
+    const [frames, latencyMs] = [600_000, 0];
+    for (const firstFrame of [0, frames]) {
+      const contacts = new Uint8Array(4 * frames).fill(1);
+      take.append({ joints: 2, frames, firstFrame, fps: 20, latencyMs, rows: new Float32Array(11 * frames), contacts });
+    }
+    const copy = take.copy();
+    take.truncate(1);
+    expect([copy.frames, copy.fps, copy.seconds]).toEqual([2 * frames, 20, (2 * frames - 1) / 20]);
+    expect(copy.contacts(2 * frames - 1)).toEqual([true, true, true, true]);
+    copy.append(parsePackets(bytesOf([row(7, STILL)], { first: 2 * frames }))[0]);
+    expect(copy.root(2 * frames)[0]).toBe(7);
+  });
+
   it("refuses frames that do not follow", () => {
     const take = Take.from(arm, bytesOf([row(0, STILL)]));
     const packet = (options: object) => parsePackets(bytesOf([row(0, STILL)], options))[0];

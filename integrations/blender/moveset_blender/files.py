@@ -1,6 +1,8 @@
 """Takes in files: .mvst (packets of a stream or clip) and the npz that moveset writes. Nothing in them is run."""
 
+import tokenize
 import zipfile
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +13,11 @@ from .packets import read_packets
 from .take import MotionError, Skeleton, Take
 
 MAX_BYTES = 512 * 2**20
+# What zipfile and numpy raise of a damaged archive, of what is packed in it, of an array's head and of its numbers.
+_DAMAGED = (
+    zipfile.BadZipFile, zlib.error, tokenize.TokenError, SyntaxError, RuntimeError, ValueError, TypeError,
+    ArithmeticError, LookupError, EOFError, MemoryError,
+)  # fmt: skip
 
 
 def read_take(path: str | Path) -> Take:
@@ -53,6 +60,6 @@ def _read_npz(path: Path) -> Take:
         take = Take(skeleton, float(found["fps"]), root, turns, path.stem)
     except MotionError:
         raise
-    except (zipfile.BadZipFile, ValueError, TypeError, EOFError, MemoryError) as error:
+    except _DAMAGED as error:
         raise MotionError(f"{path.name} is damaged or no npz of moveset; save it again ({error})") from error
     return Take(skeleton, take.fps, root, quat.normalize(turns), path.stem)

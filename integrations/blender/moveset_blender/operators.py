@@ -2,6 +2,7 @@
 
 import threading
 from collections.abc import Callable
+from dataclasses import replace
 from typing import ClassVar
 
 import bpy
@@ -12,7 +13,7 @@ from . import server
 from .armature import pose_same
 from .files import read_take
 from .retarget import retarget
-from .scene import key, leave_modes, make_armature, read_rig, sample_take, scene_fps, set_scene_fps
+from .scene import key, leave_modes, make_armature, read_rig, sample_take, scene_fps
 from .take import MotionError, Take
 
 
@@ -64,20 +65,18 @@ def place_take(context: bpy.types.Context, take: Take, shift: float = 0.0) -> tu
     armature = context.active_object
     if settings.target == "ACTIVE" and (armature is None or armature.type != "ARMATURE"):
         raise MotionError("no armature is active; click the character's armature first, or choose New armature")
-    if settings.rate == "SET":
-        set_scene_fps(context.scene, take.fps)
-    elif settings.rate == "SCENE":
+    if settings.rate == "SCENE":
         take = take.resampled(scene_fps(context.scene))
     leave_modes(context)
     if settings.target == "ACTIVE":
         rig = read_rig(context, armature)
         pose = retarget(take, rig)
     else:
-        armature = make_armature(context, take.skeleton, take.title[:40])
+        armature, joints = make_armature(context, take.skeleton, take.title[:40])
         rig = read_rig(context, armature)
-        pose = pose_same(take, rig)
+        pose = pose_same(replace(take, skeleton=replace(take.skeleton, joints=joints)), rig)
         armature.location.x = shift
-    return armature, key(context, armature, rig, pose, take.title)
+    return armature, key(context, armature, rig, pose, take.title, set_fps=settings.rate == "SET")
 
 
 class MOVESET_OT_generate(bpy.types.Operator):

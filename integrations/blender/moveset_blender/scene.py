@@ -22,8 +22,14 @@ def set_scene_fps(scene: bpy.types.Scene, fps: float) -> None:
     scene.render.fps_base = scene.render.fps / fps
 
 
-def make_armature(context: bpy.types.Context, skeleton: Skeleton, name: str) -> bpy.types.Object:
-    """An armature of a skeleton at rest, standing at the world's origin, linked, selected and active."""
+def make_armature(
+    context: bpy.types.Context, skeleton: Skeleton, name: str
+) -> tuple[bpy.types.Object, tuple[str, ...]]:
+    """An armature of a skeleton at rest, standing at the world's origin, linked, selected and active.
+
+    Returns:
+        it, and its bones' names in the order of the joints: Blender cuts names that are too long for it.
+    """
     leave_modes(context)
     bones = bones_of(skeleton)
     armature = bpy.data.objects.new(name, bpy.data.armatures.new(name))
@@ -41,8 +47,9 @@ def make_armature(context: bpy.types.Context, skeleton: Skeleton, name: str) -> 
         if parent >= 0:
             bone.parent = made[parent]
         made.append(bone)
+    names = tuple(bone.name for bone in made)
     bpy.ops.object.mode_set(mode="OBJECT")
-    return armature
+    return armature, names
 
 
 def leave_modes(context: bpy.types.Context) -> None:
@@ -60,6 +67,7 @@ def read_rig(context: bpy.types.Context, armature: bpy.types.Object) -> Rig:
     context.view_layer.update()
     turn, _ = _turn_and_scale(armature)
     bones = _ordered(armature)
+    turns = np.array([turn @ np.array(bone.matrix_local.to_3x3()) for bone in bones]).reshape(-1, 3, 3)
     index = {bone.name: j for j, bone in enumerate(bones)}
     whole = np.array(armature.matrix_world.to_3x3())
     return Rig(
@@ -67,12 +75,17 @@ def read_rig(context: bpy.types.Context, armature: bpy.types.Object) -> Rig:
         tuple(index),
         tuple(index[bone.parent.name] if bone.parent else -1 for bone in bones),
         np.array([whole @ np.array(bone.head_local) for bone in bones]),
-        quat.normalize(quat.from_matrix(np.array([turn @ np.array(bone.matrix_local.to_3x3()) for bone in bones]))),
+        quat.normalize(quat.from_matrix(turns)),
     )
 
 
-def key(context: bpy.types.Context, armature: bpy.types.Object, rig: Rig, pose: Pose, title: str) -> list[str]:
+def key(
+    context: bpy.types.Context, armature: bpy.types.Object, rig: Rig, pose: Pose, title: str, *, set_fps: bool = False
+) -> list[str]:
     """Give an armature a new action that holds a pose, from the scene's current frame on.
+
+    Args:
+        set_fps: make the scene run at the pose's rate.
 
     Returns:
         sentences that somebody should read: what may get in the motion's way.
@@ -87,6 +100,8 @@ def key(context: bpy.types.Context, armature: bpy.types.Object, rig: Rig, pose: 
     if (mover.parent and mover.use_connect) or not mover.use_local_location:
         raise MotionError(f"the bone {mover.name} cannot travel; make it unconnected, with Local Location on")
 
+    if set_fps:
+        set_scene_fps(context.scene, pose.fps)
     moved = {j for k in pose.turned for j in _with_ancestors(rig, k)}
     for j in moved:
         bone = armature.pose.bones[rig.bones[j]]
@@ -114,6 +129,17 @@ def sample_take(context: bpy.types.Context, armature: bpy.types.Object) -> Take:
     """
     if not (armature.animation_data and armature.animation_data.action):
         raise MotionError(f"{armature.name} has no action to take over; generate or import motion onto it first")
+    scene, before = context.scene, context.scene.frame_current
+    first, last = (round(x) for x in armature.animation_data.action.frame_range)
+    # It may be moved and turned as a whole: its way begins where it stands at first, the way it looks there.
+    scene.frame_set(first)
+    try:
+        return _sampled(context, armature, range(first, last + 1))
+    finally:
+        scene.frame_set(before)
+
+
+def _sampled(context: bpy.types.Context, armature: bpy.types.Object, span: range) -> Take:
     rig = read_rig(context, armature)
     found = find_roles(rig.bones, rig.parents, armature.name)
     look = facing(rig, found)
@@ -127,23 +153,20 @@ def sample_take(context: bpy.types.Context, armature: bpy.types.Object) -> Take:
     heads = from_blender(quat.rotate(look, rig.heads[order]))
     skeleton = Skeleton(armature.name, joints, tuple(parents), heads - heads[np.maximum(parents, 0)])
 
-    scene, before = context.scene, context.scene.frame_current
-    first, last = (round(x) for x in armature.animation_data.action.frame_range)
+    begun = np.array(armature.matrix_world.translation)
     turns, path = [], []
-    for frame in range(first, last + 1):
-        scene.frame_set(frame)
+    for frame in span:
+        context.scene.frame_set(frame)
         posed = armature.evaluated_get(context.evaluated_depsgraph_get())
         turn, _ = _turn_and_scale(posed)
         now = [np.array(posed.pose.bones[rig.bones[j]].matrix.to_3x3().normalized()) for j in order]
         turns.append(quat.mul(quat.from_matrix(turn @ np.array(now)), quat.inv(rig.turns[order])))
-        whole = np.array(posed.matrix_world.to_3x3())
-        path.append(whole @ np.array(posed.pose.bones[rig.bones[order[0]]].head))
-    scene.frame_set(before)
+        path.append(np.array(posed.matrix_world @ posed.pose.bones[rig.bones[order[0]]].head) - begun)
     world = turn_from_blender(quat.mul(quat.mul(look, np.array(turns)), quat.inv(look)))
     local = world.copy()
     local[:, 1:] = quat.mul(quat.inv(world[:, parents[1:]]), world[:, 1:])
     root = from_blender(quat.rotate(look, np.array(path)))
-    return Take(skeleton, scene_fps(scene), root, quat.normalize(local), armature.name)
+    return Take(skeleton, scene_fps(context.scene), root, quat.normalize(local), armature.name)
 
 
 def _turn_and_scale(armature: bpy.types.Object) -> tuple[np.ndarray, float]:

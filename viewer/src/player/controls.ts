@@ -1,6 +1,7 @@
 /** The bar under the picture. It only shows what the player says, and tells the player what was asked. */
 
 import { clock, element, icon } from "./dom";
+import { canRecord } from "./recording";
 
 export const SPEEDS = [0.25, 0.5, 1, 1.5, 2] as const;
 
@@ -66,7 +67,7 @@ export class Controls {
       this.button("dark", "Dark colours", "d", icon("theme")),
       record,
     );
-    if (typeof MediaRecorder === "undefined") record.remove();
+    if (!canRecord()) record.remove();
     if (document.fullscreenEnabled) this.root.append(this.button("full", "Full screen", "F", icon("full")));
     this.slider.addEventListener("input", () => asked.seek(Number(this.slider.value)));
     this.speed.addEventListener("change", () => asked.speed(Number(this.speed.value)));

@@ -38,7 +38,6 @@ const PATHS = {
   record: circle(12, 12, 6),
   full: "M4 9V4h5M20 9V4h-5M4 15v5h5M20 15v5h-5",
   theme: `${circle(12, 12, 8)}M12 4v16a8 8 0 0 0 0-16z`,
-  download: "M12 4v11M7 10.5l5 5 5-5M4.5 20h15",
 } as const;
 const FILLED = new Set<string>(["play", "pause", "record"]);
 

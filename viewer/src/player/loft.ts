@@ -44,7 +44,7 @@ export function frameAlong(axis: Vec, front: Vec, origin: Vec = [0, 0, 0]): Fram
 }
 
 /** A ring between given ones, by a Catmull-Rom curve; beyond them the nearest. */
-export function ringAt(rings: readonly Ring[], s: number): Required<Ring> {
+function ringAt(rings: readonly Ring[], s: number): Required<Ring> {
   const last = rings.length - 1;
   let i = 0;
   while (i < last - 1 && rings[i + 1].s < s) i++;
@@ -116,7 +116,7 @@ function shrunk(ring: Required<Ring>, size: number, along: number): Required<Rin
 }
 
 /** A point of the unit circle, or of a rounder box for exponents above 2. */
-export function onRing(angle: number, square: number): [number, number] {
+function onRing(angle: number, square: number): [number, number] {
   const [x, y] = [Math.cos(angle), Math.sin(angle)];
   const power = 2 / square;
   return [Math.sign(x) * Math.abs(x) ** power, Math.sign(y) * Math.abs(y) ** power];

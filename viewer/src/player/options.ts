@@ -2,9 +2,7 @@
 
 import type { Take } from "../take";
 import type { Prompt } from "./controls";
-import type { Overlays } from "./figure";
 import type { ThemeName } from "./theme";
-import type { CameraMode } from "./view";
 
 export interface PlayerTake {
   take: Take;
@@ -15,13 +13,8 @@ export interface PlayerTake {
 
 export interface PlayerOptions {
   theme?: ThemeName | "auto";
+  /** By default where the reader's system asks for no less motion. */
   autoplay?: boolean;
-  loop?: boolean;
-  camera?: CameraMode;
-  overlays?: Partial<Overlays>;
-  /** The bar under the picture (default), and the prompt of the moment above it (default). */
-  controls?: boolean;
-  caption?: boolean;
   /** Where keys are heard: the player itself (default), or the whole page. */
   keys?: "player" | "page";
   /** Name of recorded videos. */
@@ -31,6 +24,4 @@ export interface PlayerOptions {
 export interface SetTakesOptions {
   /** The first take is still growing: play waits at its end instead of stopping. */
   live?: boolean;
-  /** Leave camera and clock as they are. */
-  keep?: boolean;
 }

@@ -1,6 +1,5 @@
 /** The motion player: takes on a stage, a clock, a camera and a bar of controls. */
 
-import type { Packet } from "../wire";
 import { Cast } from "./cast";
 import { Controls, type Prompt, type Toggle } from "./controls";
 import { adopt, element } from "./dom";
@@ -9,7 +8,7 @@ import { fit, lookAt } from "./gaze";
 import { hearKeys } from "./keys";
 import { Meter } from "./meter";
 import type { PlayerOptions, PlayerTake, SetTakesOptions } from "./options";
-import { download, Recording } from "./recording";
+import { canRecord, download, Recording } from "./recording";
 import { Sharpness } from "./sharpness";
 import { Stage } from "./stage";
 import { PLAYER_CSS } from "./styles";
@@ -21,7 +20,7 @@ export type { CameraMode, Overlays, PlayerOptions, PlayerTake, Prompt, SetTakesO
 export class Player {
   readonly root: HTMLElement;
   readonly canvas = element("canvas", { role: "img" });
-  loop: boolean;
+  loop = true;
   /** Called whenever another moment is shown: frame of the first take, which may lie between two. */
   onframe: ((frame: number) => void) | null = null;
   /** Called when playing, speed, overlays, camera or theme changed. */
@@ -29,7 +28,7 @@ export class Player {
   private readonly stage: Stage;
   private readonly sharpness: Sharpness;
   private readonly view: View;
-  private readonly controls: Controls | null;
+  private readonly controls: Controls;
   private readonly labels = element("div", { class: "mv-labels", "aria-hidden": "true" });
   private readonly caption = element("div", { class: "mv-caption", "aria-live": "polite" });
   private readonly watcher: ResizeObserver;
@@ -42,8 +41,8 @@ export class Player {
   private isPlaying = false;
   private isLive = false;
   private rate = 1;
-  private mode: CameraMode;
-  private shown: Overlays;
+  private mode: CameraMode = "follow";
+  private shown: Overlays = { skeleton: false, contacts: false, trail: false };
   private colours: ThemeName = "light";
   private dirty = true;
   private ask = 0;
@@ -55,11 +54,8 @@ export class Player {
   constructor(container: HTMLElement, options: PlayerOptions = {}) {
     adopt(PLAYER_CSS);
     this.root = element("div", { class: "moveset-player", tabindex: "0", role: "region", "aria-label": "Motion player" });
-    this.loop = options.loop ?? true;
-    this.mode = options.camera ?? "follow";
-    this.shown = { skeleton: false, contacts: false, trail: false, ...options.overlays };
     this.filename = options.filename ?? "motion";
-    this.isPlaying = options.autoplay ?? true;
+    this.isPlaying = options.autoplay ?? !matchMedia("(prefers-reduced-motion: reduce)").matches;
     this.root.append(this.canvas, this.labels);
     container.append(this.root);
     try {
@@ -71,18 +67,18 @@ export class Player {
     this.root.toggleAttribute("data-software", this.software);
     this.sharpness = new Sharpness(this.software ? 1 : Infinity);
     this.view = new View(this.stage.camera, this.canvas, () => this.touch());
-    if (options.caption ?? true) this.root.append(this.caption);
     const asked = {
       toggle: (what: Toggle) => this.toggle(what),
       seek: (seconds: number) => this.seek(seconds * this.fps),
       speed: (value: number) => (this.speed = value),
     };
-    this.controls = (options.controls ?? true) ? new Controls(asked) : null;
-    if (this.controls) this.root.append(this.controls.root);
+    this.controls = new Controls(asked);
+    this.root.append(this.caption, this.controls.root);
     this.watcher = new ResizeObserver(() => this.resize());
     this.watcher.observe(this.root);
     hearKeys(options.keys === "page" ? document : this.root, this, this.view, this.stop.signal);
     document.addEventListener("visibilitychange", () => this.returned(), { signal: this.stop.signal });
+    this.canvas.addEventListener("webglcontextrestored", () => this.touch(), { signal: this.stop.signal });
     const theme = options.theme ?? "auto";
     this.forgetTheme = theme === "auto" ? systemTheme((name) => (this.theme = name)) : null;
     if (theme !== "auto") this.theme = theme;
@@ -106,19 +102,15 @@ export class Player {
     this.labels.replaceChildren(...this.cast.tags);
     const { described } = this.cast;
     this.canvas.setAttribute("aria-label", described ? `A moving figure: ${described}` : "A moving figure");
-    if (options.keep) this.time = Math.min(this.time, this.duration);
-    else {
-      this.time = 0;
-      this.view.shift.set(0, 0, 0);
-      this.aim(true);
-    }
+    this.time = 0;
+    this.view.shift.set(0, 0, 0);
+    this.aim(true);
     this.known = { frames: -1, prompts: -1, duration: -1 };
     this.resize();
   }
 
-  /** Add a packet to a take that is shown; without one: look again, since a take or its prompts grew. */
-  append(packet?: Packet, takeIndex = 0): void {
-    if (packet) this.cast.entries[takeIndex].take.append(packet);
+  /** Look again, since a take that is shown or its prompts grew. */
+  grown(): void {
     this.touch();
   }
 
@@ -224,16 +216,13 @@ export class Player {
     return this.meter.times();
   }
 
-  /** A WebM video of the takes from beginning to end at the speed they are shown; stops early when asked again. */
+  /** A WebM video of the takes from beginning to end, or until the bar's button ends it, at the speed shown. */
   async recordVideo(): Promise<Blob> {
-    if (this.recording) {
-      this.recording.stop();
-      return this.recording.done;
-    }
+    if (this.recording) return this.recording.done;
+    this.recording = new Recording(this.canvas);
     const before = { time: this.time, playing: this.isPlaying };
     if (!this.isLive) this.time = 0;
     this.isPlaying = true;
-    this.recording = new Recording(this.canvas);
     this.touch(true);
     try {
       return await this.recording.done;
@@ -329,7 +318,7 @@ export class Player {
     const { known } = this;
     if (known.frames === frames && known.prompts === prompts.length && known.duration === duration) return false;
     this.known = { frames, prompts: prompts.length, duration };
-    this.controls?.mark(prompts, this.fps, duration);
+    this.controls.mark(prompts, this.fps, duration);
     this.fit();
     return true;
   }
@@ -343,7 +332,7 @@ export class Player {
     this.cast.placeTags(this.stage.camera, this.root.clientWidth, this.root.clientHeight);
     this.say();
     this.onframe?.(this.frame);
-    this.controls?.update({
+    this.controls.update({
       playing: this.isPlaying,
       live: this.isLive,
       seconds: this.time,
@@ -381,8 +370,8 @@ export class Player {
     if (width === 0 || height === 0) return;
     this.stage.resize(width, height);
     // The picture's middle is that of what caption and bar leave free.
-    const below = this.covered?.below ?? (this.controls ? this.controls.root.offsetHeight + 14 : 0);
-    const above = this.covered?.above ?? ((this.caption.isConnected ? 46 : 0) + (this.cast.tags.length > 0 ? 26 : 0));
+    const below = this.covered?.below ?? this.controls.root.offsetHeight + 14;
+    const above = this.covered?.above ?? 46 + (this.cast.tags.length > 0 ? 26 : 0);
     const free = Math.max(0.4, 1 - (below + above) / height);
     const { camera } = this.stage;
     camera.setViewOffset(width, height, 0, (below - above) / 2, width, height);
@@ -396,10 +385,16 @@ export class Player {
     if (what === "playing") this.isPlaying ? this.pause() : this.play();
     else if (what === "loop") this.loop = !this.loop;
     else if (what === "follow") this.camera = this.mode === "follow" ? "orbit" : "follow";
-    else if (what === "recording") void this.recordVideo().then((video) => this.recording || download(video, `${this.filename}.webm`));
+    else if (what === "recording") this.toggleRecording();
     else if (what === "dark") this.theme = this.colours === "dark" ? "light" : "dark";
     else if (what === "full") void (document.fullscreenElement ? document.exitFullscreen() : this.root.requestFullscreen());
     else this.overlays = { [what]: !this.shown[what] };
     this.touch(true);
+  }
+
+  /** Whoever began a recording saves it; ending it is all that anybody else does. */
+  private toggleRecording(): void {
+    if (this.recording) this.recording.stop();
+    else if (canRecord()) void this.recordVideo().then((video) => download(video, `${this.filename}.webm`));
   }
 }

@@ -2,13 +2,22 @@
 
 const KINDS = ["video/webm;codecs=vp9", "video/webm;codecs=vp8", "video/webm"];
 
+/** Whether this browser can. */
+export function canRecord(): boolean {
+  return kind() !== undefined;
+}
+
+function kind(): string | undefined {
+  return typeof MediaRecorder === "undefined" ? undefined : KINDS.find((one) => MediaRecorder.isTypeSupported(one));
+}
+
 /** Records a canvas until `stop` is called; the video comes with `done`. */
 export class Recording {
   readonly done: Promise<Blob>;
   private readonly recorder: MediaRecorder;
 
   constructor(canvas: HTMLCanvasElement, fps = 60) {
-    const mimeType = KINDS.find((kind) => MediaRecorder.isTypeSupported(kind));
+    const mimeType = kind();
     if (!mimeType) throw new Error("this browser cannot record WebM video");
     const stream = canvas.captureStream(fps);
     this.recorder = new MediaRecorder(stream, { mimeType, videoBitsPerSecond: 12_000_000 });

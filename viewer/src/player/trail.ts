@@ -13,7 +13,7 @@ export class Trail {
   private readonly past: THREE.Mesh;
   private readonly future: THREE.Mesh;
   private readonly geometry = new THREE.BufferGeometry();
-  private drawn = { from: 0, to: 0 };
+  private drawn = { from: 0, to: 0, revision: 0 };
 
   constructor() {
     const ribbon = (opacity: number) => {
@@ -36,7 +36,7 @@ export class Trail {
   update(take: Take, frame: number): void {
     const now = Math.floor(frame);
     const outside = now < this.drawn.from || now > this.drawn.to;
-    if (outside || (take.frames > this.drawn.to && this.drawn.to - now < MEMORY)) this.lay(take, now);
+    if (outside || (take.revision !== this.drawn.revision && this.drawn.to - now < MEMORY)) this.lay(take, now);
     const here = Math.max(0, Math.min(now, this.drawn.to) - this.drawn.from);
     this.past.geometry.setDrawRange(0, 6 * here);
     this.future.geometry.setDrawRange(6 * here, Infinity);
@@ -68,7 +68,7 @@ export class Trail {
       mesh.geometry.setAttribute("position", this.geometry.getAttribute("position"));
       mesh.geometry.setIndex(index);
     }
-    this.drawn = { from, to };
+    this.drawn = { from, to, revision: take.revision };
   }
 
   dispose(): void {

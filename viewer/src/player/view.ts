@@ -35,6 +35,8 @@ export class View {
     }
     surface.addEventListener("wheel", (event) => this.wheel(event), { ...options, passive: false });
     surface.addEventListener("dblclick", () => this.reset(), options);
+    // The right button moves the view; a menu over it would end that.
+    surface.addEventListener("contextmenu", (event) => event.preventDefault(), options);
   }
 
   reset(): void {

@@ -1,5 +1,5 @@
 /** Clip mode: from the prompt box and the timeline to finished takes side by side. */
-import { type Generated, generate, type ModelInfo, prompts as knownPrompts } from "./api";
+import { type Generated, generate, type ModelInfo } from "./api";
 import { byId, clock, segments } from "./dom";
 import { back, fault, made, notice, phase } from "./page";
 import { fromAnswer, type Shown } from "./shown";
@@ -35,6 +35,7 @@ export class Clip {
         this.settle();
       },
       counted: () => this.showCount(),
+      alone: () => this.prompt.focus(),
     });
     segments(byId("takes"), numbers(1, MOST_TAKES), 1, (num) => {
       this.num = num;
@@ -95,9 +96,11 @@ export class Clip {
     void this.submit();
   }
 
-  /** Back to what was made earlier. */
-  restore(entries: Entry[]): void {
+  /** Back to what was made earlier, from this seed. */
+  restore(entries: Entry[], seed = this.lastSeed): void {
     clearTimeout(this.settling);
+    this.lastSeed = seed;
+    this.showPin();
     this.timeline.load(entries.map((entry) => ({ ...entry })));
     this.showEntry();
   }
@@ -121,12 +124,14 @@ export class Clip {
     }
     this.working?.abort();
     const working = (this.working = new AbortController());
+    // The timeline may be written on while the server works; what is made is what was asked for.
+    const asked = entries.map((entry) => ({ entry, as: { ...entry } }));
     phase("busy");
     try {
       const begun = performance.now();
       const answer = await generate(
         {
-          prompts: entries.map(({ text, seconds }) => ({ text: text.trim(), seconds })),
+          prompts: asked.map(({ as: { text, seconds } }) => ({ text: text.trim(), seconds })),
           model: this.model?.name ?? null,
           steps: this.steps,
           seed: seed ?? (this.seed.value === "" ? null : this.seed.valueAsNumber),
@@ -135,24 +140,25 @@ export class Clip {
         working.signal,
       );
       back();
-      this.take(answer, entries, performance.now() - begun);
+      this.take(answer, asked, performance.now() - begun);
     } catch (thrown) {
       if (working.signal.aborted) return;
       fault(thrown, () => void this.submit(seed));
     } finally {
       if (this.working === working) {
         this.working = null;
-        phase(this.lastSeed === null ? "empty" : "shown");
+        phase("idle");
       }
     }
   }
 
-  private take(answer: Generated, entries: Entry[], waited: number): void {
+  private take(answer: Generated, asked: { entry: Entry; as: Entry }[], waited: number): void {
     const first = answer.takes[0];
-    entries.forEach((entry, k) => {
+    asked.forEach(({ entry, as }, k) => {
       const end = first.prompts[k + 1]?.first_frame ?? first.frames;
-      entry.made = (end - (first.prompts[k]?.first_frame ?? 0)) / first.fps;
+      entry.made = as.made = (end - (first.prompts[k]?.first_frame ?? 0)) / first.fps;
     });
+    phase("shown");
     this.lastSeed = answer.seed;
     this.timeline.draw();
     this.showPin();
@@ -162,7 +168,7 @@ export class Clip {
     const many = answer.takes.length > 1 ? `${answer.takes.length} takes of ` : "";
     const time = Math.round(inside || waited);
     made(`${many}${clock(first.seconds)} · ${answer.steps} ${answer.steps > 1 ? "steps" : "step"} · seed ${answer.seed} · made in ${time} ms`);
-    this.events.made(fromAnswer(answer), entries.map((entry) => ({ ...entry })));
+    this.events.made(fromAnswer(answer), asked.map(({ as }) => as));
   }
 
   /** After a change of length, steps or number: the same seed again, once the hand rests. */
@@ -201,9 +207,8 @@ export class Clip {
   }
 }
 
-/** Fill the row of suggestions with what a model knows; each press calls `say`. */
-export async function suggest(model: string, say: (text: string) => void): Promise<string[]> {
-  const known = await knownPrompts(model);
+/** Fill the row of suggestions; each press calls `say`. */
+export function suggest(known: string[], say: (text: string) => void): void {
   const chips = known.map((text) => {
     const chip = document.createElement("button");
     chip.type = "button";
@@ -213,7 +218,6 @@ export async function suggest(model: string, say: (text: string) => void): Promi
     return chip;
   });
   byId("chips").replaceChildren(...chips);
-  return known;
 }
 
 export function stepChoice(steps: number): { value: number; label: string; title: string } {

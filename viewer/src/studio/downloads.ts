@@ -1,4 +1,5 @@
 /** Taking home what is on the stage: files made by the server from the shown bytes, and a video recorded here. */
+import { canRecord } from "../player/recording";
 import { exportFile } from "./api";
 import { announce, byId, icon, make, save } from "./dom";
 import { back, fault } from "./page";
@@ -19,7 +20,7 @@ const FORMATS = [
 ];
 
 /** The presets of moveset.motion.rigs, and what people call them. */
-export const SKELETONS = [
+const SKELETONS = [
   { value: "", label: "moveset (hml22)" },
   { value: "smpl", label: "SMPL" },
   { value: "mixamo", label: "Mixamo" },
@@ -32,6 +33,8 @@ const LONGEST_TITLE = 512;
 
 export interface Source {
   shown(): Shown | null;
+  /** Whether it still grows. */
+  live(): boolean;
   record(): Promise<Blob>;
 }
 
@@ -50,7 +53,7 @@ export class Downloads {
   offer(formats: string[]): void {
     byId("formats").replaceChildren();
     for (const { format, name, use } of FORMATS) {
-      if (format !== "webm" && !formats.includes(format)) continue;
+      if (format === "webm" ? !canRecord() : !formats.includes(format)) continue;
       const button = make(
         "button",
         { type: "button", class: "format", "data-format": format },
@@ -94,7 +97,8 @@ export class Downloads {
     button.classList.add("busy");
     try {
       if (format === "webm") {
-        toast("Recording the stage from beginning to end…");
+        const until = this.source.live() ? "until the stream or the bar's red button ends it" : "from beginning to end";
+        toast(`Recording the stage ${until}…`);
         save(await this.source.record(), `${slug(shown.title)}.webm`);
       } else {
         const options = {

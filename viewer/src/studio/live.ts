@@ -7,7 +7,7 @@ import { stepChoice } from "./clip";
 import { announce, byId, clock, relabel, segments } from "./dom";
 import { LiveStrip } from "./live_strip";
 import { back, gone, made, notice, phase } from "./page";
-import { type Mark, packets, type Shown } from "./shown";
+import type { Mark, Shown } from "./shown";
 import { type ServerMessage, type Stage, type Started, Stream } from "./stream";
 import { toast } from "./toasts";
 
@@ -87,15 +87,8 @@ export class Live {
   }
 
   private start(text: string): void {
-    // A stream that was stopped may not have ended yet, and nothing is heard of its end any more.
-    const rest = this.state === "stopping" ? this.copy() : null;
-    if (rest) this.events.kept(rest);
-    this.stream?.abandon();
+    this.leave();
     this.prompt = text;
-    this.take = this.shown = this.started = this.expected = null;
-    this.acknowledged = -1;
-    this.marks = [];
-    this.strip.follow(this.marks);
     made("");
     notice([]);
     this.enter("connecting");
@@ -125,7 +118,8 @@ export class Live {
         this.take.fps = message.fps;
         this.mark({ text: this.prompt, firstFrame: 0 });
         byId<HTMLInputElement>("live-seed").placeholder = String(message.seed);
-        this.enter("running");
+        // It may have been stopped meanwhile.
+        if (this.state === "connecting") this.enter("running");
         break;
       case "prompt":
         this.steer(message.stages);
@@ -221,6 +215,20 @@ export class Live {
     this.enter("stopping");
   }
 
+  /** Turn to something else: a stream ends at once, its take is kept, and nothing more is heard of it. */
+  leave(): void {
+    const rest = this.stream ? this.copy() : null;
+    if (rest) this.events.kept(rest);
+    if (this.stream) this.events.ended();
+    this.stream?.abandon();
+    this.stream = this.take = this.shown = this.started = this.expected = null;
+    this.acknowledged = -1;
+    this.marks = [];
+    this.strip.follow(this.marks);
+    if (this.state !== "idle") this.enter("idle");
+    phase("idle");
+  }
+
   /** A copy of everything so far, while the stream goes on. */
   keep(): void {
     const copy = this.copy();
@@ -231,7 +239,7 @@ export class Live {
 
   private copy(): Shown | null {
     if (!this.shown || !this.take) return null;
-    const take = Take.from(this.take.skeleton, packets(this.take));
+    const take = this.take.copy();
     const prompts = this.marks.filter((mark) => mark.firstFrame < take.frames);
     const title = prompts.map((mark) => mark.text).join(", then ");
     return { kind: "live", title, takes: [{ take, title: "", seed: this.started!.seed, prompts }] };
@@ -242,10 +250,10 @@ export class Live {
     const copy = this.copy();
     this.stream = null;
     this.enter(lost ? "lost" : "idle");
-    phase(this.shown ? "shown" : "empty");
+    phase("idle");
     if (copy) {
       this.events.kept(copy);
-      if (document.body.dataset.mode === "live") made(`Stream of ${clock(copy.takes[0].take.seconds)} · seed ${copy.takes[0].seed}`);
+      made(`Stream of ${clock(copy.takes[0].take.seconds)} · seed ${copy.takes[0].seed}`);
     }
     this.events.ended();
     if (lost) gone("The connection to the server was lost.", () => this.start(this.prompt));

@@ -1,5 +1,5 @@
 /** The studio page: puts its parts together and decides which mode hears what is typed. */
-import { generate, models as askModels, type ModelInfo, type Models } from "./api";
+import { generate, models as askModels, type ModelInfo, type Models, prompts as askPrompts } from "./api";
 import { Clip, suggest } from "./clip";
 import { byId, make, roving } from "./dom";
 import { Downloads } from "./downloads";
@@ -25,13 +25,18 @@ let mode: Mode = "clip";
 let server: Models | null = null;
 const models: Partial<Record<Mode, string>> = {};
 
-const downloads = new Downloads({ shown: () => stage.shown, record: () => stage.player.recordVideo() });
+const downloads = new Downloads({
+  shown: () => stage.shown,
+  live: () => stage.player.live,
+  record: () => stage.player.recordVideo(),
+});
 
 const recent = new Recent((kept) => {
-  if (live.open) live.stop();
+  live.leave();
+  clip.leave();
   if (kept.entries.length) {
     enter("clip");
-    clip.restore(kept.entries);
+    clip.restore(kept.entries, kept.shown.takes[0].seed);
   }
   notice([]);
   made("");
@@ -75,7 +80,7 @@ stage.onFrame((frame) => {
 /** Enter a mode. A stream ends when one leaves it, and stays among the recent takes. */
 function enter(wanted: Mode): void {
   if (wanted === mode) return;
-  if (live.open) live.stop();
+  live.leave();
   clip.leave();
   mode = wanted;
   document.body.dataset.mode = mode;
@@ -89,7 +94,7 @@ function enter(wanted: Mode): void {
   made("");
   byId("live-strip").hidden = byId("timeline").hidden = true;
   byId("go-label").textContent = "Move";
-  void suggestions();
+  suggestAnew();
   if (mode === "clip") return clip.restore(clip.timeline.entries);
   live.label();
 }
@@ -97,7 +102,16 @@ function enter(wanted: Mode): void {
 /** Suggest what the mode's model does well. */
 async function suggestions(): Promise<string[]> {
   const model = models[mode];
-  return model ? suggest(model, say) : [];
+  if (!model) return [];
+  const known = await askPrompts(model);
+  back();
+  // Another model may be in use by now, and its answer may have come first.
+  if (model === models[mode]) suggest(known, say);
+  return known;
+}
+
+function suggestAnew(): void {
+  suggestions().catch((thrown) => fault(thrown, suggestAnew));
 }
 
 function submit(): void {
@@ -154,8 +168,8 @@ shortcuts(
   [
     { key: "/", keys: "/", does: "Write a prompt", run: () => prompt.focus() },
     { key: "g", keys: "G", does: "Another try with another seed", run: () => mode === "clip" && clip.again() },
-    { key: "1", keys: "1", does: "Clip", run: () => enter("clip") },
-    { key: "2", keys: "2", does: "Live", run: () => enter("live") },
+    { key: "1", keys: "1", does: "Clip", run: () => byId("mode-clip").click() },
+    { key: "2", keys: "2", does: "Live", run: () => byId("mode-live").click() },
     { key: "x", keys: "X", does: "Stop the stream", run: () => live.stop() },
     { key: "h", keys: "H", does: "Hold on to the take so far", run: () => live.keep() },
     { key: "o", keys: "O", does: "Download", run: () => downloads.show() },
@@ -177,7 +191,10 @@ function offer(task: "clip" | "stream", use: (model: ModelInfo) => void): ModelI
   byId<HTMLButtonElement>(`mode-${key}`).disabled = all.length === 0;
   if (!chosen) return null;
   select.value = chosen.name;
-  select.onchange = () => use(all.find((model) => model.name === select.value)!);
+  select.onchange = () => {
+    use(all.find((model) => model.name === select.value)!);
+    suggestAnew();
+  };
   use(chosen);
   return chosen;
 }
@@ -212,7 +229,7 @@ async function greet(text: string): Promise<void> {
   if (!stage.shown && document.body.dataset.phase === "empty") stage.show(fromAnswer(answer), !still.matches);
 }
 
-phase("empty");
+phase("idle");
 grow();
 // For tests and for the curious: what is on the stage, to be read and not to be changed.
 Object.assign(window, { __moveset: { player: stage.player, stage, clip, live, recent } });

@@ -16,9 +16,12 @@ export function made(words: string): void {
   if (words) announce(words);
 }
 
-/** Nothing was shown yet, something is being made, or something is on the stage. */
-export function phase(now: "empty" | "busy" | "shown"): void {
-  document.body.dataset.phase = now;
+let filled = false;
+
+/** Something is being made, or came onto the stage, or neither: then the page is as it was before. */
+export function phase(now: "busy" | "shown" | "idle"): void {
+  filled ||= now === "shown";
+  document.body.dataset.phase = now === "busy" ? "busy" : filled ? "shown" : "empty";
 }
 
 let retry: (() => void) | null = null;

@@ -1,5 +1,6 @@
 /** Keys for everything, and the panel that lists them. Single keys can be switched off there. */
 import { byId, make } from "./dom";
+import { forget, recall, remember } from "./memory";
 import { Popover } from "./popover";
 
 const KEY = "moveset-single-keys";
@@ -32,10 +33,10 @@ const PLAYING = [
 export function shortcuts(list: Shortcut[], player: (event: KeyboardEvent) => boolean): void {
   const help = byId<HTMLDialogElement>("help");
   const single = byId<HTMLInputElement>("single-keys");
-  single.checked = localStorage.getItem(KEY) !== "off";
+  single.checked = recall(KEY) !== "off";
   single.addEventListener("change", () => {
-    if (single.checked) localStorage.removeItem(KEY);
-    else localStorage.setItem(KEY, "off");
+    if (single.checked) forget(KEY);
+    else remember(KEY, "off");
   });
   const rows = [...WRITING, ...list, ...PLAYING].map(({ keys, does }) =>
     make("div", {}, make("dt", {}, ...keys.split(" ").map((one) => make("kbd", {}, one))), make("dd", {}, does)),
@@ -43,8 +44,11 @@ export function shortcuts(list: Shortcut[], player: (event: KeyboardEvent) => bo
   byId("keys").replaceChildren(...rows);
   byId("open-help").addEventListener("click", () => help.showModal());
   byId("close-help").addEventListener("click", () => help.close());
-  help.addEventListener("click", (event) => {
-    if (event.target === help) help.close();
+  help.addEventListener("click", ({ target, clientX, clientY }) => {
+    // Its own rim is the same element as what is behind it.
+    const { left, right, top, bottom } = help.getBoundingClientRect();
+    const beside = clientX < left || clientX > right || clientY < top || clientY > bottom;
+    if (target === help && beside) help.close();
   });
   document.addEventListener("keydown", (event) => {
     if (event.key === "Escape" && Popover.dismiss()) return event.preventDefault();

@@ -56,13 +56,13 @@ export class Stage {
   follow(shown: Shown): void {
     this.shown = shown;
     this.player.setTakes(shown.takes, { live: true });
-    this.player.camera = "follow";
     this.player.play();
+    this.player.camera = "follow";
   }
 
   /** What is shown has more frames or prompts. */
   grown(): void {
-    this.player.append();
+    this.player.grown();
   }
 
   /** What was growing is complete: play it like any other. */

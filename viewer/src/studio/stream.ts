@@ -84,8 +84,9 @@ export class Stream {
     if (this.socket.readyState === WebSocket.OPEN) this.socket.send(JSON.stringify(message));
   }
 
-  /** End it: the server answers `stopped`; one that cannot answer any more is let go of. */
+  /** End it: the server answers `stopped`; one that does not hear yet, or cannot answer any more, is let go of. */
   stop(): void {
+    if (this.socket.readyState !== WebSocket.OPEN) return this.socket.close();
     this.send({ type: "stop" });
     setTimeout(() => this.socket.close(), 2000);
   }

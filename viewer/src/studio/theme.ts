@@ -1,11 +1,13 @@
 /** Light or dark: what the system says, until somebody chooses otherwise; the choice is remembered by the browser. */
+import { forget, recall, remember } from "./memory";
+
 const KEY = "moveset-theme";
 export type Theme = "light" | "dark";
 
 const system = matchMedia("(prefers-color-scheme: dark)");
 
 function chosen(): Theme | null {
-  const stored = localStorage.getItem(KEY);
+  const stored = recall(KEY);
   return stored === "light" || stored === "dark" ? stored : null;
 }
 
@@ -27,8 +29,8 @@ export function themes(follow: (theme: Theme) => void): () => void {
   return () => {
     const wanted: Theme = theme() === "dark" ? "light" : "dark";
     // Back to what the system says is no choice at all: it follows the system again.
-    if (wanted === (system.matches ? "dark" : "light")) localStorage.removeItem(KEY);
-    else localStorage.setItem(KEY, wanted);
+    if (wanted === (system.matches ? "dark" : "light")) forget(KEY);
+    else remember(KEY, wanted);
     apply();
   };
 }

@@ -19,6 +19,8 @@ export interface TimelineEvents {
   changed(): void;
   /** The number of entries changed. */
   counted(): void;
+  /** The last block but one was removed by a key, and with the blocks went the focus. */
+  alone(): void;
 }
 
 export const MOST_ENTRIES = 8;
@@ -112,9 +114,12 @@ export class Timeline {
     const room = Math.max(240, this.root.clientWidth);
     if (!this.dragging) this.scale = Math.max(30, (room - 14) / Math.max(6, this.total));
     const blocks = this.entries.map((entry, k) => this.block(entry, k));
-    const focused = (document.activeElement as HTMLElement | null)?.dataset.handle;
+    const focused = (document.activeElement as HTMLElement | null)?.dataset;
     this.track.replaceChildren(...blocks, this.head);
-    if (focused !== undefined) this.track.querySelector<HTMLElement>(`[data-handle="${focused}"]`)?.focus();
+    for (const part of ["handle", "words"]) {
+      const k = focused?.[part];
+      if (k !== undefined) this.track.querySelector<HTMLElement>(`[data-${part}="${k}"]`)?.focus();
+    }
   }
 
   private block(entry: Entry, k: number): HTMLElement {
@@ -123,7 +128,7 @@ export class Timeline {
     const length = make("span", { class: "length" }, entry.seconds === null ? `${clock(seconds)} auto` : clock(seconds));
     const choose = make(
       "button",
-      { type: "button", class: "words", "aria-pressed": String(k === this.selected), title: text },
+      { type: "button", class: "words", "data-words": k, "aria-pressed": String(k === this.selected), title: text },
       make("span", { class: "text" }, text),
       length,
     );
@@ -132,7 +137,8 @@ export class Timeline {
       if (event.key === "Delete" || event.key === "Backspace") {
         event.preventDefault();
         this.remove(k);
-        (this.track.querySelector('[aria-pressed="true"]') as HTMLElement | null)?.focus();
+        if (this.root.hidden) this.events.alone();
+        else (this.track.querySelector('[aria-pressed="true"]') as HTMLElement | null)?.focus();
       }
     });
     const remove = make("button", { type: "button", class: "remove", "aria-label": `Remove “${text}”`, tabindex: -1 }, icon("close"));
@@ -187,11 +193,13 @@ export class Timeline {
     event.preventDefault();
     handle.focus();
     const begun = { x: event.clientX, seconds: this.seconds(entry), own: entry.seconds };
+    let moved = false;
     this.dragging = true;
     this.root.classList.add("dragging");
     // Blocks are drawn anew while the pointer moves, so it is followed on the window, not on the edge.
     const move = (at: PointerEvent): void => {
       if (at.pointerId !== event.pointerId || Math.abs(at.clientX - begun.x) < 2) return;
+      moved = true;
       entry.seconds = this.allowed(begun.seconds + (at.clientX - begun.x) / this.scale);
       this.draw();
     };
@@ -202,6 +210,8 @@ export class Timeline {
       window.removeEventListener("pointercancel", end);
       this.dragging = false;
       this.root.classList.remove("dragging");
+      // A press alone leaves the edge where it is: a second one makes a double click only on the same element.
+      if (!moved) return;
       this.draw();
       this.track.querySelector<HTMLElement>(`[data-handle="${k}"]`)?.focus();
       if (entry.seconds !== begun.own) this.events.changed();
