@@ -185,6 +185,11 @@ def test_the_commands_of_processes_are_those_of_the_rows(plan, monkeypatch):
     assert "--network rdm" in " ".join(asked[6])
 
 
+def test_the_longest_clip_of_any_frame_rate_is_within_its_limit():
+    command = processes_module.clip_command("mine", "pcm", 1, 200 / 30, "cpu")
+    assert float(command[command.index("--seconds") + 1]) == 200 / 30
+
+
 def test_a_process_tells_its_time_and_its_own_memory(folders, tmp_path):
     # What this process holds is not in it.
     ballast = torch.ones(150_000_000)
@@ -236,7 +241,7 @@ def test_batches_are_of_different_sentences(folders, monkeypatch):
     monkeypatch.setattr(
         t2m, "generate", lambda requests, *a, **k: heard.append((requests, k)) or real(requests, *a, **k)
     )
-    method = latency.clip_methods(t2m.bundle.config)["pcm-2"]
+    method = latency.clip_methods(t2m.bundle.config, ())["pcm-2"]
     case = latency.batch_case(t2m, method, 40, 3)
     case(0)
     case(1)

@@ -8,10 +8,13 @@ import shutil
 import numpy as np
 import pytest
 
+from moveset.cli import tables
 from moveset.cli.__main__ import main
 from moveset.cli.tables import notes, title
+from moveset.evaluation.run import open_source
 from tests.evaluation.corpora import content_corpus, motion_folder
 from tests.evaluators import tiny_evaluator
+from tests.streams import tiny_stream
 
 
 @pytest.fixture(scope="module")
@@ -67,6 +70,8 @@ def test_the_judge_itself_is_checked(evaluate, tmp_path):
     assert (few["items"], few["file"].endswith("sanity-judge-test-70-items.json")) == (70, True)
     for wrong, message in (
         (["real"], "leave models"),
+        (["--steps", "4"], "leave models"),
+        (["--set", "start=7"], "leave models"),
         (["--split", "rollout"], "--split test or val"),
         (["--device", "abacus"], "unknown device"),
         (["--items", "0"], "0 items are fewer than 1"),
@@ -107,6 +112,9 @@ def test_what_the_evaluator_does_not_read_of_long_motions_is_said(evaluate, tmp_
     [
         (["mine", "--split", "rollout"], "mine cannot be rolled out"),
         ([None, "tiny", "--network", "vae", "--split", "rollout"], "tiny-vae cannot be rolled out"),
+        # Not after hours of what comes before it.
+        ([None, "real", "vae", "--split", "rollout"], "motionpcm-small-vae cannot be rolled out"),
+        ([None, "--suite", "motionpcm", "--split", "rollout", "--row", "real", "--row", "vae"], "vae cannot be rolled"),
     ],
 )
 def test_what_no_repeat_could_judge_is_refused_before_anything_is_written(evaluate, tmp_path, arguments, message):
@@ -148,6 +156,8 @@ def test_only_the_last_process_of_torchrun_tells(evaluate, monkeypatch):
         ([], "no model was given"),
         (["nothing"], "unknown model 'nothing'"),
         (["flow", "--set", "shape=round"], "shape 'round' is not one of"),
+        (["flow", "--network", "rdm", "--set", "init_noise=share"], "init_noise 'share' is not one of shared, indep"),
+        (["flow", "--set", "stages=False"], "stages 'False' is neither true nor false"),
         (["flow", "--set", "pace=2"], "Sampler has no setting 'pace'"),
         (["real", "--repeats", "0"], "repeats 0 is not in 1"),
         (["real", "--split", "train"], "train"),
@@ -209,6 +219,19 @@ def test_a_suite_of_rows_without_weights(evaluate):
     assert code == 0, err
     assert "MD-4: no weights given" in err
     assert "No row has been evaluated yet." in out
+
+
+def test_a_suite_goes_on_past_a_row_that_a_model_cannot_be_sampled_as(evaluate, tmp_path, monkeypatch):
+    folder = tiny_stream(tmp_path / "rdm-tiny")
+    monkeypatch.setattr(tables, "run_one", lambda config, how: open_source(config))
+    given = [str(folder), "--suite", "rdm", "--split", "rollout"]
+    code, _, err = evaluate(*given)
+    assert code == 0, err
+    assert "told a noisy past: past_lag 1 is for network 'rdm' with a lag of all of its steps" in err
+    assert "Real, of the training: " in err  # what cannot be rolled out, likewise
+    assert "R = 2, triangle: 3 repeats" in err
+    code, _, err = evaluate(*given, "--row", "noisy-past")
+    assert (code, "past_lag 1 is for network 'rdm'" in err, err.count("\n")) == (2, True, 1)
 
 
 def test_what_draws_the_pictures_is_missed_before_anything_is_made(evaluate, tmp_path, monkeypatch):

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from moveset.errors import FormatError, InputError
-from moveset.evaluation.generators import Generated, Given, Reconstruction, Wanted, check_made, resampled
+from moveset.evaluation.generators import Generated, Given, Reconstruction, Wanted, resampled
 from moveset.evaluation.motion_files import folder_motions
 from moveset.evaluation.run import EvaluationConfig, open_source
 from moveset.motion.features import get_codec
@@ -113,6 +113,7 @@ def test_a_network_without_steps_takes_its_own(bundle, network):
         ("rdm", None, "unknown network 'rdm'; model 'tiny' has vae, teacher, lcm-1"),
         ("length", None, "unknown network 'length'"),
         ("teacher-5", None, "does not go with"),
+        ("lcm-one", 2, "unknown network 'lcm-one'"),
     ],
 )
 def test_networks_that_are_not_there(bundle, network, steps, message):
@@ -360,17 +361,6 @@ def test_jobs_open_what_they_name(bundle, streams):
         with pytest.raises(InputError, match=f"network '{network}' makes one segment after the other.*no triangle"):
             opened(model=flow, network=network, settings=(("shape", "triangle"),))
         assert opened(model=flow, network=network, settings=(("shape", "parallelogram"),)).network == network
-
-
-def test_motion_that_cannot_be_judged(items):
-    draws = items.draw(torch.Generator())[:1]
-    for joints, message in (
-        (torch.full((40, 22, 3), torch.nan), "not finite"),
-        (torch.zeros(40, 21, 3), r"judges \(frames, 22, 3\)"),
-        (torch.zeros(3, 22, 3), "at least 5"),
-    ):
-        with pytest.raises(InputError, match=message):
-            check_made([joints], draws, "a model", (22, 3))
 
 
 def test_requests_are_within_the_limits_of_users(bundle):

@@ -1,11 +1,14 @@
 """Rows to read others beside: motion of the training, and of it the clip with the most similar sentence."""
 
 import numpy as np
+import pytest
 import torch
 
 from moveset.data.dataset import open_dataset
+from moveset.errors import InputError
 from moveset.evaluation.generators import Given, Wanted
 from moveset.evaluation.nearest import NearestClip
+from moveset.evaluation.protocol import Protocol
 from moveset.evaluation.run import EvaluationConfig, open_source
 from tests.evaluation.corpora import content_corpus
 from tests.training.hml_folder import PART, write_folder
@@ -40,6 +43,26 @@ def test_repeats_are_of_the_training_motion_they_were_made_from(tmp_path):
     assert weights() == found[-1]
     # The hash of a corpus is that of the file, training clips with it.
     assert NearestClip(open_dataset(content_corpus(tmp_path / "corpus.safetensors", split="train"))).weights() == {}
+
+
+def test_sentences_are_read_when_motion_is_asked_for(tmp_path, monkeypatch):
+    """What is opened is checked first, and each process opens it again."""
+    path = content_corpus(tmp_path / "corpus.safetensors", split="train")
+    monkeypatch.setattr(NearestClip, "_pooled", None)
+    assert open_source(EvaluationConfig(model="nearest", data=path)).slug == "nearest"
+
+
+def test_without_training_clips_nothing_is_nearest(tmp_path):
+    path = content_corpus(tmp_path / "corpus.safetensors", split="test")
+    with pytest.raises(InputError, match=r"corpus\.safetensors has no training clips, of which 'nearest' is one"):
+        open_source(EvaluationConfig(model="nearest", data=path))
+
+
+@pytest.mark.parametrize("row", ["nearest", "training"])
+def test_single_clips_cannot_be_rolled_out(tmp_path, row):
+    path = content_corpus(tmp_path / "corpus.safetensors", split="train")
+    with pytest.raises(InputError, match=f"^{row} cannot be rolled out"):
+        open_source(EvaluationConfig(model=row, data=path, protocol=Protocol(split="rollout")))
 
 
 def test_training_motion_is_that_of_the_training_split(tmp_path):

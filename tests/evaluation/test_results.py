@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from moveset.data.humanml3d import KIT
 from moveset.errors import FormatError, InputError, MovesetError
 from moveset.evaluation import results as results_module
 from moveset.evaluation import run as running
@@ -16,6 +17,7 @@ from moveset.evaluation.protocol import Protocol, Session, run_repeat
 from moveset.evaluation.results import Results, summary
 from moveset.evaluation.run import EvaluationConfig, evaluate, open_session
 from moveset.evaluation.samples import open_test_set
+from tests.data.test_humanml3d import folder as humanml3d
 from tests.evaluation.judges import Oracle, Painter
 from tests.evaluators import tiny_evaluator
 
@@ -160,8 +162,11 @@ def test_the_code_is_known_by_the_last_commit_and_by_what_is_not_committed(tmp_p
     for text in ("a = 2\n", "a = 3\n"):
         (tmp_path / "package/__init__.py").write_text(text)
         said.append(now())
+    for text in ("b = 1\n", "b = 2\n"):
+        (tmp_path / "package/new.py").write_text(text)
+        said.append(now())
     assert said[0] == said[1] == f"version {results_module.moveset.__version__}"
-    assert len(set(said)) == 4
+    assert len(set(said)) == 6
     assert all(one.startswith(said[2] + "+") for one in said[3:])
     monkeypatch.undo()
     now()
@@ -297,6 +302,13 @@ def test_a_process_that_dies_ends_the_others_at_once(config, tmp_path, monkeypat
     assert helpers[0].exitcode == -15
 
 
+def test_helpers_whose_repeats_are_another_evaluations_are_told_of(config, tmp_path, monkeypatch):
+    monkeypatch.setattr(running, "_start", lambda config, out, rank, world: Helper())
+    monkeypatch.setattr(running, "run_repeat", lambda session, number, say: {"repeat": number})
+    with pytest.raises(MovesetError, match=r"1 of 3 repeats of tiny-pcm-1-test are not there.*changed meanwhile"):
+        evaluate(config, tmp_path, processes=2)
+
+
 def test_what_nobody_has_thought_of_is_told_with_its_repeat(config, tmp_path, monkeypatch):
     def repeat(session, number, say):
         raise KeyError("joints") if number == 1 else InputError("nothing can be judged")
@@ -345,7 +357,7 @@ def test_what_does_not_fit_is_refused_before_anything_is_made(config, tmp_path):
     with pytest.raises(InputError, match="20 items, and R-precision needs 32"):
         evaluate(few, tmp_path, processes=1)
     assert os.listdir(tmp_path) == []
-    with pytest.raises(InputError, match=r"the 33 drawn at random have \d+ distinct ones; raise --items"):
+    with pytest.raises(InputError, match=r"the 33 items have \d+ distinct ones; give more items, of more kinds"):
         open_session(replace(config, items=33, protocol=Protocol()))
     with pytest.raises(InputError, match="unknown evaluator"):
         open_session(replace(config, evaluator="nobody"))
@@ -355,6 +367,14 @@ def test_what_does_not_fit_is_refused_before_anything_is_made(config, tmp_path):
         open_session(replace(config, batch=0))
     with pytest.raises(InputError, match="0 processes"):
         evaluate(config, tmp_path, processes=0)
+
+
+def test_a_model_of_another_skeleton_is_refused_before_anything_is_made(config, tmp_path):
+    names = [str(k) for k in range(40)]
+    folder = humanml3d(tmp_path, KIT, dict.fromkeys(names, 60), test=names)
+    judge = tiny_evaluator(tmp_path / "judge", codec="kit", fps=12.5)
+    with pytest.raises(InputError, match=r"tiny-pcm-1 moves 'hml22', and .* has 'kit21'; evaluate a mod"):
+        open_session(replace(config, data=folder, evaluator=str(judge)))
 
 
 def test_a_truncated_judge_is_refused(config, tmp_path):

@@ -109,6 +109,35 @@ def test_too_few_windows_are_refused_before_anything_is_made(items, oracle):
     assert not painter.asked
 
 
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        (lambda made: made[3].fill_(torch.nan), "painter gives positions that are not finite for"),
+        (lambda made: made.__setitem__(0, made[0][:, :21]), r"judges \(frames, 22, 3\)"),
+        (lambda made: made.__setitem__(0, made[0][:196]), "painter gives 196 frames for .*; at least 200 can be"),
+    ],
+)
+def test_garbage_is_refused_by_its_maker_and_item(items, oracle, spoil, message):
+    session = Session(PROTOCOL.fitted(items, True), items, Painter(spoil), oracle)
+    with pytest.raises(InputError, match=message):
+        run_rollout(session, 0)
+
+
+def test_progress_adds_up(items, oracle):
+    class Ticking(Painter):
+        def generate(self, wanted, fps, tick=lambda count: None):
+            made = super().generate(wanted, fps)
+            for _ in wanted:
+                tick(1)
+            return made
+
+    heard = []
+    session = Session(PROTOCOL.fitted(items, True), items, Ticking(), oracle)
+    found = run_rollout(session, 0, lambda *said: heard.append(said))
+    count = found["rollouts"]
+    assert heard[:count] == [("motions", k, count) for k in range(1, count + 1)]
+
+
 @given(st.integers(0, 2**31), st.integers(40, 60), st.booleans())
 def test_windows_of_one_rollout_are_not_told_apart(seed, count, labelled):
     generator = torch.Generator().manual_seed(seed)

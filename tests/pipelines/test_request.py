@@ -30,7 +30,7 @@ def test_one_duration_serves_all_prompts():
 
 
 def test_numbers_of_numpy_are_numbers():
-    [made] = check_request(CONFIG, "a", np.float32(2.0), seed=np.int64(3))
+    [made] = check_request(CONFIG, "a", np.float32(2.0), seed=np.int64(3), num=np.int64(1))
     assert made == check_request(CONFIG, "a", 2.0, seed=3)[0]
     assert type(made.seed) is int
     assert type(check_method(CONFIG, steps=np.int64(2)).steps) is int

@@ -2,7 +2,9 @@
 
 import dataclasses
 import itertools
+import json
 
+import numpy as np
 import pytest
 import torch
 
@@ -54,6 +56,7 @@ ONE_BY_ONE = {"network": "rdm", "start": 6, "lag": 6}
         ({**ONE_BY_ONE, "past_lag": 7}, "past_lag 7 is not in 1 to 6"),
         ({**ONE_BY_ONE, "past_lag": 1.5}, "past_lag 1.5 is not a whole number"),
         ({"network": "pcm-1", "past_lag": 3}, "past_lag 3 is for network 'rdm'"),
+        ({"stages": "False"}, "stages 'False' is neither true nor false"),
     ],
 )
 def test_what_cannot_be_asked_for(bundle, options, said):
@@ -79,6 +82,14 @@ def test_the_model_says_how_its_noise_is_scaled_and_more_steps_scale_it_as_much_
         settings = check_stream(config, WALK, **options).settings
         for corrected in (settings, settings.solver(config, None)):
             assert (corrected.eps_scale, corrected.time_shift) == pytest.approx(wanted)
+
+
+def test_numbers_of_numpy_become_those_that_a_state_can_hold(bundle):
+    given = {"steps": 3, "start": 2, "lag": 2, "eta": 0.5, "eps_scale": 1.5, "guidance": 2.0, "seed": 7, "buffer": 1}
+    as_numpy = {name: np.array(value)[()] for name, value in given.items()}
+    request = check_stream(bundle.config, WALK, np.float64(2.8), network="rdm", **as_numpy)
+    assert request == check_stream(bundle.config, WALK, 2.8, network="rdm", **given)
+    assert json.loads(json.dumps([request.seed, vars(request.settings)])) == [7, vars(request.settings)]
 
 
 @pytest.mark.parametrize(

@@ -8,6 +8,7 @@ import pytest
 import torch
 
 from moveset.errors import InputError
+from moveset.pipelines.request import check_method
 from moveset.pipelines.text_to_motion import TextToMotion
 from tests.bundles import CAPTIONS
 
@@ -37,6 +38,10 @@ def test_batches_of_unlike_prompts_and_lengths(t2m):
     together = t2m(prompts, seconds=[1.0, 3.0], foot_lock=False, batch=2)
     alone = t2m(prompts, seconds=[1.0, 3.0], foot_lock=False, batch=1)
     torch.testing.assert_close(together.motion.joints, alone.motion.joints, atol=1e-5, rtol=0)
+
+
+def test_of_nothing_nothing_is_made(t2m):
+    assert t2m.generate([], check_method(t2m.bundle.config)) == ()
 
 
 @pytest.mark.parametrize(

@@ -22,7 +22,6 @@ def interleave(
     *,
     warmup: int = 1,
     burst: int = 2,
-    seed: int = 0,
     tick: Callable[[], object] = lambda: None,
 ) -> dict[str, list[Mapping[str, float]]]:
     """What every counted call of every case said, in order.
@@ -32,7 +31,7 @@ def interleave(
         tick: called after every case of every round.
     """
     found: dict[str, list[Mapping[str, float]]] = {name: [] for name in cases}
-    order, shuffle = list(cases), random.Random(seed)
+    order, shuffle = list(cases), random.Random(0)
     for k in range(-warmup, rounds):
         shuffle.shuffle(order)
         for name in order:

@@ -28,13 +28,14 @@ from moveset.pcm.sampler import item_noise
 from moveset.pipelines.denoise import Denoise
 from moveset.pipelines.model_config import ClipConfig
 from moveset.pipelines.motion_stream import MotionStream
-from moveset.pipelines.request import TEACHER_STEPS, Method, Request, check_method
+from moveset.pipelines.request import Method, Request, check_method
 from moveset.pipelines.stream_batch import Segment
 from moveset.pipelines.text_to_motion import TextToMotion
 
 AITS = ("text", "sample", "decode")
 CLIP_PARTS = (*AITS, "joints", "export")
 STREAM_PARTS = ("first", "segment")
+STRETCHES = 20
 PROMPTS = (
     "a person walks forward and waves",
     "someone runs fast in a circle",
@@ -45,7 +46,7 @@ _PEOPLE = ("a person", "someone", "a man", "a woman", "an old man", "the actor")
 _DEEDS = ("walks forward", "runs in a circle", "waves with the left hand", "bows politely", "kicks", "turns around")
 
 
-def clip_methods(config: ClipConfig, teacher_steps: Sequence[int] = (TEACHER_STEPS,)) -> dict[str, Method]:
+def clip_methods(config: ClipConfig, teacher_steps: Sequence[int]) -> dict[str, Method]:
     """Everything that a folder can make clips by, its quickest first, by names such as "pcm-1" and "teacher-50"."""
     asked = [(solver, steps) for solver in ("pcm", "lcm") for steps in config.steps(solver)]
     asked += [("teacher", steps) for steps in teacher_steps if "teacher" in config.models]
@@ -68,7 +69,8 @@ def clip_case(t2m: TextToMotion, method: Method, frames: int, folder: Path, clip
         middle = time.perf_counter()
         made.motion.save(folder / "clip.bvh")
         export = made.timings_ms["finish"] + (time.perf_counter() - middle) * 1e3
-        return {**{part: made.timings_ms[part] for part in AITS}, "joints": (middle - start) * 1e3, "export": export}
+        found = {part: made.timings_ms[part] for part in AITS}
+        return {**found, "joints": (middle - start) * 1e3, "export": export, "evaluations": made.network_evaluations}
 
     return run
 
@@ -114,11 +116,9 @@ def length_case(stream: MotionStream, segments: int, said: Iterator[str]) -> Cas
     return run
 
 
-def endless(
-    stream: MotionStream, count: int, points: int = 20, tick: Callable[[], object] = lambda: None
-) -> list[dict[str, float]]:
-    """Time of a segment and memory of this process, in stretches of one stream of ``count`` segments."""
-    size = max(1, count // points)
+def endless(stream: MotionStream, count: int, tick: Callable[[], object]) -> list[dict[str, float]]:
+    """Time of a segment and memory of this process, in ``STRETCHES`` of one stream of about ``count`` segments."""
+    size = max(1, count // STRETCHES)
     rows = []
     for made in range(0, count, size):
         spent = [segment.latency_ms for segment in itertools.islice(stream, size)]
@@ -156,11 +156,6 @@ def stream_operations(stream: MotionStream) -> dict[str, int]:
         "text": counted(lambda: stream.encoder.encode([PROMPTS[0]])),
         "segment": counted(lambda: next(stream)),
     }
-
-
-def evaluations(t2m: TextToMotion, method: Method, frames: int) -> int:
-    """Calls of the network for one clip; guidance by two counts both."""
-    return t2m.generate([Request(PROMPTS[:1], (frames,), seed=0)], method)[0].network_evaluations
 
 
 def sentences(start: int = 0) -> Iterator[str]:

@@ -78,7 +78,7 @@ def processes(
 
 def clip_command(model: str, solver: str, steps: int, seconds: float, device: str) -> list[str]:
     """The arguments that make one clip into a file."""
-    given = {"--solver": solver, "--steps": steps, "--seconds": f"{seconds:g}", "--model": model, "--device": device}
+    given = {"--solver": solver, "--steps": steps, "--seconds": seconds, "--model": model, "--device": device}
     return ["generate", "a person walks forward and waves", *_flat(given), "-o", "OUT/clip.bvh"]
 
 

@@ -137,9 +137,12 @@ class Bench:
             runs = self._interleave("clips", cases, self.plan.rounds, self.plan.burst)
         rows = summarise(runs, latency.AITS, latency.CLIP_PARTS)
         for name, method in self.methods.items():
-            calls = latency.evaluations(self.t2m, method, self.frames)
-            rows[name] |= {"network": method.network, "steps": method.steps, "evaluations": calls}
-            rows[name]["settings"] = {"guidance": method.guidance, "foot_lock": True}
+            rows[name] |= {
+                "network": method.network,
+                "steps": method.steps,
+                "evaluations": runs[name][-1]["evaluations"],
+                "settings": {"guidance": method.guidance, "foot_lock": True},
+            }
         return rows
 
     def _streams(self) -> dict[str, Any]:
@@ -223,8 +226,8 @@ class Bench:
         return processes(commands, plan.count, tick)
 
     def _endless(self) -> list[dict[str, float]]:
-        tick = self._progress("endless", 20)
-        return latency.endless(self._stream(self.networks[0]), self.plan.endless, tick=tick)
+        tick = self._progress("endless", latency.STRETCHES)
+        return latency.endless(self._stream(self.networks[0]), self.plan.endless, tick)
 
     def _stream(self, network: str, steps: int | None = None) -> MotionStream:
         request = check_stream(self.bundle.config, network=network, steps=steps)

@@ -85,9 +85,8 @@ def _measure(plan: "Plan", threads: int) -> dict[str, Any]:
     if not 1 <= threads <= 4 * cores():
         raise InputError(f"{threads} threads on {cores()} cores; use 1 to {4 * cores()}")
     torch.set_num_threads(threads)
-    os.environ["OMP_NUM_THREADS"] = str(
-        threads
-    )  # so that one clip at a time is made with as many, here and in processes
+    # So that one clip at a time is made with as many, here and in processes.
+    os.environ["OMP_NUM_THREADS"] = str(threads)
     return Bench(plan, _bar).run()
 
 

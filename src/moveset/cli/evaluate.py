@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from moveset.cli.output import check_folder
-from moveset.cli.tables import How, print_results, run_one, run_suite
+from moveset.cli.tables import How, make_folder, print_results, run_one, run_suite
 from moveset.errors import InputError
 
 if TYPE_CHECKING:
@@ -49,8 +48,8 @@ def evaluate(
     """Measure models against real motion: R-precision, FID, MM-Dist, diversity, multimodality, physical plausibility.
 
     Args:
-        models: pcm, lcm, teacher, vae (what motionpcm-small holds), rdm, rdm-pcm (rdm-small), real, or the name or
-            folder of a model with --network.
+        models: pcm, lcm, teacher, vae (what motionpcm-small holds), rdm, rdm-pcm (rdm-small), real, training, nearest
+            (clips of the training split), or the name or folder of a model with --network.
         network: Which network of the model; by default the model's own choice.
         steps: Sampling steps; by default the network's own.
         guidance: How strongly the text is followed (w); by default the model's own choice.
@@ -124,16 +123,12 @@ def _sanity(models: Sequence[str], config: "EvaluationConfig", out: Path, json: 
     from moveset.io.limits import write_text
     from moveset.pipelines.device import pick_device
 
-    if models or config.motions is not None:
-        raise InputError("--sanity checks the evaluator itself; leave models and --motions out")
+    if models or config.motions is not None or config.network or config.steps is not None or config.settings:
+        raise InputError("--sanity checks the evaluator itself; leave models, what is set of them and --motions out")
     if config.protocol.split == "rollout":
         raise InputError("--sanity checks the evaluator on single motions; take --split test or val")
     judge, items = Evaluator.open(config.evaluator, pick_device(config.device)), open_set(config).items
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"cannot write to {str(out)!r}: {error.strerror or error}; choose another --out") from error
-    check_folder(out)
+    make_folder(out)
     report = sanity(judge, items, torch.Generator().manual_seed(config.protocol.seed))
     few = "" if config.items is None else f"-{config.items}-items"
     path = out / f"sanity-{judge.card.name}-{config.protocol.split}{few}.json"

@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from moveset.cli.bulk import share
-from moveset.errors import InputError
+from moveset.cli.output import check_folder
+from moveset.errors import FormatError, InputError
 
 if TYPE_CHECKING:
     from moveset.evaluation.run import EvaluationConfig
@@ -53,11 +54,17 @@ def run_suite(
     *,
     alone: bool = False,
 ) -> int:
-    """All rows of a paper's tables whose weights are there, one after the other, and the tables; ``alone`` means those
-    of the folders, without the models that ship."""
+    """All rows of a paper's tables whose weights are there, one after the other, and the tables.
+
+    A row that its model cannot be sampled as is left out, with the reason, unless ``only`` asks for it.
+
+    Args:
+        alone: the folders' rows alone, without the models that ship.
+    """
     from dataclasses import replace
 
     from moveset.evaluation.report import write_report
+    from moveset.evaluation.run import open_source
     from moveset.evaluation.suites import REAL, chosen_rows, get_suite, plural
     from moveset.evaluation.table import load_table
 
@@ -65,28 +72,49 @@ def run_suite(
         raise InputError("a suite says itself what is evaluated; leave --motions, --network, --steps and settings out")
     if importlib.util.find_spec("matplotlib") is None:
         raise InputError("the tables of a suite have pictures, which need matplotlib; `pip install 'moveset[train]'`")
-    rows, out = chosen_rows(name, tuple(map(Path, folders)), only, alone=alone), how.out / name
-    if out.is_dir() and (there := load_table(out)).measured:
-        there.check_alike([row for row, _, missing in rows if not missing], state_now(common), common.foot_lock)
-    for row, folder, missing in rows:
-        repeats = row.times(common.protocol.repeats)
-        print(f"moveset: {row.label}: {missing or plural(repeats, 'repeat')}", file=sys.stderr)
+    rows, out = [], how.out / name
+    for row, folder, missing in chosen_rows(name, tuple(map(Path, folders)), only, alone=alone):
         # Real motion's jerk is measured as far apart as the seams of the suite's streams, to compare them with.
-        seams = common.protocol.seams or (get_suite(name).seams if row.model == REAL else 0.0)
+        seams = get_suite(name).seams if row.model == REAL else 0.0
+        protocol = replace(common.protocol, repeats=row.times(common.protocol.repeats), seams=seams)
         config = replace(
             common, model=row.model if folder is None else str(folder), network=row.network, steps=row.steps,
-            settings=tuple(row.settings.items()), protocol=replace(common.protocol, repeats=repeats, seams=seams),
-            name=row.key,
+            settings=tuple(row.settings.items()), protocol=protocol, name=row.key,
         )  # fmt: skip
+        try:
+            if not missing:
+                open_source(config)
+        except FormatError:
+            raise
+        except InputError as error:
+            # A model of another recipe may have no such staircase, and not everything can be rolled out.
+            if row.key in only:
+                raise
+            missing = str(error)
+        rows.append((row, config, missing))
+    if out.is_dir() and (there := load_table(out)).measured:
+        there.check_alike([row for row, _, missing in rows if not missing], state_now(common), common.foot_lock)
+    for row, config, missing in rows:
+        print(f"moveset: {row.label}: {missing or plural(config.protocol.repeats, 'repeat')}", file=sys.stderr)
         if not missing:
             run_one(config, replace(how, out=out))
+    make_folder(out)
+    path = write_report(out)
+    print(jsonlib.dumps({"suite": name, "table": str(path)}) if json else path.read_text("utf-8"))
+    return 0
+
+
+def make_folder(out: Path) -> None:
+    """A folder for results, if it is not there.
+
+    Raises:
+        InputError: it cannot be made, or nothing can be written to it.
+    """
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"cannot write to {str(out)!r}: {error.strerror or error}; choose another --out") from error
-    path = write_report(out)
-    print(jsonlib.dumps({"suite": name, "table": str(path)}) if json else path.read_text())
-    return 0
+    check_folder(out)
 
 
 def state_now(common: "EvaluationConfig") -> "State":

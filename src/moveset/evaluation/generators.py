@@ -118,7 +118,7 @@ class Generated:
         self._generator = generator
         self.slug, self.model = generator.slug, generator.model
         self.network, self.steps = generator.network, generator.steps
-        self.segment = generator.segment / generator.fps
+        self.skeleton, self.segment = generator.skeleton, generator.segment / generator.fps
 
     def describe(self) -> dict[str, Any]:
         return self._generator.describe()
@@ -209,21 +209,3 @@ def resampled(joints: Tensor, fps: float, rate: float) -> Tensor:
     count = math.floor((len(joints) - 1) / fps * rate + 1e-6) + 1
     times, at = torch.arange(len(joints), dtype=torch.float64) / fps, torch.arange(count, dtype=torch.float64) / rate
     return splined(joints, times, at.clamp(max=float(times[-1]))).to(joints)
-
-
-def check_made(made: Sequence[Tensor], asked: Sequence[Sample], who: str, shape: tuple[int, int]) -> None:
-    """Refuse motions that cannot be judged.
-
-    Raises:
-        InputError: positions that are not finite, of another number of joints, or of fewer than five frames.
-    """
-    for joints, draw in zip(made, asked, strict=True):
-        if joints.ndim != 3 or tuple(joints.shape[1:]) != shape:
-            raise InputError(
-                f"{who} gives joints {tuple(joints.shape)} for {draw.item.name!r}, and the evaluator judges "
-                f"(frames, {shape[0]}, {shape[1]}); give motion on its skeleton"
-            )
-        if not torch.isfinite(joints).all():
-            raise InputError(f"{who} gives positions that are not finite for {draw.item.name!r}; nothing can be judged")
-        if len(joints) < 5:
-            raise InputError(f"{who} gives {len(joints)} frames for {draw.item.name!r}; at least 5 can be judged")

@@ -119,10 +119,7 @@ def published(printed: PublishedTable, level: int) -> str:
     """A paper's own table, labelled as what it is."""
     other = "other evaluator" if "fid" in printed.columns else "other machine"
     heads = [_published_head(name) for name in printed.columns]
-    body = []
-    for row in printed.rows:
-        cells = [number.printed if number else "–" for number in row.numbers.values()]
-        body.append([f"**{row.method}**" if row.own else row.method, *cells])
+    body = [[f"**{row.method}**" if row.own else row.method, *row.cells.values()] for row in printed.rows]
     return "\n\n".join(
         [
             f"{'#' * level} The paper's Table {printed.number}: {printed.about[:1].lower()}{printed.about[1:]}",

@@ -10,7 +10,7 @@ Shapes: M items, F frames, J joints, D features, E width of the evaluator's spac
 import hashlib
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
@@ -19,7 +19,7 @@ from torch import Tensor
 from moveset.errors import InputError
 from moveset.evaluation import metrics
 from moveset.evaluation.evaluator import Evaluator
-from moveset.evaluation.generators import Given, Reconstruction, Source, Wanted, check_made
+from moveset.evaluation.generators import Given, Reconstruction, Source, Wanted
 from moveset.evaluation.samples import Sample, TestSet
 from moveset.evaluation.sides import named_side, on_named_side
 from moveset.motion.hml import HmlCodec
@@ -78,7 +78,7 @@ class Protocol:
             # As every repeat will, so that what cannot be grouped is refused before anything is made.
             metrics.group(items.labels, len(items), torch.Generator(), self.group)
         texts = min(self.multimodality, len(items), items.texts) if random and self.split != "rollout" else 0
-        return Protocol(**{**asdict(self), "multimodality": texts, "diversity": min(self.diversity, len(items))})
+        return replace(self, multimodality=texts, diversity=min(self.diversity, len(items)))
 
 
 @dataclass(eq=False)
@@ -132,7 +132,7 @@ def run_repeat(session: Session, number: int, progress: Progress = lambda stage,
     asked = session.judged.draw(random_of(protocol, number, "items"))
     real = asked if session.judged is session.items else session.items.draw(random_of(protocol, number, "items"))
     wanted = [Wanted(((d.prompt, d.frames),), seed_of(protocol, number, d.item.name), d) for d in asked]
-    made = _made(session, wanted, asked, progress)
+    made = made_of(session, wanted, asked, progress)
     generated = time.perf_counter() - begun
 
     progress("judging", 0, 1)
@@ -158,6 +158,36 @@ def run_repeat(session: Session, number: int, progress: Progress = lambda stage,
         "shortened": 0 if isinstance(generator, Given) else shorter,
         "seconds": {"generating": round(generated, 4), "all": round(time.perf_counter() - begun, 4)},
     }
+
+
+def made_of(
+    session: Session, wanted: Sequence[Wanted], asked: Sequence[Sample], progress: Progress, least: int = 5
+) -> list[Tensor]:
+    """Joints (F, J, 3) of what is judged, with progress told.
+
+    Raises:
+        InputError: positions that are not finite, of another number of joints, or of fewer than ``least`` frames.
+    """
+    done = 0
+
+    def tick(count: int) -> None:
+        nonlocal done
+        done += count
+        progress("motions", done, len(wanted))
+
+    codec, who = session.items.codec, session.generator.slug
+    made = session.generator.generate(wanted, codec.fps, tick)
+    for joints, draw in zip(made, asked, strict=True):
+        if joints.ndim != 3 or tuple(joints.shape[1:]) != (len(codec.skeleton), 3):
+            raise InputError(
+                f"{who} gives joints {tuple(joints.shape)} for {draw.item.name!r}, and the evaluator judges "
+                f"(frames, {len(codec.skeleton)}, 3); give motion on its skeleton"
+            )
+        if not torch.isfinite(joints).all():
+            raise InputError(f"{who} gives positions that are not finite for {draw.item.name!r}; nothing can be judged")
+        if len(joints) < least:
+            raise InputError(f"{who} gives {len(joints)} frames for {draw.item.name!r}; at least {least} can be judged")
+    return made
 
 
 def scores(
@@ -218,19 +248,6 @@ def physical(clips: Sequence[Tensor], codec: HmlCodec, segment: float = 0.0) -> 
     return out
 
 
-def _made(session: Session, wanted: Sequence[Wanted], asked: Sequence[Sample], progress: Progress) -> list[Tensor]:
-    done = 0
-
-    def tick(count: int) -> None:
-        nonlocal done
-        done += count
-        progress("motions", done, len(wanted))
-
-    made = session.generator.generate(wanted, session.items.codec.fps, tick)
-    check_made(made, asked, session.generator.slug, (len(session.items.codec.skeleton), 3))
-    return made
-
-
 def _multimodality(session: Session, asked: Sequence[Sample], number: int, progress: Progress) -> tuple[float, int]:
     """Of texts drawn at random, each with the length of its item; and how many these are."""
     protocol = session.protocol
@@ -242,7 +259,7 @@ def _multimodality(session: Session, asked: Sequence[Sample], number: int, progr
         Wanted(((draw.prompt, draw.frames),), seed_of(protocol, number, draw.item.name, k % protocol.samples), draw)
         for k, draw in enumerate(draws)
     ]
-    made = _made(session, wanted, draws, progress)
+    made = made_of(session, wanted, draws, progress)
     motion = session.evaluator.embed_motions(encoded(made, session.items.codec))
     motion_TnE = motion.view(len(chosen), protocol.samples, -1)
     return metrics.multimodality(motion_TnE, random_of(protocol, number, "pairs"), protocol.pairs), len(chosen)

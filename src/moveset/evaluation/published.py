@@ -8,50 +8,19 @@ Sources: MotionPCM is arXiv 2501.19083, version 1; RDM (Mohamed, Cunningham, Dei
 """
 
 import json
-import re
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
 
 from moveset.errors import InputError
 
-_CELL = re.compile(r"\(?(\d+(?:\.\d+)?)(?:±(\d*\.?\d+))?\)?")
-
-
-@dataclass(frozen=True)
-class Number:
-    """A printed number: its value, what follows the ±, and the characters themselves."""
-
-    value: float
-    interval: float | None
-    printed: str
-
-    @classmethod
-    def parse(cls, cell: str) -> "Number | None":
-        """A cell of a table, None for a dash.
-
-        Raises:
-            InputError: neither a number nor a dash.
-
-        >>> Number.parse("0.511±.003")
-        Number(value=0.511, interval=0.003, printed='0.511±.003')
-        >>> Number.parse("–") is None
-        True
-        """
-        if cell == "–":
-            return None
-        found = _CELL.fullmatch(cell)
-        if not found:
-            raise InputError(f"{cell!r} is neither a printed number such as 0.511±.003 nor a dash")
-        return cls(float(found[1]), float(found[2]) if found[2] else None, cell)
-
 
 @dataclass(frozen=True)
 class PublishedRow:
-    """A method and what its table says of it; ``own`` rows are of the paper's method and its ablations."""
+    """A method and the cells of its table by column; ``own`` rows are of the paper's method and its ablations."""
 
     method: str
-    numbers: dict[str, Number | None]
+    cells: dict[str, str]
     own: bool
 
 
@@ -99,11 +68,7 @@ def _table(
 ) -> PublishedTable:  # fmt: skip
     names = tuple(columns.split())
     read = (
-        PublishedRow(
-            method,
-            {name: Number.parse(cell) for name, cell in zip(names, cells.split(), strict=True)},
-            method in own,
-        )
+        PublishedRow(method, dict(zip(names, cells.split(), strict=True)), method in own)
         for method, cells in rows.items()
     )
     return PublishedTable(suite, number, dataset, about, source, names, spread, tuple(read), tuple(notes))

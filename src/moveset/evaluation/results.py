@@ -189,8 +189,11 @@ def commit() -> str:
     folder = Path(moveset.__file__).parent
     if not (last := _git(folder, "log", "-1", "--format=%h", "--abbrev=12")):
         return f"version {moveset.__version__}"
-    changes = _git(folder, "diff", "HEAD")
-    return f"{last}+{hashlib.sha256(changes.encode()).hexdigest()[:6]}" if changes else last
+    changes = _git(folder, "diff", "HEAD").encode()
+    for name in _git(folder, "ls-files", "--others", "--exclude-standard", "-z").split("\0"):
+        if name.endswith(".py"):  # of what is new, code alone: weights are told apart by hashes of their own
+            changes += f"\0{name}\0".encode() + (folder / name).read_bytes()
+    return f"{last}+{hashlib.sha256(changes).hexdigest()[:6]}" if changes else last
 
 
 def _git(folder: Path, *arguments: str) -> str:

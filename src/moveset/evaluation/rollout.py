@@ -20,9 +20,9 @@ from torch import Tensor
 from moveset.data.humanml3d import Caption
 from moveset.errors import InputError
 from moveset.evaluation import metrics
-from moveset.evaluation.generators import Given, Reconstruction, Wanted
+from moveset.evaluation.generators import Given, Wanted
 from moveset.evaluation.motion_files import then
-from moveset.evaluation.protocol import Progress, Session, encoded, physical, random_of, scores, seed_of
+from moveset.evaluation.protocol import Progress, Session, encoded, made_of, physical, random_of, scores, seed_of
 from moveset.evaluation.samples import Sample, text_of
 from moveset.motion.hml import HmlCodec
 from moveset.motion.join import join
@@ -129,8 +129,6 @@ def run_rollout(session: Session, number: int, progress: Progress = lambda stage
     """
     begun = time.perf_counter()
     protocol, generator, codec = session.protocol, session.generator, session.items.codec
-    if isinstance(generator, Reconstruction) or session.judged is not session.items:
-        raise InputError(f"{generator.slug} cannot be rolled out; evaluate a model that makes motion, or real motion")
     chosen = _chosen(session, number)
     wanted = [Wanted(one.parts, seed_of(protocol, number, one.name), one.draws[0]) for one in chosen]
     real = [one.real(codec) for one in chosen]
@@ -138,7 +136,8 @@ def run_rollout(session: Session, number: int, progress: Progress = lambda stage
     if isinstance(generator, Given):
         made, features = [joints for joints, _ in real], [x for _, found in real for x in found]
     else:
-        made = generator.generate(wanted, codec.fps, lambda count: progress("rollouts", count, len(wanted)))
+        # Of a single window of drift there is none.
+        made = made_of(session, wanted, [one.draws[0] for one in chosen], progress, 2 * round(DRIFT_WINDOW * codec.fps))
         features = encoded([window for joints in made for window in cut(joints)], codec)
     generated = time.perf_counter() - begun
 

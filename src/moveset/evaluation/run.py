@@ -4,8 +4,8 @@ import multiprocessing
 import os
 import sys
 import traceback
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
@@ -24,7 +24,7 @@ from moveset.evaluation.rollout import run_rollout
 from moveset.evaluation.samples import TestSet, open_test_set
 from moveset.evaluation.suites import NEAREST, REAL, TRAINING
 from moveset.io.process import cores, end_with_parent
-from moveset.pipelines.device import pick_device
+from moveset.pipelines.device import pick_device, threads
 from moveset.pipelines.generator import Sampler, open_generator
 from moveset.pipelines.model_config import DEFAULT_MODEL, DEFAULT_STREAM, ClipConfig
 from moveset.pipelines.model_folder import ModelFolder
@@ -105,7 +105,7 @@ def open_session(config: EvaluationConfig) -> Session:
         given = generator.items.limited(len(items)) if generator.slug == TRAINING else generator.items
         generator.items = _as_read(given, evaluator.card.max_frames)
     judged: TestSet = (generator.items if isinstance(generator, Given) else None) or items
-    _check_fit(config, generator, judged, items)
+    _check_fit(generator, judged, items)
     return Session(config.protocol.fitted(judged, generator.random), items, generator, evaluator)
 
 
@@ -116,25 +116,22 @@ def _as_read(given: TestSet, most: int) -> TestSet:
     return replace(given, dropped={**given.dropped, **note})
 
 
-def _check_fit(config: EvaluationConfig, generator: Source, judged: TestSet, items: TestSet) -> None:
+def _check_fit(generator: Source, judged: TestSet, items: TestSet) -> None:
     """What no repeat could judge is refused before anything is made or written.
 
     Raises:
-        InputError: motions on another skeleton than the data, or what cannot be rolled out.
+        InputError: motions or a model on another skeleton than the data.
     """
+    if isinstance(generator, Generated) and generator.skeleton != items.codec.skeleton.name:
+        raise InputError(
+            f"{generator.slug} moves {generator.skeleton!r}, and {items.name} has {items.codec.skeleton.name!r}; "
+            "evaluate a model that was trained on that skeleton"
+        )
     if judged.codec.name != items.codec.name:
         raise InputError(
             f"{judged.name} has joints of {judged.codec.skeleton.name!r}, and {items.name} of "
             f"{items.codec.skeleton.name!r}; a folder of motions is judged by HumanML3D's evaluators alone"
         )
-    few = config.items is not None and judged is items and len(items) >= config.protocol.group
-    if few and items.labels and (kinds := len(set(items.labels))) < config.protocol.group:
-        raise InputError(
-            f"R-precision needs groups of {config.protocol.group} items of different labels, and the {len(items)} "
-            f"drawn at random have {kinds} distinct ones; raise --items, or leave it out for all of them"
-        )
-    if config.protocol.split == "rollout" and (isinstance(generator, Reconstruction) or judged is not items):
-        raise InputError(f"{generator.slug} cannot be rolled out; evaluate a model that makes motion, or real motion")
 
 
 def open_set(config: EvaluationConfig) -> TestSet:
@@ -156,9 +153,17 @@ def open_source(config: EvaluationConfig) -> Source:
     """What is judged.
 
     Raises:
-        InputError: no such model, network, steps or setting.
+        InputError: no such model, network, steps or setting, or one that cannot be rolled out where that is asked for.
         FormatError: a damaged folder.
     """
+    source = _source(config)
+    short = isinstance(source, Reconstruction | NearestClip) or (isinstance(source, Given) and source.items is not None)
+    if short and config.protocol.split == "rollout":
+        raise InputError(f"{source.slug} cannot be rolled out; evaluate a model that makes motion, or real motion")
+    return source
+
+
+def _source(config: EvaluationConfig) -> Source:
     if config.motions is not None:
         from moveset.evaluation.motion_files import folder_motions
 
@@ -177,9 +182,7 @@ def open_source(config: EvaluationConfig) -> Source:
     if network == "vae":
         return Reconstruction(ModelFolder.open(model, ClipConfig), device=config.device, batch=config.batch)
     sampler = Sampler(steps=config.steps, **dict(config.settings))  # type: ignore[arg-type]
-    made = open_generator(
-        model, network, sampler, foot_lock=config.foot_lock, batch=max(config.batch, 1), device=config.device
-    )
+    made = open_generator(model, network, sampler, foot_lock=config.foot_lock, batch=config.batch, device=config.device)
     return Generated(made)
 
 
@@ -203,7 +206,7 @@ def evaluate(
     Raises:
         InputError: something does not exist, does not fit, or cannot be judged.
         FormatError: something is damaged.
-        MovesetError: a process died.
+        MovesetError: a process died, or read other code, weights or data than this one.
     """
     if processes is not None and not 1 <= processes <= MAX_CORES:
         raise InputError(f"{processes} processes are not in 1 to {MAX_CORES}; as many as there are cores is best")
@@ -215,7 +218,7 @@ def evaluate(
     if again:
         results.forget()
     # Small networks gain little by more threads, and so sums come out the same however the work is shared.
-    with _threads(1 if on_cpu else torch.get_num_threads()):
+    with threads(1) if on_cpu else nullcontext():
         if world == 1 and (processes or on_cpu):
             world = max(1, min(processes or min(cores(), MAX_PROCESSES), len(results.missing())))
         helpers = [_start(config, out, k, world) for k in range(1, world)] if share[1] == 1 else []
@@ -240,7 +243,14 @@ def evaluate(
         finally:
             for helper in helpers:
                 helper.terminate()
-    return results.finish(), results.path
+    result = results.finish()
+    if result is None and share[1] == 1:
+        missing = len(results.missing())
+        raise MovesetError(
+            f"{missing} of {results.repeats} repeats of {results.name} are not there, although all processes are done: "
+            "code, weights or data changed meanwhile; run again"
+        )
+    return result, results.path
 
 
 def work(session: Session, results: Results, rank: int, world: int, progress: Progress) -> None:
@@ -267,17 +277,6 @@ def make(session: Session, results: Results, number: int, progress: Progress) ->
     except Exception as error:
         said = f"{type(error).__name__}: {error} (MOVESET_DEBUG=1 shows where)"
         raise MovesetError(f"repeat {number} of {results.name} failed: {said}") from error
-
-
-@contextmanager
-def _threads(count: int) -> Iterator[None]:
-    """So many threads of torch, and afterwards as many as before."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(count)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)
 
 
 def _start(config: EvaluationConfig, out: Path, rank: int, world: int) -> "SpawnProcess":

@@ -119,25 +119,25 @@ class TestSet:
 
     @cached_property
     def labels(self) -> list[tuple[str, ...]] | None:
-        """One an item, or None where there are none."""
+        """One an item, or None where not all have one."""
         found = [item.label for item in self.items if item.label is not None]
-        return found if found and len(found) == len(self.items) else None
+        return found if len(found) == len(self.items) else None
 
     @cached_property
     def takes(self) -> list[Hashable] | None:
-        """One an item, or None where there are none."""
+        """One an item, or None where not all have one."""
         found = [item.take for item in self.items if item.take is not None]
-        return found if found and len(found) == len(self.items) else None
+        return found if len(found) == len(self.items) else None
 
     @cached_property
     def texts(self) -> int:
         return len({text_of(caption) for item in self.items for caption in item.captions})
 
-    def limited(self, count: int, seed: int = 0) -> "TestSet":
-        """``count`` of the items, drawn at random, in their order; for a quick look."""
+    def limited(self, count: int) -> "TestSet":
+        """``count`` of the items, drawn at random, always the same, in their order; for a quick look."""
         if count >= len(self.items):
             return self
-        order = torch.randperm(len(self.items), generator=torch.Generator().manual_seed(seed))[:count]
+        order = torch.randperm(len(self.items), generator=torch.Generator().manual_seed(0))[:count]
         kept = tuple(self.items[k] for k in sorted(order.tolist()))
         dropped = {**self.dropped, "left out at random by --items": len(self.items) - count}
         return TestSet(kept, self.name, self.sha256, self.codec, dropped)

@@ -67,6 +67,7 @@ class Baseline:
         self._text = CachedEncoder(get_text_encoder(config.text_encoder, device=self._device), limit=8192)
         self._schedule = config.noise_schedule()
         self.model, self.network, self.fps = config.name, DENOISER, config.fps
+        self.skeleton = self._codec.skeleton.name
         extras = [] if self.steps == own else [f"{self.steps}-steps"]
         extras += [] if self._w == chosen else [f"guidance{self._w:g}"]
         self.slug = "-".join([self.model, *extras, *(() if foot_lock else ("raw",))])

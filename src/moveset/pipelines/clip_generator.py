@@ -37,7 +37,7 @@ class ClipGenerator:
         self._t2m.encoder = CachedEncoder(self._t2m.encoder, limit=8192)
         self._method, self._batch, self._foot_lock = method, batch, foot_lock
         self.model, self.network, self.steps = bundle.config.name, method.network, method.steps
-        self.fps = bundle.config.fps
+        self.skeleton, self.fps = bundle.config.feature_codec().skeleton.name, bundle.config.fps
         own = bundle.config.guidance[method.network]
         extras = [f"{method.steps}-steps"] if method.network != f"{method.solver}-{method.steps}" else []
         extras += [f"w{method.guidance:g}"] if method.guidance != own else []
@@ -81,16 +81,16 @@ def clip_method(config: ClipConfig, network: str | None, steps: int | None, guid
     """
     solver, _, count = (network or "pcm").partition("-")
     names = ", ".join(["vae", *(name for name in config.models if name not in ("vae", "length", "sides"))])
-    if solver not in SOLVERS:
+    if solver not in SOLVERS or (count and not count.isdecimal()):
         raise InputError(f"unknown network {network!r}; model {config.name!r} has {names}")
-    if solver == "lcm" and (steps is not None or count.isdigit()):
+    if solver == "lcm" and (steps is not None or count):
         known = config.steps("lcm")
-        own = int(count) if count.isdigit() else known[0] if known else 0
+        own = int(count) if count else known[0] if known else 0
         method = check_method(config, "lcm", own, guidance)
         steps = own if steps is None else steps
         if not 1 <= steps <= config.points:
             raise InputError(f"{steps} steps are not in 1 to {config.points}, the solver points of training")
         return replace(method, steps=steps)
-    if count and not (count.isdigit() and solver == "pcm" and steps in (None, int(count))):
+    if count and not (solver == "pcm" and steps in (None, int(count))):
         raise InputError(f"network {network!r} does not go with {steps or 'its'} steps; {config.name!r} has {names}")
     return check_method(config, solver, int(count) if count else steps, guidance)

@@ -3,7 +3,7 @@
 import os
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 
 import torch
 
@@ -31,6 +31,20 @@ def pick_device(name: str = "auto") -> torch.device:
 
 
 @contextmanager
+def threads(count: int) -> Iterator[None]:
+    """Compute with so many threads of this process, then with as many as before."""
+    before = torch.get_num_threads()
+    if before == count:
+        yield
+        return
+    torch.set_num_threads(count)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+
+
+@contextmanager
 def one_thread() -> Iterator[None]:
     """Compute with one thread of this process, unless ``OMP_NUM_THREADS`` says otherwise, then with as many as before.
 
@@ -38,15 +52,8 @@ def one_thread() -> Iterator[None]:
     machine, but spin while they wait for each other: once another process is busy on one of the cores, they take a
     hundred times as long. Sums come out the same whatever the program around sets, too.
     """
-    before = torch.get_num_threads()
-    if before == 1 or "OMP_NUM_THREADS" in os.environ:
+    with nullcontext() if "OMP_NUM_THREADS" in os.environ else threads(1):
         yield
-        return
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)
 
 
 class Stopwatch:

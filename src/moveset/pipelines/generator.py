@@ -23,14 +23,16 @@ from moveset.rdm.staircase import Shape
 class Generator(Protocol):
     """Makes motions of one model by one network.
 
-    ``slug`` names it in files, ``model``, ``network`` and ``steps`` in tables; ``fps`` is the rate of its motions and
-    of the frames that it is asked for; ``segment`` counts the frames between seams of a stream, 0 where there are none.
+    ``slug`` names it in files, ``model``, ``network`` and ``steps`` in tables; ``skeleton`` names the one it moves;
+    ``fps`` is the rate of its motions and of the frames that it is asked for; ``segment`` counts the frames between
+    seams of a stream, 0 where there are none.
     """
 
     slug: str
     model: str
     network: str
     steps: int
+    skeleton: str
     fps: float
     segment: int
 
@@ -123,8 +125,9 @@ def _stream(
 ) -> StreamGenerator:
     given = sampler.given()
     shape, init_noise = given.pop("shape", "parallelogram"), given.pop("init_noise", "independent")
-    if shape not in get_args(Shape):
-        raise InputError(f"shape {shape!r} is not one of {', '.join(get_args(Shape))}")
+    for name, value, known in (("shape", shape, get_args(Shape)), ("init_noise", init_noise, get_args(InitNoise))):
+        if value not in known:
+            raise InputError(f"{name} {value!r} is not one of {', '.join(known)}")
     request = check_stream(bundle.config, network=network, steps=sampler.steps, foot_lock=foot_lock, **given)
     if shape != "parallelogram" and named(request.settings.network).role is not Role.DENOISER:
         raise InputError(

@@ -62,14 +62,14 @@ def check_request(
         InputError: anything out of range.
     """
     prompts = check_prompts(prompt)
-    check_whole("num", num)
+    num = check_whole("num", num)
     if not 1 <= num <= MAX_NUM:
         raise InputError(f"num {num} is not in 1 to {MAX_NUM}; run again with another seed for more")
-    check_whole("seed", seed)
+    seed = check_whole("seed", seed)
     if not 0 <= seed <= SEEDS - num:
         raise InputError(f"seed {seed} is not in 0 to {SEEDS - num}; give a whole number in it such as 0")
     frames = tuple(None if s is None else _frames(s, config) for s in of_each(seconds, len(prompts)))
-    return tuple(Request(prompts, frames, int(seed) + k) for k in range(num))
+    return tuple(Request(prompts, frames, seed + k) for k in range(num))
 
 
 def check_method(
@@ -88,8 +88,7 @@ def check_method(
     if solver not in SOLVERS:
         raise InputError(f"unknown solver {solver!r}; choose one of {', '.join(SOLVERS)}")
     if steps is not None:
-        check_whole("steps", steps)
-        steps = int(steps)
+        steps = check_whole("steps", steps)
     if solver == "teacher":
         network, steps = "teacher", TEACHER_STEPS if steps is None else steps
         if "teacher" not in config.models:
@@ -111,11 +110,11 @@ def check_method(
         network = f"{solver}-{steps}"
     if guidance is None:
         guidance = config.guidance[network]
-    check_real("guidance", guidance)
+    guidance = check_real("guidance", guidance)
     if not 0.0 <= guidance <= MAX_GUIDANCE:
         raise InputError(f"guidance {guidance:g} is not in 0 to {MAX_GUIDANCE:g}; this model's own choice is "
                          f"{config.guidance[network]:g}")  # fmt: skip
-    return Method(solver, network, steps, float(guidance))
+    return Method(solver, network, steps, guidance)
 
 
 def check_prompts(prompt: str | Sequence[str]) -> tuple[str, ...]:
@@ -172,18 +171,19 @@ def check_prompt(text: str) -> None:
         raise InputError(f"the prompt {text!r} is not valid Unicode; give it as UTF-8")
 
 
-def check_whole(name: str, value: object) -> None:
-    """Refuse what is no whole number.
+def check_whole(name: str, value: object) -> int:
+    """A whole number as one of Python's own, which JSON and large sums hold, where NumPy's may be given.
 
     Raises:
         InputError: it is none.
     """
     if not isinstance(value, Integral):
         raise InputError(f"{name} {value!r} is not a whole number; give one such as 1")
+    return int(value)
 
 
-def check_real(name: str, value: object) -> None:
-    """Refuse what is no number.
+def check_real(name: str, value: object) -> float:
+    """A number as one of Python's own.
 
     Raises:
         InputError: it is none, or a whole number beyond all that floating point holds.
@@ -192,13 +192,14 @@ def check_real(name: str, value: object) -> None:
         raise InputError(f"{name} {value!r} is not a number; give one such as 1.5")
     if isinstance(value, int) and abs(value) > sys.float_info.max:
         raise InputError(f"{name} is a whole number of {value.bit_length():,} bits; give a number such as 1.5")
+    return float(value)
 
 
 def _frames(seconds: float, config: ClipConfig) -> int:
     low, high = config.min_frames / config.fps, config.max_frames / config.fps
     if not isinstance(seconds, Real):
         raise InputError(f"duration {seconds!r} is not a number; give seconds from {low:g} to {high:g}")
-    check_real("the duration", seconds)
+    seconds = check_real("the duration", seconds)
     if not math.isfinite(seconds) or not low <= seconds <= high:
         remedy = "for a longer motion give several prompts" if seconds > high else f"give at least {low:g}"
         raise InputError(f"{seconds:g} seconds are not in {low:g} to {high:g} for a prompt; {remedy}")

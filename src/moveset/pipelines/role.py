@@ -31,6 +31,7 @@ class Named:
     steps: int | None = None
 
 
+_STUDENT = re.compile(r"(pcm|lcm)-(\d+)")
 _NAMES = {
     "vae": Role.VAE,
     "length": Role.LENGTH,
@@ -52,7 +53,7 @@ def named(network: str) -> Named:
     Raises:
         ValueError: no name for a network.
     """
-    if student := re.fullmatch(r"(pcm|lcm)-(\d+)", network):
+    if student := _STUDENT.fullmatch(network):
         return Named(Role.STUDENT, student[1], int(student[2]))
     if network not in _NAMES:
         raise ValueError(f"{network!r} is no name of a network; there are {', '.join(_NAMES)}, pcm-1 and the like")
@@ -61,4 +62,4 @@ def named(network: str) -> Named:
 
 def is_student(network: str) -> bool:
     """Whether a network of this name samples in the few steps that its name has."""
-    return re.fullmatch(r"(pcm|lcm)-\d+", network) is not None
+    return _STUDENT.fullmatch(network) is not None

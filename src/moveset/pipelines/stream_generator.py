@@ -49,6 +49,7 @@ class StreamGenerator:
         self._device, self._batch = pick_device(device), batch
         self.model, self.network, self.steps = bundle.config.name, settings.network, settings.steps
         self.fps, self.segment = bundle.config.fps, bundle.config.segment
+        self.skeleton = bundle.config.feature_codec().skeleton.name
         self.slug = "-".join([self.model, settings.network, *extras])
 
     def describe(self) -> dict[str, Any]:

@@ -153,16 +153,18 @@ def check_stream(
     Raises:
         InputError: anything out of range, or of another type.
     """
-    check_whole("seed", seed)
-    check_whole("buffer", buffer)
-    check_real("blend_seconds", blend_seconds)
-    for name, value, check in (
-        ("steps", steps, check_whole), ("start", start, check_whole), ("lag", lag, check_whole),
-        ("past_lag", past_lag, check_whole), ("eta", eta, check_real), ("eps_scale", eps_scale, check_real),
-        ("time_shift", time_shift, check_real), ("guidance", guidance, check_real),
-    ):  # fmt: skip
-        if value is not None:
-            check(name, value)
+    seed, buffer = check_whole("seed", seed), check_whole("buffer", buffer)
+    blend_seconds = check_real("blend_seconds", blend_seconds)
+    steps, start, lag, past_lag = (
+        None if value is None else check_whole(name, value)
+        for name, value in (("steps", steps), ("start", start), ("lag", lag), ("past_lag", past_lag))
+    )
+    eta, eps_scale, time_shift, guidance = (
+        None if value is None else check_real(name, value)
+        for name, value in (("eta", eta), ("eps_scale", eps_scale), ("time_shift", time_shift), ("guidance", guidance))
+    )
+    if stages not in (True, False):  # any text is true
+        raise InputError(f"stages {stages!r} is neither true nor false; leave it out for true")
     timeline, durations, counts = _timeline(config, prompt, seconds, loop, stages)
     if not 0 <= seed < SEEDS:
         raise InputError(f"seed {seed} is not in 0 to {SEEDS - 1}; give a whole number that is")
@@ -181,7 +183,7 @@ def check_stream(
     if not 0.0 <= w <= MAX_GUIDANCE:
         raise InputError(f"guidance {w:g} is not in 0 to {MAX_GUIDANCE:g}; this model's own choice is "
                          f"{config.guidance.get(network, 0.0):g}")  # fmt: skip
-    settings = StreamSettings(network, *plan, float(w), buffer, foot_lock, float(blend_seconds), stages, told,
+    settings = StreamSettings(network, *plan, float(w), buffer, foot_lock, blend_seconds, stages, told,
                               config.variance if variance is None else variance,
                               *_corrections(config, network, plan[0], eps_scale, time_shift))  # fmt: skip
     return StreamRequest(timeline, seed, settings, durations, counts)
@@ -207,10 +209,7 @@ def _timeline(
     if seconds is None:
         given = tuple(each * (STAGE_SEGMENTS * len(parts) if len(parts) > 1 else SEGMENTS) for parts in said)
     else:
-        given = of_each(seconds, len(prompts))
-        for s in given:
-            check_real("the duration", s)
-        given = tuple(map(float, given))
+        given = tuple(check_real("the duration", s) for s in of_each(seconds, len(prompts)))
     for s in given:
         if not 0.0 < s <= MAX_SECONDS:
             raise InputError(f"{s:g} seconds are not in 0 to {MAX_SECONDS:g} for a prompt; give a duration such as 3")
@@ -271,7 +270,7 @@ def _plan(
                          "steps; leave them out or choose network 'rdm'")  # fmt: skip
     else:
         start = lag = steps
-    eta = default_eta if eta is None else float(eta)
+    eta = default_eta if eta is None else eta
     if not 0.0 <= eta <= 1.0:
         raise InputError(
             f"eta {eta:g} is not in 0 (no fresh noise) to 1; leave it out for the model's own {config.eta:g}"
@@ -311,7 +310,4 @@ def _corrections(
         if value is not None and not low <= value <= high:
             raise InputError(f"{name} {value:g} is not in {low:g} to {high:g}; leave it out for the model's own")
     own = config.eps_scale ** (config.sampler_steps / steps)
-    return (
-        own if eps_scale is None else float(eps_scale),
-        config.time_shift if time_shift is None else float(time_shift),
-    )
+    return own if eps_scale is None else eps_scale, config.time_shift if time_shift is None else time_shift

@@ -160,9 +160,11 @@ class TextToMotion:
         ``between`` is called before every evaluation of a network, with the share of the work that is done; what it
         raises ends the work.
         """
-        check_whole("batch", batch)
+        batch = check_whole("batch", batch)
         if batch < 1:
             raise InputError(f"batch {batch} is not at least 1; give 1 unless there is a GPU")
+        if not requests:
+            return ()
         with one_thread() if batch == 1 else nullcontext():
             return self._generate(requests, method, foot_lock, batch, between)
 
