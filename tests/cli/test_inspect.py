@@ -14,6 +14,7 @@ from moveset.motion.clip import Motion
 from moveset.motion.retarget import retarget
 from moveset.motion.rigs import RIGS
 from moveset.motion.skeleton import Skeleton
+from tests.io.foreign import in_units
 from tests.motions import gait
 
 
@@ -52,9 +53,8 @@ def test_other_axes_and_units_are_found_and_what_becomes_of_them(walk, tmp_path,
     body = walk.skeleton
     turned = Skeleton("z", body.joints, body.parents, rotations.rotate(turn, body.offsets), body.pairs, body.feet)
     local = rotations.mul(rotations.mul(turn, walk.rotations), rotations.inv(turn))
-    path = write_bvh(
-        Motion(local, rotations.rotate(turn, walk.root), 20.0, turned), tmp_path / "a.bvh", scale=1 / 0.0254
-    )
+    given = Motion(local, rotations.rotate(turn, walk.root), 20.0, turned)
+    path = in_units(write_bvh(given, tmp_path / "a.bvh"), 0.0254)
     text = path.read_text().splitlines()
     # Without the ends that say the unit of our own files.
     ends = [k for k, line in enumerate(text) if "End Site" in line]

@@ -8,7 +8,8 @@ import torch
 from moveset.data import bandai_namco
 from moveset.data.resample import resampled
 from moveset.errors import FormatError, InputError
-from moveset.io.bvh import local_frames, read_bvh
+from moveset.io.bvh import local_frames
+from moveset.io.bvh_parser import read_bvh
 from moveset.motion import rotations
 from moveset.motion.skeleton import HML22
 from tests.takes import motion_of

@@ -10,7 +10,7 @@ from scipy.interpolate import CubicSpline
 from moveset.data import cmu, glitches, posture
 from moveset.data.takes import RejectedTake
 from moveset.errors import FormatError, InputError
-from moveset.io.bvh import read_bvh
+from moveset.io.bvh_parser import read_bvh
 from moveset.motion import rotations
 from moveset.motion.clip import Motion
 from moveset.motion.kinematics import fk

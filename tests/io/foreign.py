@@ -1,12 +1,44 @@
-"""GLB files as other programs write them, made from ours."""
+"""Files as other programs write them, made from ours."""
 
 import json
+import re
 import struct
+from dataclasses import replace
 
 import numpy as np
 import torch
 
+from moveset.io.bvh import continuous_euler
 from moveset.motion import rotations
+
+
+def in_units(path, metres):
+    """A BVH file of ours, which counts centimetres, in another unit of length."""
+
+    def times(numbers):
+        return " ".join(f"{0.01 / metres * float(x):.9g}" for x in numbers)
+
+    head, frames = path.read_text().split("MOTION\n")
+    head = re.sub("OFFSET (.+)", lambda found: f"OFFSET {times(found[1].split())}", head)
+    count, rate, *rows = frames.splitlines()
+    rows = [" ".join((times(row.split()[:3]), *row.split()[3:])) for row in rows]
+    path.write_text("\n".join((f"{head}MOTION", count, rate, *rows, "")))
+    return path
+
+
+def reordered(bvh, order):
+    """A BVH file of ours with its rotation channels in another order."""
+    channels, columns, at = [], [], 0
+    for names in bvh.channels:
+        places = [name for name in names if name.endswith("position")]
+        turned = at + len(places)
+        matrices = rotations.to_matrix(
+            rotations.from_euler(torch.from_numpy(bvh.values[:, turned : turned + 3]), "ZXY")
+        )
+        columns += [bvh.values[:, at:turned], continuous_euler(matrices.numpy()[:, None], order)[:, 0]]
+        channels.append((*places, *(f"{axis}rotation" for axis in order)))
+        at = turned + 3
+    return replace(bvh, channels=tuple(channels), values=np.concatenate(columns, axis=1))
 
 
 def unpack(data):

@@ -13,7 +13,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from moveset.errors import FormatError, InputError
-from moveset.io.arrays import npz_metadata, read_npy, read_npz, write_amass, write_npy, write_npz
+from moveset.io.amass import write_amass
+from moveset.io.arrays import npz_metadata, read_npz, write_npz
+from moveset.io.joint_arrays import read_npy, write_npy
 from moveset.io.numpy_file import array_shape, read_array
 from moveset.motion import rotations
 from moveset.motion.clip import Motion

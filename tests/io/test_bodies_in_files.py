@@ -12,6 +12,7 @@ from moveset.motion import rotations
 from moveset.motion.clip import Motion
 from moveset.motion.retarget import retarget
 from moveset.motion.rigs import recognised, roles
+from tests.io.foreign import in_units
 from tests.motion.other_axes import with_other_axes
 from tests.motion.test_reference import foreign, with_rest_first
 
@@ -71,7 +72,7 @@ def test_other_up_axes_and_facings_are_read_upright(suffix, axis, degrees, walk,
 def test_units_are_guessed_from_the_size_of_the_body(unit, size, walk, tmp_path):
     """As they are where people are that large; units that nobody has make an adult."""
     body = replace(walk, root=size * walk.root, skeleton=replace(walk.skeleton, offsets=size * walk.skeleton.offsets))
-    path = write_bvh(body, tmp_path / "a.bvh", scale=1.0 / unit)
+    path = in_units(write_bvh(body, tmp_path / "a.bvh"), unit)
     expected = 1.0 / size if unit == 0.0034 else 1.0
     found = load(path).skeleton.rest_positions[:, 1]
     assert float(found.max() - found.min()) == pytest.approx(

@@ -147,6 +147,13 @@ def test_captions_fit():
     assert fitted("x" * 500, 15, 200).endswith("…")
 
 
+def test_a_caption_may_be_of_any_length():
+    """A file may remember a million letters without a blank: measuring them one by one took for ever."""
+    for caption in ("x" * 1_100_000, "x " * 550_000):
+        assert fitted(caption, 22, 300).endswith("…")
+        assert font(22).getlength(fitted(caption, 22, 300)) <= 300
+
+
 def test_travel_and_turns_in_words():
     walk = gait(41, speed=1.0)
     turned = walk.transformed(rotations.yaw(torch.tensor(2.0)), torch.tensor([5.0, 0, 5.0]))

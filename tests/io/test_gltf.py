@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from moveset.errors import FormatError, InputError
 from moveset.io import save
 from moveset.io.gltf import write_glb
-from moveset.io.gltf_clip import Clip
+from moveset.io.gltf_clip import Channel, Clip
 from moveset.io.gltf_reader import glb_metadata, read_glb
 from moveset.motion import rotations
 from moveset.motion.clip import Motion
@@ -123,7 +123,7 @@ def test_interpolation_between_keys_agrees_with_scipy(kind):
     keys = torch.cumsum(0.1 + torch.rand(6, generator=generator, dtype=torch.float64), dim=0)
     times = torch.linspace(float(keys[0]), float(keys[-1]), 101, dtype=torch.float64)
     values = torch.randn(18 if kind == "CUBICSPLINE" else 6, 3, generator=generator, dtype=torch.float64)
-    found = Clip({}, {0: (keys, values, kind)}).translation(0, times, torch.zeros(3))
+    found = Clip({}, {0: Channel(keys, values, kind)}, False).translation(0, times, torch.zeros(3))
     keys, times, values = keys.numpy(), times.numpy(), values.numpy()
     if kind == "STEP":
         expected = interpolate.interp1d(keys, values, kind="previous", axis=0)(times)

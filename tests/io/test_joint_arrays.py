@@ -9,7 +9,7 @@ import torch
 from moveset.cli.__main__ import main
 from moveset.errors import FormatError, InputError
 from moveset.io import load, read_metadata, save
-from moveset.motion.hml import HmlCodec
+from moveset.motion.features import get_codec
 from moveset.motion.retarget import retarget
 from moveset.motion.rigs import RIGS, roles
 from moveset.motion.skeleton import HML22
@@ -71,9 +71,9 @@ def test_the_rate_is_kept_beside_the_array(motion, fps, tmp_path):
     assert load(path).fps == 20.0
 
 
-@pytest.mark.parametrize(("kind", "rig"), [("humanml3d", "hml22"), ("kit", "kit21")])
+@pytest.mark.parametrize(("kind", "rig"), [("hml", "hml22"), ("kit", "kit21")])
 def test_features_are_decoded(kind, rig, tmp_path):
-    codec = HmlCodec(kind)
+    codec = get_codec(kind)
     made = retarget(gait(40, fps=codec.fps), rig)
     features = codec.encode(made)
     joints = codec.joints(features.double()) * codec.reflection

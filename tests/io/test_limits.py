@@ -1,7 +1,6 @@
 import errno
 import os
 import stat
-import tempfile
 
 import pytest
 
@@ -19,6 +18,19 @@ def test_a_file_appears_whole(tmp_path):
     mask = os.umask(0)
     os.umask(mask)
     assert path.stat().st_mode & 0o777 == 0o666 & ~mask
+
+
+def test_the_umask_of_all_threads_is_left_alone(tmp_path, monkeypatch):
+    """Two that read it at once, each by setting it to 0 and back, would leave it at 0: a server writes in threads."""
+    before = os.umask(0o027)
+    try:
+        with monkeypatch.context() as patch:
+            patch.setattr(os, "umask", None)
+            with atomic_write(tmp_path / "a") as file:
+                file.write(b"a")
+        assert (tmp_path / "a").stat().st_mode & 0o777 == 0o640
+    finally:
+        os.umask(before)
 
 
 @pytest.mark.parametrize("error", [ValueError("no"), KeyboardInterrupt(), OSError(errno.ENOSPC, "No space left")])
@@ -72,10 +84,10 @@ def test_folders_that_cannot_be_written_to_are_the_users_mistake(tmp_path, monke
         with pytest.raises(InputError, match="cannot write"), atomic_write(path):
             pass
 
-    def refuse(**_):
+    def refuse(*_):
         raise PermissionError(errno.EACCES, "Permission denied")
 
-    monkeypatch.setattr(tempfile, "mkstemp", refuse)
+    monkeypatch.setattr(os, "open", refuse)
     with pytest.raises(InputError, match="Permission denied"), atomic_write(tmp_path / "a"):
         pass
 
@@ -88,6 +100,8 @@ def test_reading_is_limited(tmp_path):
         read_limited(path, 4)
     with pytest.raises(InputError, match="cannot read"):
         read_limited(tmp_path / "missing")
+    with pytest.raises(InputError, match="File name too long"):
+        read_limited(tmp_path / ("a" * 300))
     with pytest.raises(InputError, match="not a regular file"):
         read_limited(tmp_path)
     os.mkfifo(tmp_path / "pipe")

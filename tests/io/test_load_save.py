@@ -61,6 +61,19 @@ def test_a_file_beside_that_is_damaged_is_refused(motion, tmp_path):
         read_metadata(tmp_path / "a.bvh")
 
 
+def test_a_name_that_leaves_no_room_for_a_file_beside_is_read(motion, tmp_path):
+    save(motion, tmp_path / "a.npy")
+    path = (tmp_path / "a.npy").rename(tmp_path / ("a" * 248 + ".npy"))
+    assert len(load(path)) == len(motion)
+    assert read_metadata(path) == {}
+
+
+@pytest.mark.parametrize("name", ["a.bvh", "a.glb", "a.npz", "a.npy"])
+def test_half_a_letter_is_remembered(motion, name, tmp_path):
+    half = {"prompt": "a man \ud83d waves, \u00e9"}
+    assert read_metadata(save(motion, tmp_path / name, metadata=half)).items() >= half.items()
+
+
 @pytest.mark.parametrize("name", ["a.fbx", "a", "a.bvh.txt", ".bvh", "npz"])
 def test_unknown_extensions_are_said_with_the_known_ones(motion, name, tmp_path):
     with pytest.raises(InputError, match=r"\.bvh \.glb \.npz \.npy \.html \.mp4 \.gif \.png; use one"):

@@ -123,7 +123,7 @@ def test_an_interrupt_in_the_middle_of_a_write_keeps_whole_frames(motion, suffix
     take.append(motion[:28])
 
     def interrupted(handle, data):
-        if len(data) > 1000 and handle == take._store._file.handle:
+        if len(data) > 1000 and handle == take._store.handle:
             real(handle, data[: len(data) // 2])
             monkeypatch.setattr(os, "write", real)
             raise KeyboardInterrupt

@@ -12,7 +12,7 @@ from moveset.motion.cleanup import lock_feet
 from moveset.motion.clip import Motion
 from moveset.motion.contacts import stances
 from moveset.motion.foot_lock import FootLock
-from moveset.motion.hover import LONGEST, Hovering, clearance, hovering, set_down
+from moveset.motion.hover import LONGEST, Hovering, clearance, lasting, set_down
 from moveset.motion.skeleton import HML22
 from tests.motions import gait
 
@@ -72,10 +72,10 @@ def test_who_stands_walks_or_jumps_is_left_alone():
 
 
 def test_who_stays_up_is_set_down_and_what_a_jump_explains_is_left():
-    heights = hover(100, 20, 75, 0.3) + jump(100, 40, 0.5)
+    heights = hover(100, 20, 75, 0.15) + jump(100, 40, 0.5)
     motion = above(heights)
     left = clearance(set_down(motion).joints)
-    assert float(clearance(motion.joints).max()) > 0.5
+    assert float(clearance(motion.joints).max()) > 0.4
     # The jump from up there is a jump from the floor; only its tolerance of five centimetres may be left of the rest.
     assert float(left.max()) < float(jump(100, 40, 0.5).max()) + 0.05
     assert float(left[22:36].max()) < 0.08
@@ -86,37 +86,29 @@ def test_who_stays_up_is_set_down_and_what_a_jump_explains_is_left():
     assert torch.equal(set_down(motion).root[:, [0, 2]], motion.root[:, [0, 2]])
 
 
-def test_who_may_climb_is_set_down_only_after_flying_there_and_no_higher_than_people_jump():
+def test_who_may_have_climbed_is_set_down_only_after_flying_there_and_no_higher_than_people_jump():
     rising = 0.15 * (torch.linspace(-1.0, 6.0, 80).clamp(0.0, 1.0))
     carried, aloft = above(rising), above(torch.full((80,), 0.15))
     flown, far_up = above(hover(112, 10, 100, 0.15)), above(hover(112, 10, 100, 0.4))
-    for motion in (carried, aloft, flown, far_up):
-        assert float(clearance(set_down(motion).joints).max()) < 0.09
     for motion in (carried, aloft, far_up):
-        assert set_down(motion, climbs=True) is motion
-    assert torch.equal(set_down(flown, climbs=True).root, set_down(flown).root)
-
-
-def test_half_of_it():
-    motion = above(hover(80, 20, 60, 0.3))
-    whole, half = (motion.root[:, 1] - set_down(motion, strength).root[:, 1] for strength in (1.0, 0.5))
-    assert torch.allclose(half, 0.5 * whole, atol=1e-6)
+        assert set_down(motion) is motion
+    assert float(clearance(set_down(flown).joints).max()) < 0.09
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_opening_equals_scipys(seed: int, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr("moveset.motion.hover._SMOOTH", 1e-3)  # a Gaussian of one sample
+def test_opening_equals_scipys(seed: int):
     heights = torch.randn(200, generator=torch.Generator().manual_seed(seed)).cumsum(0).clamp_min(0.0)
     width = round(LONGEST * FPS) + 1
     inner = slice(2 * width, -2 * width)  # at the ends scipy goes on with what it chooses
     expected = torch.from_numpy(grey_opening(heights.numpy(), size=width))
-    assert torch.allclose(hovering(heights, FPS)[inner], expected[inner], atol=1e-6)
+    assert torch.allclose(lasting(heights, FPS)[inner], expected[inner], atol=1e-6)
 
 
 @pytest.mark.parametrize("frames", [1, 2, 12, 13, 14])
 def test_clips_of_any_length(frames: int):
     high = above(torch.full((frames,), 0.3))
-    assert float(clearance(set_down(high).joints).max()) < 1e-6
+    assert torch.allclose(lasting(clearance(high.joints), FPS), clearance(high.joints))
+    assert set_down(high) is high
     assert len(streamed(high, 5)) == frames
 
 
@@ -176,7 +168,6 @@ def test_locks_set_down_and_take_up_again():
     free = torch.zeros(112, 4, dtype=torch.bool)
     low = above(hover(112, 10, 112, 0.15))
     assert float(clearance(lock_feet(low, contacts=free).joints)[20:].max()) < 0.08
-    assert torch.equal(lock_feet(low, 0.0, free).root, low.root)
     # Who is that high for that long is on something.
     assert torch.equal(lock_feet(motion, contacts=free).root, motion.root)
 

@@ -62,7 +62,6 @@ def test_an_hour_does_not_drift():
             turned = rotations.mul(rotations.inv(piece.rotations), whole.rotations)
             assert 2.0 * turned[..., :3].norm(dim=-1).max() < 1e-5
     assert far > 1000.0
-    assert decoder.frames == count * n
     assert abs(decoder.state()["heading"]) <= math.pi
 
 
@@ -151,7 +150,7 @@ def test_the_blend_ends_after_its_time_and_the_path_is_the_same():
     for segment in segments:
         late(segment)
         raw_late(segment)
-    assert all(late.state()[key] == raw_late.state()[key] for key in ("heading", "x", "z", "frames"))
+    assert all(late.state()[key] == raw_late.state()[key] for key in ("heading", "x", "z"))
 
 
 def test_a_motion_that_goes_on_smoothly_is_left_alone():

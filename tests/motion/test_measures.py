@@ -123,12 +123,10 @@ def test_a_jump_at_a_seam_is_near_it_and_nowhere_else():
     # Third differences of a step of 1 cm: 1, 2, 1 (times fps^3).
     assert found.near.item() == pytest.approx(0.01 * 4 / 3 * FPS**3, rel=1e-4)
     assert found.elsewhere.item() == 0.0
-    assert found.ratio == float("inf")
     wider = measures.boundary_jerk(popped(28), FPS, [28])
     assert wider.near.item() == pytest.approx(0.01 * 4 / 5 * FPS**3, rel=1e-4)
     for other in (26, 27, 29, 30):
         assert measures.boundary_jerk(popped(other), FPS, [28], reach=1).elsewhere.item() > 0
-    assert measures.boundary_jerk(standing(60), FPS, [28]).ratio == 1.0
 
 
 def test_windows_near_a_seam_are_those_that_span_or_touch_it():
@@ -146,7 +144,6 @@ def test_jerk_near_seams_and_elsewhere_are_all_of_the_jerk():
     found = measures.boundary_jerk(joints, FPS, [28, 56])
     whole = (10 * found.near + 71 * found.elsewhere) / 81
     assert whole.item() == pytest.approx(measures.jerk(joints, FPS).item(), rel=1e-5)
-    assert found.ratio == pytest.approx(1.0, abs=0.15)
 
 
 def test_windows_of_a_stream_show_what_drifts():

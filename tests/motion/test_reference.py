@@ -108,6 +108,14 @@ def test_up_and_facing_overrule():
         upright(walk, up="z", facing="-z")
 
 
+def test_a_facing_goes_with_the_up_axis_that_is_found():
+    """Also for a body that does not stand at rest: its world is turned."""
+    for walk in (foreign("mixamo"), with_other_axes(foreign("mixamo"), 3)):
+        z_up = walk.transformed(rotations.about("x", 90.0), torch.zeros(3))
+        back = upright(z_up, facing="-y")
+        assert torch.allclose(back.joints, walk.joints, atol=1e-5)
+
+
 def test_onto_a_skeleton_with_other_axes_and_back():
     """A target without a standing rest pose is stood up by its bones alone."""
     walk = retarget(gait(40), "mixamo")

@@ -66,6 +66,14 @@ def test_slerp_equals_scipy():
             same(rotations.slerp(a[k], b[k], t), torch.from_numpy(path(t).as_quat()), atol=1e-9)
 
 
+def test_slerp_carries_gradient_also_where_nothing_turns():
+    b = torch.stack((rotations.identity(), -rotations.identity(), rotations.about("y", 30.0))).double()
+    for t in (0.0, 0.3, 1.0):
+        a = rotations.identity(3).double().requires_grad_()
+        rotations.slerp(a, b, t)[..., 1].sum().backward()
+        assert torch.isfinite(a.grad).all()
+
+
 @pytest.mark.parametrize("degrees", [0.0, 1e-5, 1e-3, 0.01, 1.0])
 def test_slerp_between_close_rotations_is_even(degrees):
     a = quaternions(1)[0]

@@ -32,7 +32,7 @@ def test_it_holds_the_root_then_decodes_then_locks_feet():
     for piece in features().split(N):
         planted = piece[:, CODEC.groups["contacts"]] > PLANTED
         assert planted.any()
-        assert torch.equal(made.planted(piece), planted)
+        assert torch.equal(CODEC.planted(piece), planted)
         assert same(made(piece), feet(decoder(hold_root(piece, planted, CODEC)), planted))
 
 
@@ -66,13 +66,13 @@ def test_who_goes_on_from_a_given_motion_has_the_feet_that_it_ends_on():
     made = StreamDecoder(CODEC, 0.3)
     made.go_on_from(given, heading=0.0, x=0.0, z=0.0)
     decoder, feet = IncrementalDecoder(CODEC, 0.3), FootLock(CODEC.skeleton, CODEC.fps)
-    feet(decoder(given), made.planted(given))
+    feet(decoder(given), CODEC.planted(given))
     for piece in rest.split(N):
-        planted = made.planted(piece)
+        planted = CODEC.planted(piece)
         assert same(made(piece), feet(decoder(hold_root(piece, planted, CODEC)), planted))
     unlocked = FootLock(CODEC.skeleton, CODEC.fps)
     decoder = IncrementalDecoder(CODEC, 0.3)
     decoder(given)
-    planted = made.planted(rest[:N])
+    planted = CODEC.planted(rest[:N])
     made.go_on_from(given, heading=0.0, x=0.0, z=0.0)
     assert not same(made(rest[:N]), unlocked(decoder(hold_root(rest[:N], planted, CODEC)), planted))

@@ -27,8 +27,8 @@ def models(tiny_clips, tiny_streams):
 def serving(models):
     """Open a server in this process: ``with serving(jobs=1) as client``."""
 
-    def make(*, page=None, origins=(), hosts=("127.0.0.1",), **limits):
-        options = Options(models, "cpu", replace(Limits(), **limits), origins, hosts, page)
+    def make(*, origins=(), hosts=("127.0.0.1",), **limits):
+        options = Options(models, "cpu", replace(Limits(), **limits), origins, hosts)
         return TestClient(create_app(options), base_url=f"http://{HOST}")
 
     return make

@@ -21,8 +21,10 @@ def page(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def paged(serving, page):
-    with serving(page=page, origins=("https://friend.example",)) as client:
-        yield client
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("moveset.server.page.STUDIO", page)
+        with serving(origins=("https://friend.example",)) as client:
+            yield client
 
 
 @pytest.mark.parametrize(

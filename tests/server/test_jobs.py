@@ -1,12 +1,16 @@
-"""Which finished jobs are remembered, and for how long."""
+"""Which finished jobs are remembered, and for how long; what is told of those that failed."""
 
 from dataclasses import replace
 
 import pytest
 
+from moveset.errors import MovesetError
+from moveset.io.packets import pack_packet
+from moveset.server import files
 from moveset.server.failures import RequestError
 from moveset.server.jobs import Answer, Job, JobBook
 from moveset.server.limits import Limits
+from tests.motions import wander
 
 
 def kept(book, made):
@@ -69,3 +73,15 @@ def test_unfinished_jobs_are_never_forgotten(book):
 def test_names_cannot_be_guessed():
     assert len({Job(None).id for _ in range(1000)}) == 1000
     assert len(Job(None).id) == 16
+
+
+def test_a_disk_that_is_full_is_not_the_clients_mistake(serving, monkeypatch):
+    def full(*_):
+        raise MovesetError("cannot write motion.bvh: No space left on device; free some space")
+
+    monkeypatch.setattr(files, "write_file", full)
+    with serving() as client:
+        body = {"prompts": [{"text": "a person bows", "seconds": 1.0}], "format": "bvh"}
+        packet = {"content": pack_packet(wander(4, seed=5)), "headers": {"Content-Type": "application/octet-stream"}}
+        for answer in (client.post("/v1/generate", json=body), client.post("/v1/export?format=bvh", **packet)):
+            assert (answer.status_code, answer.json()["error"]["code"]) == (500, "internal")

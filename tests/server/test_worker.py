@@ -14,7 +14,8 @@ from moveset.server.failures import RequestError
 from moveset.server.jobs import Job, Order
 from moveset.server.limits import Limits
 from moveset.server.metrics import Metrics
-from moveset.server.sessions import Begin, Session
+from moveset.server.protocol import Start
+from moveset.server.sessions import Session
 from moveset.server.worker import Worker
 
 WALK = "a person walks forward"
@@ -63,7 +64,7 @@ class Bench:
                 session.acknowledge(session.sent)
             session.look()
 
-        begin = Begin("tiny-stream", prompt, 1, steps, None)
+        begin = Start(type="start", model="tiny-stream", prompt=prompt, seed=1, steps=steps)
         session = Session(len(self.events), deliver, options.get("buffer", 1.0), None, begin)
         self.worker.join_stream(session)
         return session

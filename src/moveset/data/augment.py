@@ -14,9 +14,9 @@ from moveset.data.posture import standing
 from moveset.errors import InputError
 from moveset.motion import bend, rotations
 from moveset.motion.clip import Motion
-from moveset.motion.contacts import spans
 from moveset.motion.features import get_codec
 from moveset.motion.skeleton import HML22
+from moveset.motion.smoothing import spans
 
 MAX_FRAMES = 196
 

@@ -11,7 +11,8 @@ from moveset.data.hml22_calibration import FPS, assemble, turn
 from moveset.data.resample import resampled
 from moveset.data.takes import ImportedRun, ImportedTake, TakeRef
 from moveset.errors import FormatError, InputError
-from moveset.io.bvh import local_frames, read_bvh
+from moveset.io.bvh import local_frames
+from moveset.io.bvh_parser import read_bvh
 from moveset.motion import rotations
 from moveset.motion.skeleton import HML22
 

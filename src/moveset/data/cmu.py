@@ -18,11 +18,12 @@ from moveset.data.resample import resampled
 from moveset.data.takes import ImportedRun, ImportedTake, RejectedTake, TakeRef
 from moveset.errors import FormatError, InputError
 from moveset.io.asf_amc import read_amc, read_asf
-from moveset.io.bvh import local_frames, read_bvh
+from moveset.io.bvh import local_frames
+from moveset.io.bvh_parser import read_bvh
 from moveset.motion import rotations
-from moveset.motion.contacts import spans
 from moveset.motion.kinematics import fk
 from moveset.motion.skeleton import HML22
+from moveset.motion.smoothing import spans
 
 _SIDES = (("left", "l", 1.0), ("right", "r", -1.0))
 _BVH_METRES = 0.01

@@ -12,9 +12,9 @@ import torch
 from torch import Tensor
 
 from moveset.motion import rotations
-from moveset.motion.contacts import spans
 from moveset.motion.kinematics import fk
 from moveset.motion.skeleton import HML22
+from moveset.motion.smoothing import spans
 
 MAX_JOINT_SPEED = 16.0
 MAX_ROOT_SPEED = 6.5

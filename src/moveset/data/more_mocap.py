@@ -14,10 +14,11 @@ from moveset.data.hml22_calibration import FPS
 from moveset.data.resample import resampled
 from moveset.data.takes import ImportedRun, ImportedTake, RejectedTake, TakeRef
 from moveset.errors import FormatError, InputError
-from moveset.io.bvh import bvh_motion, read_bvh
-from moveset.motion.contacts import spans
+from moveset.io.bvh import bvh_motion
+from moveset.io.bvh_parser import read_bvh
 from moveset.motion.retarget import retarget
 from moveset.motion.skeleton import HML22
+from moveset.motion.smoothing import spans
 
 #: Names by which takes of CMU and of Bandai-Namco are known, which are read and told in other ways.
 _TAKEN = re.compile(r"cmu([\d-]|$)|bandai")

@@ -9,9 +9,9 @@ from torch import Tensor
 from moveset.data.augment import MAX_FRAMES
 from moveset.motion import rotations
 from moveset.motion.clip import Motion
-from moveset.motion.contacts import spans, stands_on
+from moveset.motion.contacts import stands_on
 from moveset.motion.skeleton import HML22
-from moveset.motion.smoothing import gaussian_smooth
+from moveset.motion.smoothing import gaussian_smooth, spans
 
 # Of a gait that is repeated: its least frames, how alike its ends are, m/s of who gets somewhere, the share of the
 # clip's best pace, and metres that it climbs and radians that it turns at most.

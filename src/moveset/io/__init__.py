@@ -29,6 +29,9 @@ from moveset.errors import FormatError, InputError
 if TYPE_CHECKING:
     from moveset.motion.clip import Motion
 
+#: What a file is told to remember of how its motion was made: prompt, seed, model, …
+Metadata = Mapping[str, str | int | float | None]
+
 
 @dataclass(frozen=True)
 class Body:
@@ -147,7 +150,7 @@ def _loaded(
     return motion if source_fps is None else replace(motion, fps=source_fps)
 
 
-def save(motion: "Motion", path: str | Path, *, metadata: Mapping[str, str | int | float | None] | None = None) -> Path:
+def save(motion: "Motion", path: str | Path, *, metadata: Metadata | None = None) -> Path:
     """Write a motion, whole or not at all.
 
     Args:
@@ -192,15 +195,17 @@ def rate_of(fps: float, path: str | Path) -> float:
     return film_rate(fps, suffix)
 
 
-def save_beside(metadata: Mapping[str, str | int | float | None], path: Path) -> None:
+def save_beside(metadata: Metadata, path: Path) -> None:
     """Write metadata into the file beside a motion that has no place for it.
 
     Raises:
         InputError: the folder cannot be written to.
     """
-    from moveset.io.limits import write_text
+    from moveset.io.limits import atomic_write
 
-    write_text(_beside(path), json.dumps(metadata, ensure_ascii=False, indent=1) + "\n")
+    with atomic_write(_beside(path)) as file:
+        # Halves of letters, as a GLB or a command line may bring them, have no UTF-8; JSON spells them as escapes.
+        file.write((json.dumps(metadata, ensure_ascii=False, indent=1) + "\n").encode("utf-8", "backslashreplace"))
 
 
 def read_metadata(path: str | Path) -> dict[str, Any]:
@@ -223,7 +228,7 @@ def _notes_beside(path: Path) -> dict[str, Any]:
     from moveset.io.limits import read_limited
 
     beside = _beside(path)
-    if not beside.exists():
+    if not os.path.exists(beside):  # nor can there be one of a name too long, of which Path.exists complains
         return {}
     try:
         found = json.loads(read_limited(beside, 2**20))

@@ -14,15 +14,12 @@ import numpy as np
 import torch
 
 from moveset.errors import FormatError, InputError
-from moveset.io.amass import amass_motion, write_amass
-from moveset.io.joint_arrays import read_npy, write_npy
+from moveset.io.amass import amass_motion
 from moveset.io.limits import MAX_FRAMES, MAX_JOINTS, MAX_POSES, atomic_write
 from moveset.io.numpy_file import Npz
 from moveset.motion.clip import Motion
 from moveset.motion.rigs import as_skeleton
 from moveset.motion.skeleton import Skeleton
-
-__all__ = ["npz_metadata", "read_npy", "read_npz", "still_arrays", "write_amass", "write_npy", "write_npz"]
 
 
 def write_npz(motion: Motion, path: str | Path, *, metadata: Mapping[str, object] | None = None) -> None:

@@ -2,7 +2,7 @@
 
 import re
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,16 +11,15 @@ import torch
 from torch import Tensor
 
 from moveset.errors import FormatError, InputError
-from moveset.io.bvh_parser import MAX_NAME, BvhFile, read_bvh
+from moveset.io.bvh_parser import MAX_NAME, BvhFile
 from moveset.io.limits import MAX_DEPTH, MAX_FRAMES, MAX_JOINTS, MAX_POSES, atomic_write
 from moveset.motion import rotations
 from moveset.motion.clip import Motion
 from moveset.motion.skeleton import HML22, Skeleton
 from moveset.motion.units import bone_reach, likely_unit
 
-__all__ = ["BvhFile", "BvhText", "LocalFrames", "bvh_motion", "likely_scale", "local_frames", "read_bvh", "write_bvh"]
-
 CENTIMETRES = 0.01
+_PER_METRE, _ORDER = 1.0 / CENTIMETRES, "ZXY"  # of files that are written
 _TIP = 0.1
 _TIP_ROUNDING = 1e-3  # of a tip: digits of a short bone tell its direction no better
 _UNITS = (1.0, 0.01, 0.001)
@@ -77,11 +76,17 @@ def local_frames(bvh: BvhFile, *, root: str | None = None) -> LocalFrames:
     limit = ROUNDING * bone_reach(bvh.parents, places.mean(dim=0))
     while root is None and bvh.parents.count(first) == 1 and moves[bvh.parents.index(first)] > limit:
         first = bvh.parents.index(first)
+    way = [first]
+    while way[0] > 0:
+        way.insert(0, bvh.parents[way[0]])
     turn, place = quats[:, 0], places[:, 0]
-    for j in _path(bvh.parents, first):
+    for j in way[1:]:
         place = place + rotations.rotate(turn, places[:, j])
         turn = rotations.mul(turn, quats[:, j])
-    keep = [first, *_descendants(bvh.parents, first)]
+    keep = [first]
+    for j, p in enumerate(bvh.parents):
+        if p in keep:
+            keep.append(j)
     new = {j: k for k, j in enumerate(keep)}
     offsets = places[:, keep].mean(dim=0)
     stretch = (places[:, keep] - offsets).norm(dim=-1).amax(dim=0)
@@ -153,23 +158,18 @@ def warn_of_stretch(joints: Sequence[str], stretch: Tensor, reach: float) -> Non
         )
 
 
-def write_bvh(motion: Motion, path: str | Path, *, scale: float = 1.0 / CENTIMETRES, order: str = "ZXY") -> Path:
-    """Write a motion as BVH, whole or not at all.
+def write_bvh(motion: Motion, path: str | Path) -> Path:
+    """Write a motion as BVH in centimetres, which animation software expects, whole or not at all.
 
-    The root has six channels, the others three; joints without children end in an End Site that prolongs their bone by
-    10 cm. Angles are continuous in time, also beyond 180 degrees and through a middle angle of 90 degrees, so that they
-    can be interpolated and edited as curves.
-
-    Args:
-        scale: units of the file per metre: 100 for centimetres, which animation software expects.
-        order: of the rotations, intrinsic; "ZXY" means R = Rz·Rx·Ry.
+    The root has six channels, the others three, rotations R = Rz·Rx·Ry; joints without children end in an End Site that
+    prolongs their bone by 10 cm. Angles are continuous in time, also beyond 180 degrees and through a middle angle of
+    90 degrees, so that they can be interpolated and edited as curves.
 
     Raises:
-        InputError: ``path`` cannot be written, the motion is over the limits that BVH files are read with, ``scale`` is
-            not above 0, or ``order`` does not name the three axes once each.
+        InputError: ``path`` cannot be written, or the motion is over the limits that BVH files are read with.
     """
     path = Path(path)
-    text = BvhText(motion.skeleton, motion.fps, scale=scale, order=order)
+    text = BvhText(motion.skeleton, motion.fps)
     if len(motion) > MAX_FRAMES or len(motion) * len(motion.skeleton) > MAX_POSES:
         raise InputError(
             f"{len(motion)} frames of {len(motion.skeleton)} joints exceed what is read back ({MAX_FRAMES} frames, "
@@ -184,22 +184,17 @@ class BvhText:
     """The text of a BVH file, frames as they come: each piece's angles continue those of the piece before.
 
     Raises:
-        InputError: the skeleton is over the limits that BVH files are read with, ``scale`` is not above 0, or ``order``
-            does not name the three axes once each.
+        InputError: the skeleton is over the limits that BVH files are read with.
     """
 
-    def __init__(self, skeleton: Skeleton, fps: float, *, scale: float = 1.0 / CENTIMETRES, order: str = "ZXY") -> None:
-        if not 0 < scale < 1e6:
-            raise InputError(f"scale {scale} is not in (0, 1000000); give units per metre, such as 100 for centimetres")
-        if sorted(order) != ["X", "Y", "Z"]:
-            raise InputError(f"rotation order {order!r} does not name X, Y and Z once each; give one such as 'ZXY'")
+    def __init__(self, skeleton: Skeleton, fps: float) -> None:
         if len(skeleton) > MAX_JOINTS or len(skeleton.levels) > MAX_DEPTH:
             raise InputError(
                 f"{len(skeleton)} joints in {len(skeleton.levels)} levels exceed what is read back "
                 f"({MAX_JOINTS}, {MAX_DEPTH}); simplify the skeleton"
             )
-        self._lines, self._joints = _hierarchy_text(skeleton, scale, order)
-        self._fps, self._scale, self._order = fps, scale, order
+        self._lines, self._joints = _hierarchy_text(skeleton)
+        self._fps = fps
         self._before: np.ndarray | None = None
 
     def head(self, frames: str) -> bytes:
@@ -210,9 +205,9 @@ class BvhText:
 
     def rows(self, motion: Motion) -> bytes:
         quats = rotations.normalize(motion.rotations[:, self._joints].double())
-        angles = continuous_euler(rotations.to_matrix(quats).numpy(), self._order, self._before)
+        angles = continuous_euler(rotations.to_matrix(quats).numpy(), _ORDER, self._before)
         self._before = angles[-1].copy()
-        root = motion.root.double().numpy() * self._scale
+        root = motion.root.double().numpy() * _PER_METRE
         values = np.concatenate((root, angles.reshape(len(motion), -1)), axis=1)
         row = " ".join(["%.6f"] * values.shape[1]) + "\n"
         return "".join([row % tuple(frame) for frame in values.tolist()]).encode()
@@ -247,7 +242,7 @@ def continuous_euler(matrices: np.ndarray, order: str, before: np.ndarray | None
     return angles
 
 
-def _hierarchy_text(skeleton: Skeleton, scale: float, order: str) -> tuple[list[str], list[int]]:
+def _hierarchy_text(skeleton: Skeleton) -> tuple[list[str], list[int]]:
     """Lines of the hierarchy and the order in which it names the joints: depth first, without recursion."""
     names = [re.sub(r"[\s{}]+", "_", name).encode()[:MAX_NAME].decode(errors="ignore") for name in skeleton.joints]
     if len(set(names)) < len(names) or not all(names):
@@ -255,8 +250,8 @@ def _hierarchy_text(skeleton: Skeleton, scale: float, order: str) -> tuple[list[
             f"joint names that are empty, or alike but for spaces or behind {MAX_NAME} bytes, cannot be written as "
             "BVH; rename joints"
         )
-    turns = " ".join(f"{axis}rotation" for axis in order)
-    offsets = (skeleton.offsets.double() * scale).tolist()
+    turns = " ".join(f"{axis}rotation" for axis in _ORDER)
+    offsets = (skeleton.offsets.double() * _PER_METRE).tolist()
     lines, joints = ["HIERARCHY"], []
     stack: list[tuple[int, int] | str] = [(0, 0)]
     while stack:
@@ -278,7 +273,7 @@ def _hierarchy_text(skeleton: Skeleton, scale: float, order: str) -> tuple[list[
             lines += [
                 f"{inside}End Site",
                 f"{inside}{{",
-                f"{inside}\tOFFSET {_vector(_tip(place, scale))}",
+                f"{inside}\tOFFSET {_vector(_tip(place, _PER_METRE))}",
                 f"{inside}}}",
             ]
     return lines, joints
@@ -293,23 +288,6 @@ def _tip(bone: list[float], scale: float) -> list[float]:
 
 def _vector(values: list[float]) -> str:
     return " ".join(f"{value:.6f}" for value in values)
-
-
-def _path(parents: tuple[int, ...], joint: int) -> list[int]:
-    """Joints from below the root down to ``joint``."""
-    path: list[int] = []
-    while joint > 0:
-        path.insert(0, joint)
-        joint = parents[joint]
-    return path
-
-
-def _descendants(parents: tuple[int, ...], joint: int) -> Iterator[int]:
-    inside = {joint}
-    for j, p in enumerate(parents):
-        if p in inside:
-            inside.add(j)
-            yield j
 
 
 def _local(bvh: BvhFile) -> tuple[Tensor, Tensor]:

@@ -11,36 +11,54 @@ from moveset.io.limits import MAX_FRAMES
 from moveset.motion import rotations
 
 _STILL = 1.0 - 1e-5  # cosine of half an angle of half a degree
-_Keys = tuple[Tensor, Tensor, str]
+
+
+@dataclass(frozen=True, eq=False)
+class Channel:
+    """Key times (K,), seconds, and values (K, n); of splines (3 K, n): in-tangent, value, out-tangent of each key."""
+
+    keys: Tensor
+    values: Tensor
+    interpolation: str
+
+    @property
+    def smooth(self) -> bool:
+        return self.interpolation == "CUBICSPLINE"
+
+    @property
+    def at(self) -> Tensor:
+        """(K, n) what is there at the keys."""
+        return self.values[1::3] if self.smooth else self.values
+
+    def between(self, times: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Indices of the keys around each time and the share of the later one."""
+        low, high, t = _between(self.keys, times)
+        return low, high, t.floor() if self.interpolation == "STEP" else t
 
 
 @dataclass(frozen=True, eq=False)
 class Clip:
-    """Channels by node: key times, values, interpolation; and whether there are channels of morph targets."""
+    """Channels by node, and whether there are channels of morph targets."""
 
-    turns: dict[int, _Keys]
-    shifts: dict[int, _Keys]
-    morphs: bool = False
+    turns: dict[int, Channel]
+    shifts: dict[int, Channel]
+    morphs: bool
 
     @property
     def lively(self) -> bool:
         """Whether a joint turns visibly: T-poses, which often come first in files, hold still."""
-        for keys, values, interpolation in self.turns.values():
-            at = values[1::3] if interpolation == "CUBICSPLINE" else values
-            if len(keys) > 1 and float((at * at[:1]).sum(dim=-1).abs().min()) < _STILL:
-                return True
-        return False
+        moving = (c.at for c in self.turns.values() if len(c.keys) > 1)
+        return any(float((at * at[:1]).sum(dim=-1).abs().min()) < _STILL for at in moving)
 
     def rotation(self, glb: Glb, node: int, times: Tensor, default: Tensor) -> Tensor:
         """(F, 4)"""
         if node not in self.turns:
             return default.expand(len(times), 4)
-        keys, values, interpolation = self.turns[node]
-        if interpolation == "CUBICSPLINE":
-            return rotations.normalize(_spline(keys, values, times))
-        values = unit_quaternions(glb, values)
-        low, high, t = _between(keys, times)
-        t = t.floor() if interpolation == "STEP" else t
+        channel = self.turns[node]
+        if channel.smooth:
+            return rotations.normalize(_spline(channel, times))
+        values = unit_quaternions(glb, channel.values)
+        low, high, t = channel.between(times)
         a, b = values[low], values[high]
         # Keys themselves are returned untouched.
         mixed = torch.where((t == 1.0)[:, None], b, rotations.slerp(a, b, t))
@@ -50,27 +68,22 @@ class Clip:
         """(F, 3)"""
         if node not in self.shifts:
             return default.expand(len(times), 3)
-        keys, values, interpolation = self.shifts[node]
-        if interpolation == "CUBICSPLINE":
-            return _spline(keys, values, times)
-        low, high, t = _between(keys, times)
-        t = t.floor() if interpolation == "STEP" else t
-        return torch.lerp(values[low], values[high], t[:, None])
+        channel = self.shifts[node]
+        if channel.smooth:
+            return _spline(channel, times)
+        low, high, t = channel.between(times)
+        return torch.lerp(channel.values[low], channel.values[high], t[:, None])
 
     def mean_translation(self, node: int, default: Tensor) -> Tensor:
         """(3,)"""
-        if node not in self.shifts:
-            return default
-        _, values, interpolation = self.shifts[node]
-        return (values[1::3] if interpolation == "CUBICSPLINE" else values).mean(dim=0)
+        return self.shifts[node].at.mean(dim=0) if node in self.shifts else default
 
     def moves(self, node: int) -> float:
         """How far a node's own translation ranges, in its units."""
         if node not in self.shifts:
             return 0.0
-        _, values, interpolation = self.shifts[node]
-        values = values[1::3] if interpolation == "CUBICSPLINE" else values
-        return float((values.amax(dim=0) - values.amin(dim=0)).max())
+        at = self.shifts[node].at
+        return float((at.amax(dim=0) - at.amin(dim=0)).max())
 
 
 def animation_names(glb: Glb) -> list[str]:
@@ -122,8 +135,8 @@ def _turning(glb: Glb, clip: Clip) -> Clip:
 def _clip(glb: Glb, index: int) -> Clip:
     animation = glb.entry("animations", index)
     samplers = glb.items(animation, "samplers")
-    turns: dict[int, _Keys] = {}
-    shifts: dict[int, _Keys] = {}
+    turns: dict[int, Channel] = {}
+    shifts: dict[int, Channel] = {}
     clocks: dict[int, Tensor] = {}
     morphs = False
     for channel in glb.items(animation, "channels"):
@@ -147,7 +160,7 @@ def _clip(glb: Glb, index: int) -> Clip:
         if len(values) != len(clocks[clock]) * (3 if interpolation == "CUBICSPLINE" else 1):
             glb.fail("an animation has other numbers of times and values; it is damaged")
         node = glb.index(target["node"], len(glb.items(glb.tree, "nodes")), "nodes")
-        (turns if kind == "rotation" else shifts)[node] = clocks[clock], values, interpolation
+        (turns if kind == "rotation" else shifts)[node] = Channel(clocks[clock], values, interpolation)
     return Clip(turns, shifts, morphs)
 
 
@@ -180,9 +193,10 @@ def _between(keys: Tensor, times: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     return low, low + 1, t
 
 
-def _spline(keys: Tensor, values: Tensor, times: Tensor) -> Tensor:
-    """Hermite spline; values (3 K, n) are in-tangent, value, out-tangent of each key (glTF 2.0, appendix C)."""
-    low, high, t = _between(keys, times)
+def _spline(channel: Channel, times: Tensor) -> Tensor:
+    """Hermite spline (glTF 2.0, appendix C)."""
+    keys, values = channel.keys, channel.values
+    low, high, t = channel.between(times)
     gap, t = (keys[high] - keys[low])[:, None], t[:, None]
     into, at, out = values[0::3], values[1::3], values[2::3]
     t2, t3 = t * t, t * t * t

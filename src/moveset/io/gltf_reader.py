@@ -262,7 +262,7 @@ def _offsets(nodes: Nodes, clip: Clip, rig: _Rig, axes: Tensor) -> Tensor:
 
 def _instants(glb: Glb, clip: Clip, fps: float | None) -> tuple[Tensor, float]:
     """Times (F,) at which to sample, seconds, and their rate: the first key's to the last one's."""
-    clocks = {id(keys): keys for keys, _, _ in (*clip.turns.values(), *clip.shifts.values())}
+    clocks = {id(channel.keys): channel.keys for channel in (*clip.turns.values(), *clip.shifts.values())}
     start = min(float(keys[0]) for keys in clocks.values())
     length = max(float(keys[-1]) for keys in clocks.values()) - start
     rate = fps or _rate(glb, [keys - start for keys in clocks.values()])

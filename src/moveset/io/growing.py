@@ -6,6 +6,7 @@ piece that it was writing.
 """
 
 import os
+from abc import ABC, abstractmethod
 from bisect import bisect_right
 from collections.abc import Callable, Sequence
 from itertools import accumulate
@@ -13,12 +14,15 @@ from pathlib import Path
 from typing import BinaryIO
 
 from moveset.errors import FormatError, InputError
+from moveset.io.limits import BINARY
+from moveset.io.process import claim
+from moveset.motion.clip import Motion
 
-_BINARY = getattr(os, "O_BINARY", 0)  # Windows would write line ends of its own
+_BUSY = "{} is being written; stop that first"
 
 
-class GrowingFile:
-    """``path`` with ``.part`` behind its name, created with a head, and locked as long as it is open.
+class GrowingFile(ABC):
+    """``path`` with ``.part`` behind its name, created with a head, locked as long as it is open, ``path`` at the end.
 
     Raises:
         InputError: there is such a file already, or the folder is missing or cannot be written to.
@@ -26,10 +30,10 @@ class GrowingFile:
     """
 
     def __init__(self, path: Path, head: bytes) -> None:
-        self.part = part_of(path)
+        self.path, self.part = path, part_of(path)
         self.frames, self.size = 0, len(head)
         try:
-            self.handle = os.open(self.part, os.O_RDWR | os.O_CREAT | os.O_EXCL | _BINARY, 0o666)
+            self.handle = os.open(self.part, os.O_RDWR | os.O_CREAT | os.O_EXCL | BINARY, 0o666)
         except FileExistsError as error:
             raise InputError(
                 f"{self.part} exists: a take of this name is being written or was cut off; rescue it with "
@@ -40,11 +44,24 @@ class GrowingFile:
                 f"cannot write {path}: {error.strerror or error}; choose a folder that exists and can be written to"
             ) from error
         try:
-            claim(self.handle, self.part)
+            claim(self.handle, _BUSY.format(self.part))
             self.write(0, head)
         except BaseException:
             self.remove()
             raise
+
+    @property
+    @abstractmethod
+    def room(self) -> int:
+        """Frames that fit the longest file that is read back."""
+
+    @abstractmethod
+    def append(self, motion: Motion) -> None:
+        """Raises OSError on a full disk, having kept the frames that fitted."""
+
+    @abstractmethod
+    def finish(self) -> None:
+        """Become ``path``, or nothing if there are no frames."""
 
     def grow(self, rows: Sequence[bytes]) -> None:
         """Append frames; those that could be written whole count, also when this raises.
@@ -88,48 +105,34 @@ class GrowingFile:
         self.part.unlink(missing_ok=True)
 
 
-class GrowingText:
-    """A take in a text format: ``path.part`` is a valid file itself between two calls, and becomes ``path`` at the end.
-
-    Raises:
-        InputError: a path that cannot be written to.
-        OSError: there is no space for the head.
-    """
-
-    def __init__(self, path: Path, head: bytes) -> None:
-        self.path = path
-        self._file = GrowingFile(path, head)
-
-    @property
-    def part(self) -> Path:
-        return self._file.part
-
-    @property
-    def frames(self) -> int:
-        return self._file.frames
+class GrowingText(GrowingFile):
+    """A take in a text format: its part is a valid file itself between two calls."""
 
     def finish(self) -> None:
-        """Become ``path``, or nothing if there are no frames."""
         if not self.frames:
-            self._file.remove()
+            self.remove()
             return
         self._seal()
-        self._file.close()
+        self.close()
         os.replace(self.part, self.path)
-
-    def close(self) -> None:
-        self._file.close()
 
     def _seal(self) -> None:
         """Bring the part to the last byte of the file that it becomes."""
-        self._file.cut()
+        self.cut()
 
 
 def recover_text(path: Path, mend: Callable[[BinaryIO], int]) -> int:
-    """Make ``path.part``, which nobody writes any more, ``path``; the number of its frames.
+    """Make ``path.part``, mended, ``path``; arguments and errors as for ``mended``."""
+    frames = mended(path, mend)
+    os.replace(part_of(path), path)
+    return frames
+
+
+def mended(path: Path, mend: Callable[[BinaryIO], int]) -> int:
+    """Mend ``path.part``, which nobody writes any more; the number of its frames.
 
     Args:
-        mend: cuts an open file after its last whole frame, makes it valid and counts its frames; 0 leaves it as it is.
+        mend: makes the best of the whole frames in an open file and counts them; 0 leaves it as it is.
 
     Raises:
         InputError: it is still being written.
@@ -138,30 +141,13 @@ def recover_text(path: Path, mend: Callable[[BinaryIO], int]) -> int:
     """
     part = part_of(path)
     with part.open("r+b") as file:
-        claim(file.fileno(), part)
+        claim(file.fileno(), _BUSY.format(part))
         if not (frames := mend(file)):
             raise FormatError(f"{part} holds no whole frame of a take; delete it")
         file.flush()
         os.fsync(file.fileno())
-    os.replace(part, path)
     return frames
 
 
 def part_of(path: Path) -> Path:
     return path.with_name(path.name + ".part")
-
-
-def claim(handle: int, part: Path) -> None:
-    """Lock an open file; the system lets go of it when its holder ends, however that happens.
-
-    Raises:
-        InputError: another process writes it.
-    """
-    try:
-        import fcntl
-    except ImportError:  # Windows has no flock; there nobody is kept from a file that is being written
-        return
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError as error:
-        raise InputError(f"{part} is being written; stop that first") from error

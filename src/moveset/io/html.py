@@ -10,7 +10,7 @@ import hashlib
 import html
 import json
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
@@ -20,8 +20,9 @@ from typing import Any
 import torch
 
 from moveset.errors import FormatError, InputError
+from moveset.io import Metadata
 from moveset.io.limits import MAX_BYTES, MAX_JOINTS, MAX_NUMBER, atomic_write, read_limited
-from moveset.io.packets import HEADER, MAGIC, VERSION, pack_packet, skeleton_json, unpack_packets
+from moveset.io.packets import HEADER, MAGIC, VERSION, frame_rows, pack_packet, skeleton_json, unpack_packets
 from moveset.motion.clip import Motion
 from moveset.motion.retarget import retarget
 from moveset.motion.rigs import as_skeleton
@@ -62,13 +63,7 @@ class Scene:
     note: str = ""
 
 
-def write_html(
-    path: str | Path,
-    scenes: Sequence[Scene],
-    *,
-    title: str = "",
-    metadata: Mapping[str, str | int | float | None] | None = None,
-) -> Path:
+def write_html(path: str | Path, scenes: Sequence[Scene], *, title: str = "", metadata: Metadata | None = None) -> Path:
     """Write a page of motions, whole or not at all.
 
     Args:
@@ -87,9 +82,7 @@ def write_html(
     return Path(path)
 
 
-def html_page(
-    scenes: Sequence[Scene], *, title: str = "", metadata: Mapping[str, str | int | float | None] | None = None
-) -> str:
+def html_page(scenes: Sequence[Scene], *, title: str = "", metadata: Metadata | None = None) -> str:
     """The text of a page; arguments and errors as for ``write_html``, but for its size and place."""
     if not scenes:
         raise InputError("a page needs at least one motion; give one")
@@ -103,7 +96,7 @@ def html_page(
     return _page_head(title) + for_script(page) + _TAIL
 
 
-def save_html(motion: Motion, path: str | Path, *, metadata: Mapping[str, str | int | float | None]) -> Path:
+def save_html(motion: Motion, path: str | Path, *, metadata: Metadata) -> Path:
     """Write a page of one motion; the prompt of its metadata is its title, and ``starts`` when each part of it begins.
 
     Raises:
@@ -116,7 +109,7 @@ def save_html(motion: Motion, path: str | Path, *, metadata: Mapping[str, str | 
     return Path(path)
 
 
-def open_page(skeleton: Skeleton, fps: float, metadata: Mapping[str, str | int | float | None]) -> bytes:
+def open_page(skeleton: Skeleton, fps: float, metadata: Metadata) -> bytes:
     """A page of one motion up to its frames, which may come while it is made: ``frame_lines``, then ``close_page``."""
     title = title_of(metadata)
     page = for_script({"format": _FORMAT, "title": title or "Motion", "metadata": dict(metadata)})
@@ -128,9 +121,7 @@ def open_page(skeleton: Skeleton, fps: float, metadata: Mapping[str, str | int |
 
 def frame_lines(motion: Motion, first_frame: int = 0) -> list[bytes]:
     """A line for each frame, all of one length: a packet in base64."""
-    rows = torch.cat((motion.root.float(), motion.rotations.flatten(1).float()), dim=1).contiguous().numpy()
-    rows = rows.astype("<f4", copy=False)
-    joints = len(motion.skeleton)
+    rows, joints = frame_rows(motion), len(motion.skeleton)
     heads = (HEADER.pack(MAGIC, VERSION, joints, 1, first_frame + k, motion.fps, 0.0, 0) for k in range(len(rows)))
     return [b',"' + base64.b64encode(head + row.tobytes()) + b'"\n' for head, row in zip(heads, rows, strict=True)]
 
@@ -139,12 +130,12 @@ def close_page() -> bytes:
     return b"]}]}]}" + _TAIL.encode()
 
 
-def title_of(metadata: Mapping[str, str | int | float | None]) -> str:
+def title_of(metadata: Metadata) -> str:
     """A line that says what is seen: the prompts in their order."""
     return str(metadata.get("prompt") or "").replace(" | ", ", then ")
 
 
-def prompts_of(metadata: Mapping[str, str | int | float | None], fps: float) -> list[dict[str, str | int]]:
+def prompts_of(metadata: Metadata, fps: float) -> list[dict[str, str | int]]:
     """What was said from which frame on; all at once where the metadata do not tell the seconds.
 
     >>> prompts_of({"prompt": "walk | wave", "starts": "0 | 2.5"}, 20.0)
@@ -157,14 +148,14 @@ def prompts_of(metadata: Mapping[str, str | int | float | None], fps: float) -> 
     return [{"text": text, "firstFrame": round(float(s) * fps)} for text, s in zip(texts, starts, strict=True) if text]
 
 
-def inline_player(motion: Motion, *, height: int = 480) -> str:
+def inline_player(motion: Motion) -> str:
     """A frame for notebooks with a page of one motion in it, kept apart from the notebook's own page."""
     page = html.escape(html_page([Scene("", (Shown(motion),))]), quote=True)
     # The script must arrive to the letter whatever encoding the notebook's page has, or its hash is another.
     page = page.encode("ascii", "xmlcharrefreplace").decode()
     return (
         f'<iframe srcdoc="{page}" title="Motion player" sandbox="allow-scripts allow-downloads" allow="fullscreen" '
-        f'loading="lazy" style="width:100%;height:{height}px;border:0;border-radius:12px"></iframe>'
+        'loading="lazy" style="width:100%;height:480px;border:0;border-radius:12px"></iframe>'
     )
 
 

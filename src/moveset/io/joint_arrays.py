@@ -26,13 +26,14 @@ from moveset.errors import FormatError
 from moveset.io.limits import MAX_FRAMES, atomic_write, read_limited
 from moveset.io.numpy_file import PICKLED, parse_array
 from moveset.motion.clip import Motion
+from moveset.motion.features import get_codec
 from moveset.motion.hml import HmlCodec
 from moveset.motion.positions import HINGES, solve_rotations
 from moveset.motion.rigs import RIGS, roles
 from moveset.motion.skeleton import HML22, Skeleton
 
 PLAIN_FPS = 20.0  # of an array that nothing is known of: HumanML3D's
-_CODECS = {263: "humanml3d", 251: "kit"}
+_CODECS = {263: "hml", 251: "kit"}
 _JOINTS = {52, *map(len, RIGS.values())}
 _UNITS = (1.0, 0.01, 0.001)
 _REACH = 2.0  # metres along the bones from hand to foot of a grown body
@@ -119,7 +120,8 @@ def _which(path: str, count: int, sample: str | None) -> int:
 
 
 def _decoded(path: str, features: np.ndarray, fps: float | None) -> Motion:
-    codec = HmlCodec(_CODECS[features.shape[1]])
+    codec = get_codec(_CODECS[features.shape[1]])
+    assert isinstance(codec, HmlCodec)
     height = float(np.median(features[:, 3])) * codec.convention.unit
     contacts = features[:, -4:]
     if not 0.05 < height < 3.0 or contacts.min() < -0.5 or contacts.max() > 1.5:

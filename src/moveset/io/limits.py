@@ -1,10 +1,10 @@
 """Limits for files that came from somewhere else, and writes that leave nothing half-written."""
 
 import os
-import tempfile
+import secrets
 import tokenize
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from typing import IO
 
@@ -18,6 +18,7 @@ MAX_FRAMES = 100_000
 # Frames times joints: what may be unfolded from a file whose joints need not have a channel each.
 MAX_POSES = 4_000_000
 MAX_NUMBER = 1e7
+BINARY = getattr(os, "O_BINARY", 0)  # Windows would write line ends of its own
 #: What numpy raises for the header of an array, which it parses as Python.
 HEADER_ERRORS = (ValueError, TypeError, EOFError, SyntaxError, RecursionError, MemoryError, tokenize.TokenError)
 
@@ -30,9 +31,9 @@ def read_limited(path: str | Path, max_bytes: int = MAX_BYTES) -> bytes:
         FormatError: the file is larger than ``max_bytes``.
     """
     path = Path(path)
-    if path.exists() and not path.is_file():
-        raise InputError(f"{path} is not a regular file; give the path of a file")
     try:
+        if path.exists() and not path.is_file():
+            raise InputError(f"{path} is not a regular file; give the path of a file")
         with path.open("rb") as file:
             # What is asked for is set aside at once, so ask for no more than there is.
             size = os.fstat(file.fileno()).st_size
@@ -80,25 +81,23 @@ def atomic_write(path: str | Path) -> Iterator[IO[bytes]]:
         MovesetError: writing fails half-way, for example on a full disk.
     """
     path = written_to(path)
+    name = path.with_name(f".{path.name[:32]}.{secrets.token_hex(8)}.part")
     try:
-        handle, name = tempfile.mkstemp(prefix=f".{path.name[:32]}.", suffix=".part", dir=path.parent)
+        # Not mkstemp, whose files are private: giving them the usual permissions takes the umask, which a process can
+        # only read by changing it, for all its threads.
+        handle = os.open(name, os.O_RDWR | os.O_CREAT | os.O_EXCL | BINARY, 0o666)
     except OSError as error:
         raise InputError(
             f"cannot write {path}: {error.strerror or error}; choose a folder that exists and can be written to"
         ) from error
     try:
         with os.fdopen(handle, "wb") as file:
-            # mkstemp makes files private; give the result the permissions any new file would get.
-            mask = os.umask(0)
-            os.umask(mask)
-            os.chmod(name, 0o666 & ~mask)
             yield file
             file.flush()
             os.fsync(file.fileno())
         os.replace(name, path)
     except BaseException as error:
-        with suppress(FileNotFoundError):
-            os.unlink(name)
+        name.unlink(missing_ok=True)
         if isinstance(error, OSError):
             reason = error.strerror or error
             raise MovesetError(f"cannot write {path}: {reason}; free some space or choose another disk") from error

@@ -60,10 +60,13 @@ def pack_packet(
     frames, joints = motion.rotations.shape[:2]
     flags = 0 if planted is None else CONTACTS
     header = HEADER.pack(MAGIC, VERSION, joints, frames, first_frame, motion.fps, latency_ms, flags)
-    rows = torch.cat((motion.root.float(), motion.rotations.flatten(1).float()), dim=1)
-    body = rows.contiguous().numpy().astype("<f4", copy=False).tobytes()
     feet = b"" if planted is None else planted.to(torch.uint8).contiguous().numpy().tobytes()
-    return header + body + feet
+    return header + frame_rows(motion).tobytes() + feet
+
+
+def frame_rows(motion: Motion) -> np.ndarray:
+    """(F, 3 + 4 J) float32, little-endian: root position and local rotations of each frame."""
+    return torch.cat((motion.root, motion.rotations.flatten(1)), dim=1).numpy().astype("<f4")
 
 
 def unpack_packets(

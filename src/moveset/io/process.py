@@ -27,17 +27,28 @@ def locked(folder: Path, busy: str | None = None) -> Iterator[None]:
         OSError: the folder cannot be made or written to.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    if not LOCKS:
+    with open(folder / ".lock", "w") as file:
+        claim(file.fileno(), busy)
         yield
+
+
+def claim(handle: int, busy: str | None = None) -> None:
+    """Locks an open file; the system lets go of it when its holder ends, however that happens.
+
+    Args:
+        busy: what to say if another process holds it; None waits for that one.
+
+    Raises:
+        InputError: another process holds it.
+    """
+    if not LOCKS:
         return
     import fcntl
 
-    with open(folder / ".lock", "w") as file:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | (0 if busy is None else fcntl.LOCK_NB))
-        except BlockingIOError as error:
-            raise InputError(str(busy)) from error
-        yield
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | (0 if busy is None else fcntl.LOCK_NB))
+    except BlockingIOError as error:
+        raise InputError(str(busy)) from error
 
 
 def end_with_parent() -> None:

@@ -29,12 +29,13 @@ def font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
 
 def fitted(text: str, size: int, room: float, lines: int = 1) -> str:
     """A text of at most ``lines`` lines of ``room`` pixels, broken between words, cut with an ellipsis if need be."""
-    words = text.split()[:200]
+    # More than fits anywhere: what a file remembers may be of any length, and text is measured letter by letter.
+    words = [word[:500] for word in text.split()[:200]]
     done: list[str] = []
     while words:
-        count = len(words)
-        while count > 1 and font(size).getlength(" ".join(words[:count])) > room:
-            count -= 1
+        count = 1
+        while count < len(words) and font(size).getlength(" ".join(words[: count + 1])) <= room:
+            count += 1
         line, words = " ".join(words[:count]), words[count:]
         last = len(done) == lines - 1
         if (last and words) or font(size).getlength(line) > room:

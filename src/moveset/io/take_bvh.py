@@ -33,16 +33,15 @@ class BvhTake(GrowingText):
     @property
     def room(self) -> int:
         """Frames that fit the longest file that is read back, if each were as long as can be."""
-        return (MAX_BYTES - self._file.size) // self._widest
+        return (MAX_BYTES - self.size) // self._widest
 
     def append(self, motion: Motion) -> None:
-        """Raises OSError on a full disk, having kept the frames that fitted."""
-        self._file.grow(self._text.rows(motion).splitlines(keepends=True))
-        self._file.write(self._count_at, _COUNT.format(self.frames).encode())
+        self.grow(self._text.rows(motion).splitlines(keepends=True))
+        self.write(self._count_at, _COUNT.format(self.frames).encode())
 
     def _seal(self) -> None:
-        self._file.write(self._count_at, _COUNT.format(self.frames).encode())
-        self._file.cut()
+        self.write(self._count_at, _COUNT.format(self.frames).encode())
+        self.cut()
 
 
 def recover_bvh(path: Path) -> int:

@@ -3,10 +3,10 @@
 The tail is written again behind every piece, so that the part is a whole page itself between two calls.
 """
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import BinaryIO
 
+from moveset.io import Metadata
 from moveset.io.growing import GrowingText, recover_text
 from moveset.io.html import FRAMES_BEGIN, close_page, frame_lines, open_page
 from moveset.io.limits import MAX_BYTES, read_limited
@@ -23,9 +23,7 @@ class HtmlTake(GrowingText):
         OSError: no space.
     """
 
-    def __init__(
-        self, path: Path, skeleton: Skeleton, fps: float, notes: Mapping[str, str | int | float | None]
-    ) -> None:
+    def __init__(self, path: Path, skeleton: Skeleton, fps: float, notes: Metadata) -> None:
         super().__init__(path, open_page(skeleton, fps, notes))
         self._tail = close_page()
         # Four characters of base64 for three bytes, and what stands around them.
@@ -33,13 +31,11 @@ class HtmlTake(GrowingText):
 
     @property
     def room(self) -> int:
-        """Frames that fit the longest page that is read back."""
-        return (MAX_BYTES - self._file.size - len(self._tail)) // self._row
+        return (MAX_BYTES - self.size - len(self._tail)) // self._row
 
     def append(self, motion: Motion) -> None:
-        """Raises OSError on a full disk, having kept the frames that fitted."""
         try:
-            self._file.grow(frame_lines(motion, self.frames))
+            self.grow(frame_lines(motion, self.frames))
         finally:
             self._close_page()
 
@@ -47,15 +43,15 @@ class HtmlTake(GrowingText):
         if not self.frames:
             return
         try:
-            self._file.write(self._file.size, self._tail)
+            self.write(self.size, self._tail)
         except OSError:
             # No space even for these few bytes: the last frame's are longer.
-            self._file.frames, self._file.size = self._file.frames - 1, self._file.size - self._row
-            self._file.write(self._file.size, self._tail)
+            self.frames, self.size = self.frames - 1, self.size - self._row
+            self.write(self.size, self._tail)
             raise
 
     def _seal(self) -> None:
-        self._file.cut(len(self._tail))
+        self.cut(len(self._tail))
 
 
 def recover_html(path: Path) -> int:

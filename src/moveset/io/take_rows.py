@@ -13,7 +13,7 @@ import zipfile
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, BinaryIO
 
 import numpy as np
 import torch
@@ -21,8 +21,9 @@ import torch
 from moveset.errors import FormatError, InputError
 from moveset.io.arrays import still_arrays
 from moveset.io.gltf import glb_head, key_times
-from moveset.io.growing import GrowingFile, claim, part_of
-from moveset.io.limits import MAX_BYTES, MAX_FRAMES, MAX_JOINTS
+from moveset.io.growing import GrowingFile, mended, part_of
+from moveset.io.limits import BINARY, MAX_BYTES, MAX_FRAMES, MAX_JOINTS
+from moveset.io.packets import frame_rows
 from moveset.motion import rotations
 from moveset.motion.clip import Motion
 from moveset.motion.rigs import as_skeleton
@@ -49,7 +50,7 @@ class _Head:
         return 4 * (3 + 4 * len(self.skeleton))
 
 
-class RowsTake:
+class RowsTake(GrowingFile):
     """Grows ``path.part``; ``finish`` arranges its rows as npz or GLB.
 
     Raises:
@@ -58,61 +59,42 @@ class RowsTake:
     """
 
     def __init__(self, path: Path, skeleton: Skeleton, fps: float, metadata: dict[str, Any]) -> None:
-        self.path = path
         text = _head_text(skeleton, fps, metadata)
         self._head = _Head(skeleton, fps, metadata, len(text))
         self._overhead = _overhead(path, self._head)
-        self._reserved = 0
-        self._file = GrowingFile(path, text)
+        self._space, self._reserved = -1, 0
+        super().__init__(path, text)
         try:
-            self._space = os.open(
-                _space_of(path), os.O_RDWR | os.O_CREAT | os.O_TRUNC | getattr(os, "O_BINARY", 0), 0o666
-            )
-        except BaseException:
-            self._file.remove()
-            raise
-        try:
+            self._space = os.open(_space_of(path), os.O_RDWR | os.O_CREAT | os.O_TRUNC | BINARY, 0o666)
             self._reserve(0)
         except BaseException:
             self._discard()
             raise
 
     @property
-    def part(self) -> Path:
-        return self._file.part
-
-    @property
-    def frames(self) -> int:
-        return self._file.frames
-
-    @property
     def room(self) -> int:
-        """Frames that fit the longest file that is read back."""
         longest = (MAX_BYTES - self._overhead) // _final_row(self._head) if _is_glb(self.path) else MAX_FRAMES
         return longest - self.frames
 
     def append(self, motion: Motion) -> None:
-        """Raises OSError on a full disk, having kept the frames that fitted."""
-        values = torch.cat((motion.root, motion.rotations.flatten(1)), dim=1).numpy().astype("<f4")
         try:
             self._reserve(self.frames + len(motion))
         finally:
             fitting = (self._reserved - self._overhead) // _final_row(self._head) - self.frames
-            self._file.grow([row.tobytes() for row in values[: max(fitting, 0)]])
+            self.grow([row.tobytes() for row in frame_rows(motion)[: max(fitting, 0)]])
 
     def finish(self) -> None:
-        """Become ``path``, or nothing if there are no frames."""
         if not self.frames:
             self._discard()
             return
-        self._file.cut()
+        self.cut()
         self._leave_space()
         _arrange(self.path, self._head, self.frames)
         self.close()
         os.unlink(self.part)
 
     def close(self) -> None:
-        self._file.close()
+        super().close()
         self._leave_space()
 
     def _leave_space(self) -> None:
@@ -128,35 +110,29 @@ class RowsTake:
             self._reserved += os.write(self._space, bytes(min(wanted - self._reserved, _DISK_BLOCK)))
 
     def _discard(self) -> None:
-        self.close()
-        self._file.remove()
+        self.remove()
         _space_of(self.path).unlink(missing_ok=True)
 
 
 def recover_rows(path: Path) -> int:
-    """Arrange the whole rows of ``path.part`` as ``path`` and return how many there are.
+    """Arrange the whole rows of ``path.part`` as ``path``; errors as for ``mended``."""
 
-    Raises:
-        InputError: it is still being written.
-        FormatError: it holds no whole frame, or is no take.
-        OSError: it cannot be read, or there is no space for the result.
-    """
-    part = part_of(path)
-    with part.open("r+b") as file:
-        claim(file.fileno(), part)
-        head = _read_head(file, part)
+    def arrange(file: BinaryIO) -> int:
+        head = _read_head(file, part_of(path))
         frames = (os.fstat(file.fileno()).st_size - head.start) // head.row
-        if frames < 1:
-            raise FormatError(f"{part} holds no whole frame of a take; delete it")
-        _arrange(path, head, frames)
-    part.unlink()
+        if frames:
+            _arrange(path, head, frames)
+        return frames
+
+    frames = mended(path, arrange)
+    part_of(path).unlink()
     return frames
 
 
 def _arrange(path: Path, head: _Head, frames: int) -> None:
     """Write ``path`` from the rows of its part, in the space that is set aside for it."""
     space = _space_of(path)
-    handle = os.open(space, os.O_RDWR | os.O_CREAT | getattr(os, "O_BINARY", 0), 0o666)
+    handle = os.open(space, os.O_RDWR | os.O_CREAT | BINARY, 0o666)
     with os.fdopen(handle, "r+b") as file:
         (_arrange_glb if _is_glb(path) else _arrange_npz)(file, part_of(path), head, frames)
         file.truncate()

@@ -10,12 +10,12 @@ or a machine that fails, leaves the part: ``recover_take("walk.bvh")`` makes the
 A BVH or HTML part needs no more than that; an npz or a GLB is arranged from its part in the space that is kept for it.
 """
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Self
 
 from moveset.errors import InputError, MovesetError
-from moveset.io.growing import part_of
+from moveset.io import Metadata
+from moveset.io.growing import GrowingFile, part_of
 from moveset.io.limits import MAX_FRAMES, MAX_JOINTS, MAX_POSES, written_to
 from moveset.io.take_bvh import BvhTake, recover_bvh
 from moveset.io.take_html import HtmlTake, recover_html
@@ -27,9 +27,7 @@ from moveset.motion.skeleton import Skeleton
 SUFFIXES = (".bvh", ".glb", ".npz", ".html")
 
 
-def open_take(
-    path: str | Path, skeleton: Skeleton, fps: float, *, metadata: Mapping[str, str | int | float | None] | None = None
-) -> "Take":
+def open_take(path: str | Path, skeleton: Skeleton, fps: float, *, metadata: Metadata | None = None) -> "Take":
     """Begin a take.
 
     Args:
@@ -47,7 +45,7 @@ def open_take(
     notes = dict(metadata or {})
     try:
         if path.suffix.lower() == ".bvh":
-            store: BvhTake | HtmlTake | RowsTake = BvhTake(path, skeleton, fps)
+            store: GrowingFile = BvhTake(path, skeleton, fps)
         elif path.suffix.lower() == ".html":
             store = HtmlTake(path, skeleton, fps, notes)
         else:
@@ -61,13 +59,7 @@ def open_take(
 class Take:
     """A take in progress, made by ``open_take``; leaving its ``with`` block ends it."""
 
-    def __init__(
-        self,
-        store: BvhTake | HtmlTake | RowsTake,
-        skeleton: Skeleton,
-        fps: float,
-        notes: Mapping[str, str | int | float | None],
-    ) -> None:
+    def __init__(self, store: GrowingFile, skeleton: Skeleton, fps: float, notes: Metadata) -> None:
         self.path = store.path
         self._store = store
         self._skeleton, self._fps, self._notes = skeleton, fps, notes
@@ -179,7 +171,7 @@ def recover_take(path: str | Path) -> int:
     return frames
 
 
-def _note(notes: Mapping[str, str | int | float | None], path: Path) -> None:
+def _note(notes: Metadata, path: Path) -> None:
     """Remember ``notes`` with a finished take that has no place for them: a BVH.
 
     Where there are none, and a part has none, those of the file before must not be taken for its own.

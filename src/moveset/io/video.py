@@ -41,8 +41,7 @@ def write_mp4(motion: Motion, path: str | Path, *, caption: str = "", metadata: 
     """
     from imageio_ffmpeg import write_frames
 
-    motion = _limited(motion, path)
-    motion = motion.resampled(film_rate(motion.fps, ".mp4"))
+    motion = _filmed(motion, ".mp4")
     # One thread: with several the bytes depend on how many cores there are.
     options = ["-preset", "veryfast", "-crf", "23", "-threads", "1", "-movflags", "+faststart", "-fflags", "+bitexact"]
     options += ["-metadata", f"comment={metadata}"] if metadata else []
@@ -70,8 +69,7 @@ def write_gif(motion: Motion, path: str | Path, *, caption: str = "", metadata: 
     Raises:
         InputError: longer than 300 s, or the path cannot be written to.
     """
-    motion = _limited(motion, path)
-    motion = motion.resampled(film_rate(motion.fps, ".gif"))
+    motion = _filmed(motion, ".gif")
     # One palette for all frames: they show the same materials, light and floor.
     samples = [motion[k : k + 1] for k in {0, len(motion) // 2, len(motion) - 1}]
     swatch = Image.new("RGB", (_GIF * len(samples), _GIF))
@@ -95,13 +93,14 @@ def write_gif(motion: Motion, path: str | Path, *, caption: str = "", metadata: 
         )
 
 
-def _limited(motion: Motion, path: str | Path) -> Motion:
+def _filmed(motion: Motion, suffix: str) -> Motion:
+    """The motion at the rate of a film that is not too long."""
     if motion.seconds > MAX_SECONDS:
         raise InputError(
-            f"a motion of {motion.seconds:.0f} s exceeds the {MAX_SECONDS:.0f} s that {Path(path).suffix} files hold; "
+            f"a motion of {motion.seconds:.0f} s exceeds the {MAX_SECONDS:.0f} s that {suffix} files hold; "
             "save a slice of it, or write .bvh, .glb or .npz"
         )
-    return motion
+    return motion.resampled(film_rate(motion.fps, suffix))
 
 
 def _pictures(motion: Motion, size: int, caption: str) -> Iterator[Image.Image]:

@@ -24,14 +24,8 @@ def unit(v: Tensor) -> Tensor:
     return torch.nn.functional.normalize(v, dim=-1, eps=_TINY)
 
 
-def middle(placed: Tensor, roles: Roles, part: str) -> Tensor | None:
-    """Halfway between the left and the right one of a part (..., 3); None where one is missing."""
-    pair = [roles[f"{side}_{part}"] for side in ("left", "right") if f"{side}_{part}" in roles]
-    return placed[..., pair, :].mean(dim=-2) if len(pair) == 2 else None
-
-
 def centre(placed: Tensor, roles: Roles, part: str) -> Tensor:
-    """Halfway between the left and the right one of a part that every known body has (..., 3)."""
+    """Halfway between the left and the right one of a part (..., 3)."""
     return placed[..., [roles[f"left_{part}"], roles[f"right_{part}"]], :].mean(dim=-2)
 
 
@@ -71,8 +65,8 @@ def top(placed: Tensor, roles: Roles) -> Tensor:
     for role in ("neck", "shoulder", "head", "spine3", "spine2", "spine1"):
         if role in roles:
             return placed[..., roles[role], :]
-        if (between := middle(placed, roles, role)) is not None:
-            return between
+        if f"left_{role}" in roles and f"right_{role}" in roles:
+            return centre(placed, roles, role)
     return placed[..., roles["pelvis"], :]
 
 

@@ -66,13 +66,11 @@ class _Tree:
         trunk = self.reach(way[1:])
         if not self.reach(legs[0]) > max(0.8 * trunk, self.reach(head)) or trunk < _TINY:
             return None
-        axes = self._axes(pelvis, chest, legs)
-        if axes is None:
+        left = self._left(pelvis, chest, legs)
+        if left is None:
             return None
-        left, _ = axes
-        roles = {"pelvis": pelvis}
         spine = way[1:]
-        roles |= {"spine3": spine[-1]}
+        roles = {"pelvis": pelvis, "spine3": spine[-1]}
         if len(spine) > 1:
             roles["spine1"] = spine[0]
         if len(spine) > 2:
@@ -116,8 +114,8 @@ class _Tree:
         parts = {"shoulder": found["hip"], "elbow": found["knee"], "wrist": found["ankle"]}
         return parts | ({"collar": chain[shoulder - 1]} if shoulder else {})
 
-    def _axes(self, pelvis: int, chest: int, legs: tuple[list[int], list[int]]) -> tuple[Tensor, Tensor] | None:
-        """Left and up of the body at rest; None where legs do not hang below the trunk or nothing points ahead."""
+    def _left(self, pelvis: int, chest: int, legs: tuple[list[int], list[int]]) -> Tensor | None:
+        """The left of the body at rest; None where legs do not hang below the trunk or nothing points ahead."""
         found = [self._leg(chain) for chain in legs]
         if any("foot" not in leg for leg in found):
             return None
@@ -127,4 +125,4 @@ class _Tree:
         ahead = ahead - (ahead @ up) * up
         if float(torch.nn.functional.normalize(down, dim=0) @ up) > -_FOLDED or float(ahead.norm()) < _TINY:
             return None
-        return torch.nn.functional.normalize(torch.linalg.cross(up, ahead), dim=0), up
+        return torch.nn.functional.normalize(torch.linalg.cross(up, ahead), dim=0)

@@ -14,7 +14,7 @@ from moveset.motion.hover import SOLE, set_down
 from moveset.motion.kinematics import global_to_local
 from moveset.motion.positions import HINGES
 from moveset.motion.skeleton import Skeleton
-from moveset.motion.smoothing import gaussian_smooth, settle
+from moveset.motion.smoothing import gaussian_smooth, settle, spans
 from moveset.motion.two_bone_ik import two_bone
 
 _BLEND = 0.25  # seconds for a foot to leave or reach its locked place
@@ -26,7 +26,7 @@ LANDING = 0.1  # seconds in which a planted foot that is above the floor comes d
 _GENTLE = 0.1  # seconds before and after a foot is under the floor in which it rises and falls
 
 
-def lock_feet(motion: Motion, strength: float = 1.0, contacts: Tensor | None = None) -> Motion:
+def lock_feet(motion: Motion, contacts: Tensor | None = None) -> Motion:
     """Feet that stay where they stand: planted toes (or ankles) are pinned in place and legs follow by two-bone IK.
 
     Each stance is pinned to where its foot moves least; on the way into and out of it the shift dies away smoothly. A
@@ -37,7 +37,6 @@ def lock_feet(motion: Motion, strength: float = 1.0, contacts: Tensor | None = N
 
     Args:
         motion: on a skeleton with feet and known knees (hml22, kit21).
-        strength: 0 leaves the motion as it is, 1 pins entirely.
         contacts: (F, 4) bool planted left ankle, left toe, right ankle, right toe, e.g. a model's own; by default found
             by height and speed.
 
@@ -45,16 +44,14 @@ def lock_feet(motion: Motion, strength: float = 1.0, contacts: Tensor | None = N
         The same number of frames.
 
     Raises:
-        InputError: a strength outside [0, 1], contacts of another shape, or a skeleton without known knees.
+        InputError: contacts of another shape, or a skeleton without known knees.
     """
-    if not 0.0 <= strength <= 1.0:
-        raise InputError(f"foot lock strength {strength} is not in [0, 1]; 0 is off, 1 is full")
     if contacts is not None and tuple(contacts.shape) != (len(motion), 4):
         raise InputError(f"contacts must be (F, 4) = ({len(motion)}, 4), got {tuple(contacts.shape)}")
     legs = _legs(motion.skeleton)
-    if len(motion) < 4 or strength == 0.0:
+    if len(motion) < 4:
         return motion
-    motion = set_down(motion, strength, climbs=True)
+    motion = set_down(motion)
     joints = motion.joints.double()
     carried = stands_on(joints, motion.skeleton)
     planted = stances(joints, motion.fps, motion.skeleton, contacts) & carried[:, None]
@@ -68,7 +65,7 @@ def lock_feet(motion: Motion, strength: float = 1.0, contacts: Tensor | None = N
         lowest = joints[:, pair, 1].amin(dim=1)
         down = _touch_down(lowest, planted[:, own].any(dim=1), motion.fps)
         up = height - down + _lift((lowest - down) * carried, motion.fps)
-        shifts.append(strength * (_pinned(joints[:, pair], planted[:, own], blend) + _upward(up)))
+        shifts.append(_pinned(joints[:, pair], planted[:, own], blend) + _upward(up))
     locked = move_feet(motion, torch.stack(shifts, dim=1))
     return Motion(locked.rotations.float(), motion.root, motion.fps, motion.skeleton)
 
@@ -137,16 +134,10 @@ def _pinned(foot: Tensor, planted: Tensor, blend: int) -> Tensor:
     shift = torch.zeros_like(foot[:, 0])
     flat = foot * foot.new_tensor((1.0, 0.0, 1.0))
     # The toe is the pivot wherever it is down; the ankle only while the foot stands on its heel.
-    pivot = torch.where(planted[:, 1], 1, torch.where(planted[:, 0], 0, -1)).tolist()
-    frame = 0
-    while frame < len(pivot):
-        end = frame + 1
-        while end < len(pivot) and (pivot[end] >= 0) == (pivot[frame] >= 0):
-            end += 1
-        if pivot[frame] >= 0:
-            shift[frame:end] = _stance(flat[frame:end], pivot[frame:end])
-        frame = end
-    return settle(shift, planted.any(dim=1), blend)
+    pivot, stands = planted[:, 1].int().tolist(), planted.any(dim=1)
+    for start, end in spans(stands):
+        shift[start:end] = _stance(flat[start:end], pivot[start:end])
+    return settle(shift, stands, blend)
 
 
 def _stance(flat: Tensor, pivot: list[int]) -> Tensor:

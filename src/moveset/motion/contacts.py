@@ -1,12 +1,10 @@
 """When a foot is planted: low and slow. Height alone is not contact, since swinging toes stay low in real takes."""
 
-from itertools import pairwise
-
 import torch
 from torch import Tensor
 
 from moveset.motion.skeleton import Skeleton
-from moveset.motion.smoothing import gaussian_smooth
+from moveset.motion.smoothing import gaussian_smooth, spans
 
 TOE_HEIGHT = 0.05
 ANKLE_HEIGHT = 0.12
@@ -59,19 +57,11 @@ def stands_on(joints: Tensor, skeleton: Skeleton, least: float = _CARRYING) -> T
     return joints[:, hips, 1].mean(dim=1) - joints[:, ankles, 1].amin(dim=1) > least * leg.to(joints)
 
 
-def spans(marks: Tensor) -> list[tuple[int, int]]:
-    """First and one-past-last frame of every run of set frames of (F,) bool."""
-    edges = torch.diff(marks.int(), prepend=torch.zeros(1), append=torch.zeros(1)).nonzero()[:, 0].tolist()
-    return list(zip(edges[::2], edges[1::2], strict=True))
-
-
 def _without_short_runs(marks: Tensor, longest: int, ends: bool) -> Tensor:
     """Clear runs of at most ``longest`` set frames in each column of (F, C); those at the clip's ends only if told."""
     out = marks.clone()
     for column in out.T:
-        edge = torch.nonzero(torch.diff(column.int()))[:, 0] + 1
-        bounds = [0, *edge.tolist(), len(column)]
-        for start, end in pairwise(bounds):
+        for start, end in spans(column):
             if end - start <= longest and (ends or (start > 0 and end < len(column))):
                 column[start:end] = False
     return out

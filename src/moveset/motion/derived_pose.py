@@ -115,11 +115,11 @@ class _Body:
             return unit(sum((self.rest[k] for k in way), torch.zeros(3, dtype=torch.float64)))
         return unit(self.mean(joint, self.placed[:, end] - self.placed[:, joint]))
 
-    def settle(self, joint: int, left: Tensor, up: Tensor) -> None:
-        """The joint's axes stand so that ``left`` and ``up`` (3,), as it sees them, point there."""
-        axes = frame(left, up)
-        if torch.isfinite(axes).all() and abs(float(torch.linalg.det(axes)) - 1.0) < 1e-3:
-            self.out[joint] = rotations.from_matrix(axes.T)
+    def settle(self, joint: int, left: Tensor, up: Tensor, rest_left: Tensor = _X, rest_up: Tensor = _Y) -> None:
+        """The joint's axes stand so that ``left`` and ``up`` (3,), as it sees them, point as they do at rest."""
+        local, world = frame(left, up), frame(rest_left, rest_up)
+        if torch.isfinite(local).all() and abs(float(torch.linalg.det(local)) - 1.0) < _NOTHING:
+            self.out[joint] = rotations.from_matrix(world @ local.T)
 
     def pose(self) -> Tensor:
         self._trunk()
@@ -149,9 +149,7 @@ class _Body:
             up, usual = bone, unit(places[HML22.index(above)] - start)
         else:
             up = unit(self.mean(joint, self.axes[..., 1])) if self.frames else _Y
-        local, world = frame(left, up), frame(_X, usual)
-        if torch.isfinite(local).all() and abs(float(torch.linalg.det(local)) - 1.0) < _NOTHING:
-            self.out[joint] = rotations.from_matrix(world @ local.T)
+        self.settle(joint, left, up, rest_up=usual)
 
     def _trunk_bone(self, joint: int, role: str, above: str) -> Tensor:
         """(3,) from a joint to the next one of the trunk; of the pelvis, from between the hips."""
@@ -224,9 +222,7 @@ class _Body:
             above = self._above(joint)
             self.out[joint] = rotations.mul(rotations.between(rotations.rotate(above, bone), points), above)
             return
-        local, world = frame(seen, bone), frame(rest, points)
-        if torch.isfinite(local).all() and abs(float(torch.linalg.det(local)) - 1.0) < 1e-3:
-            self.out[joint] = rotations.from_matrix(world @ local.T)
+        self.settle(joint, seen, bone, rest, points)
 
     def _above(self, joint: int) -> Tensor:
         """(4,) how the nearest settled joint above stands."""

@@ -3,6 +3,7 @@
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache
+from itertools import accumulate
 from typing import Protocol
 
 import torch
@@ -69,6 +70,25 @@ class FeatureCodec(Protocol):
         """Which feet stand, (F, 4) bool: left ankle, left toe, right ankle, right toe."""
 
 
+def grouped(**sizes: int) -> dict[str, slice]:
+    """Columns of features by meaning, given how many each has, in this order.
+
+    >>> grouped(root_yaw=1, root_velocity=2)
+    {'root_yaw': slice(0, 1, None), 'root_velocity': slice(1, 3, None)}
+    """
+    ends = accumulate(sizes.values())
+    return {name: slice(end - size, end) for (name, size), end in zip(sizes.items(), ends, strict=True)}
+
+
+def integrated(steps: Tensor) -> Tensor:
+    """Running sum of (..., F, C) over frames that starts at zero; the last step leads out of the clip and is not used.
+
+    >>> integrated(torch.tensor([[1.0], [2.0], [4.0]])).flatten().tolist()
+    [0.0, 1.0, 3.0]
+    """
+    return torch.cat((torch.zeros_like(steps[..., :1, :]), torch.cumsum(steps[..., :-1, :], dim=-2)), dim=-2)
+
+
 @cache
 def get_codec(name: str) -> FeatureCodec:
     """The codec of that name: "hml" (HumanML3D, 263), "kit" (KIT-ML, 251) or "native" (269, true rotations).
@@ -78,8 +98,9 @@ def get_codec(name: str) -> FeatureCodec:
     """
     if name in ("hml", "kit"):
         from moveset.motion.hml import HmlCodec
+        from moveset.motion.hml_skeletons import HUMANML3D, KIT_ML
 
-        return HmlCodec("humanml3d" if name == "hml" else "kit")
+        return HmlCodec(HUMANML3D if name == "hml" else KIT_ML)
     if name == "native":
         from moveset.motion.native import NativeCodec
 

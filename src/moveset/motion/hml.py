@@ -36,46 +36,37 @@ from moveset.errors import InputError
 from moveset.motion import rotations
 from moveset.motion.clip import Motion
 from moveset.motion.contacts import foot_contacts
-from moveset.motion.hml_skeletons import HUMANML3D, KIT_ML, HmlConvention
+from moveset.motion.features import grouped, integrated
+from moveset.motion.hml_skeletons import HmlConvention
 from moveset.motion.positions import positions_to_motion
 from moveset.motion.skeleton import Skeleton
 from moveset.motion.smoothing import gaussian_smooth
 
 _SMOOTHING = 20.0  # frames, the Gaussian's standard deviation
-_CONVENTIONS = {"humanml3d": HUMANML3D, "kit": KIT_ML}
 
 
 class HmlCodec:
     """Motions and joint positions to HumanML3D or KIT-ML features and back.
 
-    ``joints`` and ``encode_joints`` speak the dataset's own axes (in metres). KIT-ML's are a mirror image: its joints
+    ``joints`` and ``encode_clips`` speak the dataset's own axes (in metres). KIT-ML's are a mirror image: its joints
     named left lie at -X of a body that faces +Z. ``encode`` and ``decode`` reflect, so that motions are right-handed.
 
     Args:
-        kind: "humanml3d" or "kit".
-
-    Raises:
-        InputError: an unknown kind.
+        convention: ``hml_skeletons.HUMANML3D`` or ``KIT_ML``.
     """
 
-    def __init__(self, kind: str = "humanml3d") -> None:
-        if kind not in _CONVENTIONS:
-            raise InputError(f"unknown feature kind {kind!r}; choose one of {', '.join(_CONVENTIONS)}")
-        self.convention: HmlConvention = _CONVENTIONS[kind]
-        self.name: str = self.convention.name
-        self.skeleton: Skeleton = self.convention.skeleton
-        self.fps: float = self.convention.fps
-        self.lengths = self.convention.lengths.double()
+    def __init__(self, convention: HmlConvention) -> None:
+        self.convention = convention
+        self.name: str = convention.name
+        self.skeleton: Skeleton = convention.skeleton
+        self.fps: float = convention.fps
+        self.lengths = convention.lengths.double()
         joints = len(self.skeleton)
-        self.dim: int = 12 * joints - 1
-        sizes = {
-            "root_yaw": 1, "root_velocity": 2, "root_height": 1, "positions": 3 * (joints - 1),
-            "rotations": 6 * (joints - 1), "velocities": 3 * joints, "contacts": 4,
-        }  # fmt: skip
-        ends = torch.tensor(list(sizes.values())).cumsum(0).tolist()
-        self.groups: dict[str, slice] = {
-            name: slice(end - size, end) for (name, size), end in zip(sizes.items(), ends, strict=True)
-        }
+        self.groups: dict[str, slice] = grouped(
+            root_yaw=1, root_velocity=2, root_height=1, positions=3 * (joints - 1), rotations=6 * (joints - 1),
+            velocities=3 * joints, contacts=4,
+        )  # fmt: skip
+        self.dim: int = self.groups["contacts"].stop
 
     def encode(self, motion: Motion) -> Tensor:
         """Features (F - 1, D) of a motion of F >= 2 frames, re-posed onto the dataset's body.
@@ -88,25 +79,19 @@ class HmlCodec:
                 f"{self.name} features need motion on {self.skeleton.name!r} at {self.fps:g} fps; got "
                 f"{motion.skeleton.name!r} at {motion.fps:g} (retarget and resample it first)"
             )
-        return self.encode_joints(motion.joints.double() * self.reflection)
+        return self.encode_world([motion.joints])[0]
 
-    def encode_joints(self, joints: Tensor, uniform: bool = True) -> Tensor:
-        """Features (T - 1, D), float32, of joint positions (T, J, 3) in metres; computed in float64.
+    def encode_clips(self, clips: Sequence[Tensor], uniform: bool = True) -> list[Tensor]:
+        """Features (T_i - 1, D), float32, of clips of joint positions (T_i, J, 3) in metres; computed in float64.
+
+        Several clips at once have the numbers that each has alone, many times as fast where they are short.
 
         Args:
-            joints: Y up, in the dataset's axes.
+            clips: Y up, in the dataset's axes.
             uniform: re-pose onto the dataset's body first, as the datasets did; off for joints that already are.
 
         Raises:
             InputError: another shape, fewer than two frames, or values that are not finite.
-        """
-        return self.encode_clips([joints], uniform)[0]
-
-    def encode_clips(self, clips: Sequence[Tensor], uniform: bool = True) -> list[Tensor]:
-        """``encode_joints`` of several clips (T_i, J, 3) at once: the same numbers, many times as fast for short clips.
-
-        Raises:
-            InputError: as there.
         """
         count = len(self.skeleton)
         for joints in clips:
@@ -147,7 +132,7 @@ class HmlCodec:
         """Features of clips of joints (T_i, J, 3) in the axes of ``Motion``, re-posed onto the dataset's body.
 
         Raises:
-            InputError: as ``encode_joints``.
+            InputError: as ``encode_clips``.
         """
         return self.encode_clips([joints.double() * self.reflection for joints in clips])
 
@@ -166,7 +151,7 @@ class HmlCodec:
 
     def root_path(self, features: Tensor) -> tuple[Tensor, Tensor]:
         """Heading angle (..., F) in radians and root position (..., F, 3) in metres, in the axes of ``Motion``."""
-        heading = -2.0 * self.reflection[0].item() * _integrate(features[..., self.groups["root_yaw"]])[..., 0]
+        heading = -2.0 * self.reflection[0].item() * integrated(features[..., self.groups["root_yaw"]])[..., 0]
         return heading, self._root(features)[1] * self.convention.unit * self.reflection.to(features)
 
     def with_steps(self, features: Tensor, change_S2: Tensor) -> Tensor:
@@ -189,14 +174,13 @@ class HmlCodec:
         """(3,) what takes positions in the dataset's axes to those of ``Motion``, and back."""
         return torch.tensor((-1.0 if self.convention.reflected else 1.0, 1.0, 1.0), dtype=torch.float64)
 
-    def _uniform(self, p: Tensor, lengths: Sequence[int] = ()) -> Tensor:
+    def _uniform(self, p: Tensor, lengths: Sequence[int]) -> Tensor:
         """Each clip on the dataset's body: same bone directions, its bone lengths, root path scaled by the legs.
 
         The datasets get here by inverse and forward kinematics with shortest arcs, which keep every direction.
         """
         parents = self.convention.parents
         legs = list(self.convention.legs)
-        lengths = lengths or [len(p)]
         first = p[_starts(lengths)]
         own = (first[:, legs] - first[:, [parents[j] for j in legs]]).norm(dim=-1).sum(dim=-1)
         placed = {0: p[:, 0] * _each_frame(self.lengths[legs].sum() / own, lengths)[:, None]}
@@ -206,19 +190,17 @@ class HmlCodec:
                 placed[joint] = placed[above] + bone * self.lengths[joint]
         return torch.stack([placed[j] for j in range(len(parents))], dim=1)
 
-    def _on_ground(self, p: Tensor, lengths: Sequence[int] = ()) -> Tensor:
+    def _on_ground(self, p: Tensor, lengths: Sequence[int]) -> Tensor:
         """Lowest joint of each clip at y = 0, frame 0 above the origin and facing +Z by its hips and shoulders."""
-        lengths = lengths or [len(p)]
         start = p[_starts(lengths), 0].clone()
         start[:, 1] = torch.stack([clip[..., 1].min() for clip in p.split(list(lengths))])
         p = p - _each_frame(start, lengths)[:, None]
         hip, other_hip, shoulder, other_shoulder = p[_starts(lengths)][:, list(self.convention.face)].unbind(1)
-        turn = _to_front(hip - other_hip + shoulder - other_shoulder)
+        turn = _front_to_z(_forward(hip - other_hip + shoulder - other_shoulder))
         return rotations.rotate(_each_frame(turn, lengths)[:, None], p)
 
-    def _headings(self, p: Tensor, lengths: Sequence[int] = ()) -> Tensor:
+    def _headings(self, p: Tensor, lengths: Sequence[int]) -> Tensor:
         """(T, 4) rotations that take each frame's smoothed forward to +Z; identity at frame 0. Hips in wrong order."""
-        lengths = lengths or [len(p)]
         hip, other_hip, shoulder, other_shoulder = p[:, list(self.convention.face)].unbind(1)
         across = torch.nn.functional.normalize(other_hip - hip + shoulder - other_shoulder, dim=-1)
         forward = _forward(across).split(list(lengths))
@@ -240,7 +222,7 @@ class HmlCodec:
 
     def _root(self, features: Tensor) -> tuple[Tensor, Tensor]:
         """Heading (..., F, 4) and root path (..., F, 3) in the dataset's unit, integrated from frame 0."""
-        half = _integrate(features[..., self.groups["root_yaw"]])[..., 0]
+        half = integrated(features[..., self.groups["root_yaw"]])[..., 0]
         heading = rotations.yaw(2.0 * half)
         step = features[..., self.groups["root_velocity"]]
         step = torch.stack((step[..., 0], torch.zeros_like(half), step[..., 1]), dim=-1)
@@ -271,12 +253,3 @@ def _forward(across: Tensor) -> Tensor:
 
 def _front_to_z(forward: Tensor) -> Tensor:
     return rotations.between(forward, forward.new_tensor((0.0, 0.0, 1.0)))
-
-
-def _to_front(across: Tensor) -> Tensor:
-    return _front_to_z(_forward(across))
-
-
-def _integrate(steps: Tensor) -> Tensor:
-    """Running sum over dimension -2 that starts at zero; the last step leads out of the clip and is not used."""
-    return torch.cat((torch.zeros_like(steps[..., :1, :]), torch.cumsum(steps[..., :-1, :], dim=-2)), dim=-2)

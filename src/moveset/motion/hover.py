@@ -16,8 +16,8 @@ from torch import Tensor
 from torch.nn.functional import max_pool1d, pad
 
 from moveset.motion.clip import Motion
-from moveset.motion.contacts import SPEED, spans, stands_on
-from moveset.motion.smoothing import gaussian_smooth
+from moveset.motion.contacts import SPEED, stands_on
+from moveset.motion.smoothing import gaussian_smooth, spans
 
 SOLE = 0.02  # metres over the floor, below which the lowest joint of a standing foot is
 LONGEST = 0.6  # seconds in the air: a jump of 0.44 m
@@ -43,36 +43,30 @@ def flying(joints: Tensor, fps: float) -> Tensor:
     return flies
 
 
-def hovering(clearance_F: Tensor, fps: float, flying_F: Tensor | None = None) -> Tensor:
-    """How much (F,) of a clip's clearance lasts longer than ``LONGEST``, metres; a jump may go on beyond its ends.
-
-    Args:
-        flying_F: bool, where given who is up for that long is on something, but for those who fly and are not higher
-            than ``_HIGHEST``; so is who is up from the beginning, for nobody saw how.
-    """
+def lasting(clearance_F: Tensor, fps: float) -> Tensor:
+    """How much (F,) of a clip's clearance lasts longer than ``LONGEST``, metres; a jump may go on beyond its ends."""
     width = min(_frames(fps), len(clearance_F))
     eroded = -max_pool1d(-clearance_F[None], width, stride=1)
-    opened = max_pool1d(pad(eroded, (width - 1, width - 1)), width, stride=1)[0]
-    if flying_F is not None:
-        for start, stop in spans(opened > 0):
-            up = slice(start, stop)
-            if start == 0 or not flying_F[up].any() or float(opened[up].max()) > _HIGHEST:
-                opened[up] = 0.0
-    return gaussian_smooth(opened[:, None], _SMOOTH * fps)[:, 0]
+    return max_pool1d(pad(eroded, (width - 1, width - 1)), width, stride=1)[0]
 
 
-def set_down(motion: Motion, strength: float = 1.0, climbs: bool = False) -> Motion:
+def set_down(motion: Motion) -> Motion:
     """The clip without its hovering: the root sinks, nothing else changes.
 
-    Somebody whose legs do not carry the body, but who sits, lies or kneels, does not hover; nor, where somebody may
-    have climbed onto something (``climbs``), does one who got up without flying, or higher than people jump.
+    Somebody whose legs do not carry the body, but who sits, lies or kneels, does not hover; nor does one who got up
+    without flying, or higher than people jump (``_HIGHEST``): that one is on something. So is who is up from the
+    beginning, for nobody saw how.
     """
     joints = motion.joints
-    flies = flying(joints, motion.fps) if climbs else None
-    height = hovering(clearance(joints) * stands_on(joints, motion.skeleton), motion.fps, flies)
+    flies = flying(joints, motion.fps)
+    height = lasting(clearance(joints) * stands_on(joints, motion.skeleton), motion.fps)
+    for start, stop in spans(height > 0):
+        up = slice(start, stop)
+        if start == 0 or not flies[up].any() or float(height[up].max()) > _HIGHEST:
+            height[up] = 0.0
     if not bool(height.any()):
         return motion
-    return lowered(motion, strength * height)
+    return lowered(motion, gaussian_smooth(height[:, None], _SMOOTH * motion.fps)[:, 0])
 
 
 def lowered(motion: Motion, height_F: Tensor) -> Motion:
@@ -83,7 +77,7 @@ def lowered(motion: Motion, height_F: Tensor) -> Motion:
 
 
 class Hovering:
-    """``hovering`` of motion that never ends, piece by piece, with planted feet to go by.
+    """``set_down`` for motion that never ends, piece by piece, with planted feet to go by.
 
     The floor comes up to a body that has been in the air for longer than a jump takes, and slowly to one whose planted
     feet are far above it; the rest is for the legs (``foot_lock``). It goes down again with the body.

@@ -53,12 +53,7 @@ class IncrementalDecoder:
         self._heading = 0.0
         self._x = 0.0
         self._z = 0.0
-        self._frames = 0
         self._tail: _Tail | None = None
-
-    @property
-    def frames(self) -> int:
-        return self._frames
 
     def __call__(self, features: Tensor) -> Motion:
         """The next piece, float64 on the CPU, of unnormalised features (n, D).
@@ -79,7 +74,6 @@ class IncrementalDecoder:
         self._heading = math.remainder(self._heading + float(heading[-1]), 2.0 * math.pi)
         self._x += float(end[0])
         self._z += float(end[2])
-        self._frames += len(features)
         return self._blended(piece) if self.blend_seconds > 0 else piece
 
     def state(self) -> dict[str, Any]:
@@ -90,7 +84,6 @@ class IncrementalDecoder:
             "heading": self._heading,
             "x": self._x,
             "z": self._z,
-            "frames": self._frames,
             "tail_rotations": tail.rotations.tolist() if tail else [],
             "tail_root": tail.root.tolist() if tail else [],
             "tail_jerk": tail.jerk if tail else 0.0,
@@ -101,7 +94,6 @@ class IncrementalDecoder:
         """A decoder that goes on where the one whose ``state()`` this is stood."""
         decoder = cls(codec, state["blend_seconds"])
         decoder._heading, decoder._x, decoder._z = state["heading"], state["x"], state["z"]
-        decoder._frames = state["frames"]
         if state["tail_root"]:
             turned, root = (torch.tensor(state[k], dtype=torch.float64) for k in ("tail_rotations", "tail_root"))
             decoder._tail = _Tail(turned, root, state["tail_jerk"])

@@ -98,17 +98,17 @@ def penetration(joints: Tensor) -> Tensor:
     return (-joints[..., 1].amin(dim=-1)).clamp_min(0.0).float().mean(dim=-1)
 
 
-def floating(joints: Tensor, skeleton: Skeleton = HML22, *, tolerance: float = 0.05) -> Tensor:
-    """How far the lowest foot joint is above ``tolerance`` (m), metres, mean over frames; jumps and sitting count too.
+def floating(joints: Tensor, skeleton: Skeleton = HML22) -> Tensor:
+    """How far the lowest foot joint is above 5 cm, metres, mean over frames; jumps and sitting count too.
 
     A toe joint lies a few centimetres above its sole, hence the tolerance.
     """
     _check(joints, 1)
     lowest = joints[..., list(skeleton.feet), 1].amin(dim=-1)
-    return (lowest - tolerance).clamp_min(0.0).float().mean(dim=-1)
+    return (lowest - TOE_HEIGHT).clamp_min(0.0).float().mean(dim=-1)
 
 
-def root_drift(joints: Tensor, fps: float, *, seconds: float = 1.0) -> Tensor:
+def root_drift(joints: Tensor, fps: float) -> Tensor:
     """How much higher or lower the root ends than it began, metres: a body that sinks or rises without being told to.
 
     Mean height of joint 0 over the clip's last second against its first (halves of a clip under two seconds), absolute.
@@ -119,7 +119,7 @@ def root_drift(joints: Tensor, fps: float, *, seconds: float = 1.0) -> Tensor:
         InputError: a clip with fewer than two frames.
     """
     _check(joints, 2)
-    span = min(joints.shape[-3] // 2, max(round(seconds * fps), 1))
+    span = min(joints.shape[-3] // 2, max(round(fps), 1))
     height = joints[..., 0, 1].double()
     return (height[..., -span:].mean(dim=-1) - height[..., :span].mean(dim=-1)).abs().float()
 
@@ -153,17 +153,6 @@ class Boundary:
 
     near: Tensor
     elsewhere: Tensor
-
-    @property
-    def ratio(self) -> float:
-        """Mean near seams over mean elsewhere, all clips: 1 where seams are like any place.
-
-        A quotient of means, not a mean of quotients, which one still clip would decide. Bodies that never move have 1.
-        """
-        near, elsewhere = float(self.near.double().mean()), float(self.elsewhere.double().mean())
-        if elsewhere == 0.0:
-            return 1.0 if near == 0.0 else float("inf")
-        return near / elsewhere
 
 
 def boundary_jerk(joints: Tensor, fps: float, seams: Sequence[int], *, reach: int = 2) -> Boundary:

@@ -24,34 +24,25 @@ from moveset.errors import InputError
 from moveset.motion import rotations
 from moveset.motion.clip import Motion
 from moveset.motion.contacts import PLANTED, foot_contacts
+from moveset.motion.features import grouped, integrated
 from moveset.motion.kinematics import fk_matrices
 from moveset.motion.skeleton import HML22, Skeleton
 
 
 class NativeCodec:
-    """Motions to heading-invariant features and back.
-
-    Args:
-        skeleton: the joint tree; it needs its four feet joints.
-        fps: the rate of the features; a motion at another rate is refused, not resampled.
-    """
+    """Motions on hml22 at 20 fps to heading-invariant features and back."""
 
     name = "native"
+    skeleton: Skeleton = HML22
+    fps = 20.0
 
-    def __init__(self, skeleton: Skeleton = HML22, fps: float = 20.0) -> None:
-        self.skeleton = skeleton
-        self.fps = fps
-        joints = len(skeleton)
-        sizes = {
-            "root_yaw": 1, "root_velocity": 2, "root_height": 1, "rotations": 6 * joints, "positions": 3 * (joints - 1),
-            "velocities": 3 * joints, "contacts": 4,
-        }  # fmt: skip
-        self.groups: dict[str, slice] = {}
-        start = 0
-        for group, size in sizes.items():
-            self.groups[group] = slice(start, start + size)
-            start += size
-        self.dim = start
+    def __init__(self) -> None:
+        joints = len(self.skeleton)
+        self.groups = grouped(
+            root_yaw=1, root_velocity=2, root_height=1, rotations=6 * joints, positions=3 * (joints - 1),
+            velocities=3 * joints, contacts=4,
+        )  # fmt: skip
+        self.dim = self.groups["contacts"].stop
 
     def mirror(self) -> tuple[Tensor, Tensor]:
         """(D,) order and (D,) signs: ``x[..., order] * signs`` are the features of the mirrored motion."""
@@ -129,12 +120,12 @@ class NativeCodec:
 
     def root_path(self, features: Tensor) -> tuple[Tensor, Tensor]:
         """Heading angle (..., F) in radians and root position (..., F, 3), integrated from zero."""
-        heading = _integrate(features[..., self.groups["root_yaw"]], dim=-2)[..., 0]
+        heading = integrated(features[..., self.groups["root_yaw"]])[..., 0]
         step = features[..., self.groups["root_velocity"]]
         sin, cos = torch.sin(heading), torch.cos(heading)
         x = step[..., 0] * cos + step[..., 1] * sin
         z = step[..., 1] * cos - step[..., 0] * sin
-        planar = _integrate(torch.stack((x, z), dim=-1), dim=-2)
+        planar = integrated(torch.stack((x, z), dim=-1))
         height = features[..., self.groups["root_height"]]
         return heading, torch.cat((planar[..., :1], height, planar[..., 1:]), dim=-1)
 
@@ -161,10 +152,3 @@ class NativeCodec:
 def _hold(steps: Tensor) -> Tensor:
     """Repeat the last step, so that F - 1 steps become F rows."""
     return torch.cat((steps, steps[-1:]))
-
-
-def _integrate(steps: Tensor, dim: int) -> Tensor:
-    """Running sum that starts at zero; the last step leads out of the clip and is not used."""
-    total = torch.cumsum(steps, dim=dim)
-    first = torch.zeros_like(total.narrow(dim, 0, 1))
-    return torch.cat((first, total.narrow(dim, 0, total.shape[dim] - 1)), dim=dim)

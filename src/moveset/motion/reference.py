@@ -118,15 +118,11 @@ def _world(few: Motion, up: str | None, facing: str | None) -> tuple[Reference |
     skeleton = few.skeleton
     rest = _of_rest(skeleton)
     upward = _world_up(rest, few.joints.double(), roles(skeleton)) if up is None else _turn_up(axis_vector(up))
-    if facing is None:
-        return (None, upward) if rest is None else (replace(rest, up=upward), upward)
-    if rest is None:
-        raise InputError(
-            f"skeleton {skeleton.name!r} does not stand at rest, so that no facing can be given; leave it out"
-        )
-    # Where the rest pose looks is to be ahead: the whole world is turned.
-    upward = _turn_up(rotations.rotate(rotations.inv(upward), _Y), axis_vector(facing))
-    return replace(rest, up=upward, turns=upward.expand(len(skeleton), 4)), upward
+    if facing is not None:
+        # Where the rest pose looks is to be ahead: the whole world is turned.
+        upward = _turn_up(rotations.rotate(rotations.inv(upward), _Y), axis_vector(facing))
+        rest = None if rest is None else replace(rest, turns=upward.expand(len(skeleton), 4))
+    return None if rest is None else replace(rest, up=upward), upward
 
 
 @lru_cache(maxsize=64)

@@ -7,7 +7,7 @@ from torch import Tensor
 
 from moveset.errors import InputError
 from moveset.motion import rotations
-from moveset.motion.body_axes import Roles, ankle_height, leg_length
+from moveset.motion.body_axes import Roles, ankle_height, centre, leg_length
 from moveset.motion.clip import Motion
 from moveset.motion.kinematics import global_to_local
 from moveset.motion.reference import (
@@ -100,8 +100,7 @@ def _retarget_standing(motion: Motion, skeleton: Skeleton, theirs: Roles, ours: 
         world.append(wanted[j] if j in wanted else world[parent])
     local = global_to_local(torch.stack(world, dim=1), skeleton)
     rigid = Motion(local, torch.zeros_like(motion.root), motion.fps, skeleton)
-    hips = [ours["left_hip"], ours["right_hip"]]
-    root = _hip_centre(motion, skeleton, theirs, ours) - rigid.joints[:, hips].mean(dim=1)
+    root = _hip_centre(motion, skeleton, theirs, ours) - centre(rigid.joints, ours, "hip")
     return Motion(rotations.unroll(local), root, motion.fps, skeleton)
 
 
@@ -141,5 +140,5 @@ def _hip_centre(motion: Motion, skeleton: Skeleton, theirs: Roles, ours: Roles) 
     """Where the point between the target's hips goes: (F, 3)."""
     scale = leg_length(skeleton, ours) / leg_length(motion.skeleton, theirs)
     lift = ankle_height(skeleton, ours) - scale * ankle_height(motion.skeleton, theirs)
-    centre = motion.joints[:, [theirs["left_hip"], theirs["right_hip"]]].mean(dim=1)
-    return scale * centre + centre.new_tensor((0.0, lift, 0.0))
+    hips = centre(motion.joints, theirs, "hip")
+    return scale * hips + hips.new_tensor((0.0, lift, 0.0))

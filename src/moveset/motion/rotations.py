@@ -133,10 +133,11 @@ def slerp(a: Tensor, b: Tensor, t: Tensor | float) -> Tensor:
     dot = (a * b).sum(-1, keepdim=True)
     b = torch.where(dot < 0, -b, b)
     dot = dot.abs().clamp(max=1.0)
-    theta = torch.acos(dot)
+    near = torch.acos(dot.detach()) < 1e-4
+    # Where both are one rotation the slope of the angle is infinite, which times nothing is a gradient of NaN.
+    theta = torch.acos(torch.where(near, 0.0, dot))
     t = torch.as_tensor(t, dtype=a.dtype, device=a.device)
     t = t[..., None] if t.ndim else t
-    near = theta < 1e-4
     sine = torch.sin(theta).clamp_min(1e-8)
     wa = torch.where(near, 1.0 - t, torch.sin((1.0 - t) * theta) / sine)
     wb = torch.where(near, t, torch.sin(t * theta) / sine)

@@ -7,21 +7,27 @@ import torch
 from torch import Tensor
 
 
-def gaussian_smooth(x: Tensor, sigma: float, truncate: float = 4.0) -> Tensor:
+def gaussian_smooth(x: Tensor, sigma: float) -> Tensor:
     """Gaussian smoothing of (T, C) over time; the end values continue beyond the ends.
 
     The same weights and borders as ``scipy.ndimage.gaussian_filter1d`` with mode "nearest".
 
     Args:
-        sigma: standard deviation in frames.
-        truncate: reach of the filter in standard deviations.
+        sigma: standard deviation in frames, of which the filter reaches four.
     """
-    radius = int(truncate * sigma + 0.5)
+    radius = int(4.0 * sigma + 0.5)
     at = torch.arange(-radius, radius + 1, dtype=x.dtype, device=x.device)
     weights = torch.exp(-0.5 / sigma**2 * at**2)
     index = torch.arange(-radius, len(x) + radius, device=x.device).clamp(0, len(x) - 1)
     kernel = (weights / weights.sum())[None, None]
     return torch.nn.functional.conv1d(x[index].mT[:, None], kernel)[:, 0].mT
+
+
+def spans(marks: Tensor) -> list[tuple[int, int]]:
+    """First and one-past-last frame of every run of set frames of (F,) bool."""
+    nothing = marks.new_zeros(1).int()
+    edges = torch.diff(marks.int(), prepend=nothing, append=nothing).nonzero()[:, 0].tolist()
+    return list(zip(edges[::2], edges[1::2], strict=True))
 
 
 def decay(offset: Tensor, velocity: Tensor, duration: float, at: Tensor) -> Tensor:
@@ -49,13 +55,12 @@ def settle(x: Tensor, fixed: Tensor, blend: int) -> Tensor:
     earlier where the next run begins. Runs keep their values.
     """
     out = torch.where(fixed[:, None], x, 0.0)
-    edges = torch.diff(fixed.int(), prepend=fixed.new_zeros(1).int(), append=fixed.new_zeros(1).int())
-    starts, ends = torch.nonzero(edges == 1)[:, 0].tolist(), torch.nonzero(edges == -1)[:, 0].tolist()
-    for k, (start, end) in enumerate(zip(starts, ends, strict=True)):
-        last, first = end - 1, start
-        inside = end - start > 1
-        before = ends[k - 1] - 1 if k > 0 else -blend
-        after = starts[k + 1] if k + 1 < len(starts) else len(x) + blend
+    runs = spans(fixed)
+    for k, (first, end) in enumerate(runs):
+        last = end - 1
+        inside = last > first
+        before = runs[k - 1][1] - 1 if k > 0 else -blend
+        after = runs[k + 1][0] if k + 1 < len(runs) else len(x) + blend
         for edge, step, room in ((last, 1, after - last), (first, -1, first - before)):
             duration = min(blend, room)
             frames = [edge + step * n for n in range(1, duration) if 0 <= edge + step * n < len(x)]

@@ -45,10 +45,6 @@ class StreamDecoder:
         planted = self.codec.planted(features)
         return self._feet(self._pieces(hold_root(features, planted, self.codec)), planted)
 
-    def planted(self, features: Tensor) -> Tensor:
-        """(n, 4) bool, which feet stand."""
-        return self.codec.planted(features)
-
     def go_on_from(self, features: Tensor, heading: float, x: float, z: float) -> None:
         """Begin behind a given motion, which is not held: its features (n, D), and where its first frame is."""
         place = {"heading": heading, "x": x, "z": z}

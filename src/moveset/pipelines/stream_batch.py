@@ -206,7 +206,7 @@ class StreamModel:
             features = clean_BnD * self.std + self.mean
         # Outside, so that what users get are ordinary tensors.
         features = features.cpu().clone()
-        decoded = [(stream.decoder(x), stream.decoder.planted(x)) for stream, x in zip(streams, features, strict=True)]
+        decoded = [(stream.decoder(x), self.codec.planted(x)) for stream, x in zip(streams, features, strict=True)]
         spent, n, out = (time.perf_counter() - start) * 1e3, self.shape[0], []
         for stream, told, (motion, planted) in zip(streams, conditions, decoded, strict=True):
             number, latency = stream.number - stream.given, round(spent + stream.reading_ms, 3)

@@ -10,22 +10,22 @@ from starlette.exceptions import HTTPException
 from starlette.routing import Match, Mount
 
 from moveset import __version__
-from moveset.errors import InputError, MovesetError
+from moveset.errors import MovesetError
 from moveset.server import page, rest, socket
-from moveset.server.failures import RequestError
+from moveset.server.failures import RequestError, told
 from moveset.server.guard import Guard
 from moveset.server.protocol import NO_JSON, sentence
 from moveset.server.service import Options, Service
 
 
-def create_app(options: Options | None = None) -> FastAPI:
+def create_app(options: Options) -> FastAPI:
     """A server's application; its ``state.service`` is what ``run`` stops.
 
     Raises:
         InputError: no such model or device.
         FormatError: a damaged model.
     """
-    the = Service(options or Options())
+    the = Service(options)
 
     @asynccontextmanager
     async def life(app: FastAPI) -> AsyncIterator[None]:
@@ -44,11 +44,9 @@ def create_app(options: Options | None = None) -> FastAPI:
     app.state.service = the
     app.include_router(rest.router)
     app.include_router(socket.router)
-    page.add_page(app, the)
-    app.add_exception_handler(RequestError, _refused)
-    app.add_exception_handler(MovesetError, _refused)
-    app.add_exception_handler(RequestValidationError, _refused)
-    app.add_exception_handler(HTTPException, _refused)
+    page.add_page(app)
+    for kind in (RequestError, MovesetError, RequestValidationError, HTTPException):
+        app.add_exception_handler(kind, _refused)
     app.add_exception_handler(Exception, _failed)
     app.add_middleware(
         Guard,
@@ -81,21 +79,20 @@ def _methods(request: Request) -> str:
 def _as_request_error(request: Request, error: Exception) -> RequestError:
     if isinstance(error, RequestError):
         return error
-    if isinstance(error, InputError):
-        return RequestError(400, "invalid", str(error))
+    if isinstance(error, MovesetError):
+        return told(error)
     if isinstance(error, RequestValidationError):
         return RequestError(422, "invalid", sentence(list(error.errors())))
-    if isinstance(error, HTTPException):
-        if error.status_code == 404:
-            return RequestError(404, "not_found", "there is nothing at this address; /docs lists what there is")
-        if error.status_code == 405:
-            message = f"{request.url.path!r} does not take {request.method}; use {_methods(request)}"
-            return RequestError(405, "wrong_method", message)
-        if error.status_code == 400:
-            # The framework's word for a body that breaks its reader: no UTF-8, or lists in lists in lists.
-            return RequestError(422, "invalid", NO_JSON)
-        return RequestError(error.status_code, "invalid", str(error.detail))
-    return RequestError(500, "internal", str(error))
+    assert isinstance(error, HTTPException)
+    if error.status_code == 404:
+        return RequestError(404, "not_found", "there is nothing at this address; /docs lists what there is")
+    if error.status_code == 405:
+        message = f"{request.url.path!r} does not take {request.method}; use {_methods(request)}"
+        return RequestError(405, "wrong_method", message)
+    if error.status_code == 400:
+        # The framework's word for a body that breaks its reader: no UTF-8, or lists in lists in lists.
+        return RequestError(422, "invalid", NO_JSON)
+    return RequestError(error.status_code, "invalid", str(error.detail))
 
 
 async def _failed(request: Request, error: Exception) -> JSONResponse:

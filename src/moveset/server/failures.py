@@ -2,6 +2,8 @@
 
 from typing import Any
 
+from moveset.errors import InputError, MovesetError
+
 _LONGEST = 600  # characters of a message
 
 
@@ -34,6 +36,13 @@ def sayable(message: str) -> str:
     True
     """
     return message[:_LONGEST].encode("utf-8", "backslashreplace").decode()
+
+
+def told(error: MovesetError) -> RequestError:
+    """What a client is told of an error: its own mistake, or trouble of the server such as a full disk."""
+    if isinstance(error, InputError):
+        return RequestError(400, "invalid", str(error))
+    return RequestError(500, "internal", str(error))
 
 
 def busy(what: str, limit: int) -> RequestError:

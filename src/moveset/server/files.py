@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from moveset.errors import InputError
-from moveset.io import WRITABLE, save
+from moveset.io import save
 from moveset.io.packets import pack_packet, skeleton_json
 from moveset.motion.clip import Motion
 from moveset.motion.contacts import stances
@@ -34,11 +34,7 @@ _TYPES = {
     "gif": "image/gif",
     "png": "image/png",
 }
-FILES = tuple(dict.fromkeys(_TYPES.values()))  # the content types of files
-
-
-def formats() -> tuple[str, ...]:
-    return tuple(name for name in _TYPES if f".{name.rpartition('.')[2]}" in WRITABLE)
+FORMATS, FILES = tuple(_TYPES), tuple(dict.fromkeys(_TYPES.values()))  # of files, and their content types
 
 
 def check_format(name: str) -> None:
@@ -47,8 +43,8 @@ def check_format(name: str) -> None:
     Raises:
         InputError: an unknown one.
     """
-    if name not in formats():
-        raise InputError(f"unknown format {name!r}; choose one of {', '.join(formats())}")
+    if name not in FORMATS:
+        raise InputError(f"unknown format {name!r}; choose one of {', '.join(FORMATS)}")
 
 
 def check_length(seconds: float, fps: float, format: str, limits: Limits) -> None:

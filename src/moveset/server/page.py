@@ -27,9 +27,9 @@ router = APIRouter(include_in_schema=False)
 
 
 @router.get("/")
-async def page(request: Request) -> Response:
+async def page() -> Response:
     """The studio."""
-    index = _folder(request) / "index.html"
+    index = STUDIO / "index.html"
     return FileResponse(index, headers={"Cache-Control": "no-cache"}) if index.is_file() else HTMLResponse(_NO_PAGE)
 
 
@@ -61,19 +61,14 @@ async def style() -> PlainTextResponse:
 
 
 @router.get("/favicon.ico")
-async def icon(request: Request) -> Response:
+async def icon() -> Response:
     """The page's picture, if it has one."""
-    found = _folder(request) / "favicon.svg"
+    found = STUDIO / "favicon.svg"
     return FileResponse(found, media_type="image/svg+xml") if found.is_file() else Response(status_code=204)
 
 
-def add_page(app: FastAPI, the: Service) -> None:
+def add_page(app: FastAPI) -> None:
     app.include_router(router)
-    assets = (the.options.page or STUDIO) / "assets"
+    assets = STUDIO / "assets"
     if assets.is_dir():
         app.mount("/assets", StaticFiles(directory=assets), "assets")
-
-
-def _folder(request: Request) -> Path:
-    the: Service = request.app.state.service
-    return the.options.page or STUDIO

@@ -79,7 +79,7 @@ def listen(host: str, port: int) -> socket.socket:
     return bound
 
 
-def make_server(app: FastAPI, *, opened: Callable[[], None] | None = None, log_level: str = "error") -> Server:
+def make_server(app: FastAPI, *, opened: Callable[[], None] | None = None) -> Server:
     """A server; ``run([listen(…)])`` serves until it is told to stop.
 
     Args:
@@ -94,7 +94,7 @@ def make_server(app: FastAPI, *, opened: Callable[[], None] | None = None, log_l
         ws_max_size=_FRAMES * limits.message,
         ws_per_message_deflate=False,
         timeout_graceful_shutdown=round(limits.stopping),
-        log_level=log_level,
+        log_level="error",
         access_log=False,
         server_header=False,
         proxy_headers=False,

@@ -1,6 +1,7 @@
 """What the routes share: the models, the worker, the jobs, and how all of it ends."""
 
 import asyncio
+import itertools
 import secrets
 from collections.abc import Callable, Coroutine
 from dataclasses import dataclass, field, replace
@@ -15,7 +16,7 @@ from moveset.pipelines.postprocess import Postprocess
 from moveset.pipelines.request import check_request
 from moveset.server import files
 from moveset.server.catalog import Catalog
-from moveset.server.failures import RequestError, busy, cancelled, stopping
+from moveset.server.failures import RequestError, busy, cancelled, stopping, told
 from moveset.server.jobs import Answer, Job, JobBook, Order
 from moveset.server.limits import Limits
 from moveset.server.metrics import Metrics
@@ -33,7 +34,6 @@ class Options:
         models: names of shipped models, or folders; by default everything that is shipped.
         origins: other sites whose pages may use this server, such as "https://example.org".
         hosts: names under which the server may be addressed; None allows any.
-        page: folder of the page's files; None is the one that is shipped.
 
     Raises:
         InputError: an origin that no browser sends.
@@ -44,7 +44,6 @@ class Options:
     limits: Limits = field(default_factory=Limits)
     origins: tuple[str, ...] = ()
     hosts: tuple[str, ...] | None = ("127.0.0.1", "localhost", "[::1]")
-    page: Path | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "origins", tuple(map(as_sent, self.origins)))
@@ -66,7 +65,7 @@ class Service:
         self.stopping = False
         self.connections = 0
         self.farewells: set[Callable[[], Coroutine[Any, Any, None]]] = set()
-        self._streams = 0
+        self.stream_numbers = itertools.count(1)
         # A film takes as long to draw as many clips to make: what is written in a moment does not wait for it.
         self.writer, self.drawer = Writer("moveset-writer"), Writer("moveset-drawer")
         self._answers: set[asyncio.Task[None]] = set()
@@ -106,7 +105,7 @@ class Service:
             "models": self.catalog.describe(),
             "default": self.catalog.default,
             "limits": self.limits.public(),
-            "formats": ["json", *files.formats()],
+            "formats": ["json", *files.FORMATS],
             "skeleton": skeleton_json(),
         }
 
@@ -178,10 +177,6 @@ class Service:
             raise busy("files", self.limits.exports)
         return await writer.write(partial(self._exported, data, format, finish, title))
 
-    def next_stream(self) -> int:
-        self._streams += 1
-        return self._streams
-
     def _exported(self, data: bytes, format: str, finish: Postprocess, title: str) -> Answer:
         take = unpack_packets(data, max_bytes=self.limits.export, max_frames=self.limits.frames)
         files.check_length(take.motion.seconds, finish.fps or take.motion.fps, format, self.limits)
@@ -210,7 +205,7 @@ class Service:
             except RequestError as given_up:
                 job.end("cancelled", error=given_up)
             except MovesetError as problem:
-                job.end("failed", error=RequestError(400, "invalid", str(problem)))
+                job.end("failed", error=told(problem))
             except Exception as problem:
                 job.end("failed", error=RequestError(500, "internal", f"{type(problem).__name__} while writing"))
                 raise

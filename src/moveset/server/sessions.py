@@ -11,17 +11,9 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from moveset.pipelines.stream_batch import Stream, StreamBatch
+from moveset.server.protocol import Start
 
 Message = Mapping[str, Any] | bytes
-
-
-@dataclass(frozen=True)
-class Begin:
-    model: str
-    prompt: str | None
-    seed: int
-    steps: int | None
-    guidance: float | None
 
 
 @dataclass(eq=False)
@@ -34,6 +26,7 @@ class Session:
         buffer: seconds that may be made ahead of what was acknowledged.
         commit: frames after the acknowledged one that a new prompt leaves alone, as far as they were sent; None leaves
             all that was sent alone.
+        begin: what it is to be, with its seed; None once it has begun.
 
     Attributes:
         asked: a prompt that was not taken up yet; a newer one takes its place.
@@ -48,7 +41,7 @@ class Session:
     deliver: Callable[[Sequence[Message]], None]
     buffer: float
     commit: int | None
-    begin: Begin | None
+    begin: Start | None
     asked: str | None = None
     wishes: dict[str, Any] = field(default_factory=dict)
     unsaid: list[str] = field(default_factory=list)

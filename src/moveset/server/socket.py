@@ -12,7 +12,7 @@ from fastapi import APIRouter, WebSocket, WebSocketDisconnect
 from moveset.server.failures import RequestError
 from moveset.server.protocol import ChangePrompt, Plain, Played, Set, Start, read_message
 from moveset.server.service import Service
-from moveset.server.sessions import Begin, Message, Session
+from moveset.server.sessions import Message, Session
 
 VERSION = 1
 _ROOM = 64  # messages that may wait to be sent before no more is read from this client
@@ -157,15 +157,15 @@ class _Connection:
     def _start(self, wish: Start) -> None:
         if self._session is not None:
             raise RequestError(409, "already_started", "a stream is running on this connection; send stop first")
-        name = wish.model or self._model
+        model = self._the.catalog.stream(wish.model or self._model).config.name
         seed = secrets.randbelow(2**31) if wish.seed is None else wish.seed
-        begin = Begin(self._the.catalog.stream(name).config.name, wish.prompt, seed, wish.steps, wish.guidance)
+        begin = wish.model_copy(update={"model": model, "seed": seed})
         session: Session
 
         def deliver(messages: Sequence[Message]) -> None:
             self._loop.call_soon_threadsafe(self._take, session, messages)
 
-        session = Session(self._the.next_stream(), deliver, wish.buffer, wish.commit, begin)
+        session = Session(next(self._the.stream_numbers), deliver, wish.buffer, wish.commit, begin)
         self._the.worker.join_stream(session)
         self._session = session
 

@@ -19,7 +19,7 @@ from moveset.errors import MovesetError
 from moveset.io.packets import pack_packet, skeleton_json
 from moveset.pipelines.stream_batch import StreamBatch
 from moveset.server.catalog import Catalog
-from moveset.server.failures import RequestError, busy, cancelled, sayable, stopping
+from moveset.server.failures import RequestError, busy, cancelled, stopping, told
 from moveset.server.jobs import Job
 from moveset.server.limits import Limits
 from moveset.server.metrics import Metrics
@@ -253,10 +253,9 @@ class Worker:
                 continue
             try:
                 do(session, what)
-            except RequestError as error:
-                self._refuse(session, error.body()["error"], what is begin)
-            except MovesetError as error:
-                self._refuse(session, {"code": "invalid", "message": sayable(str(error))}, what is begin)
+            except (RequestError, MovesetError) as error:
+                refused = error if isinstance(error, RequestError) else told(error)
+                self._refuse(session, refused.body()["error"], what is begin)
             except Exception as error:
                 _log.exception("a wish could not be fulfilled")
                 self._refuse(session, _broken(error), True)
@@ -323,7 +322,7 @@ class Worker:
         except _Cancelled:
             error = cancelled()
         except MovesetError as problem:
-            error = RequestError(400, "invalid", str(problem))
+            error = told(problem)
         except Exception as problem:
             _log.exception("a clip could not be made")
             error = RequestError(
