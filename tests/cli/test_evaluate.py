@@ -221,17 +221,17 @@ def test_a_suite_of_rows_without_weights(evaluate):
     assert "No row has been evaluated yet." in out
 
 
-def test_a_suite_goes_on_past_a_row_that_a_model_cannot_be_sampled_as(evaluate, tmp_path, monkeypatch):
+def test_a_suite_goes_on_past_a_row_that_cannot_be_evaluated(evaluate, tmp_path, monkeypatch):
     folder = tiny_stream(tmp_path / "rdm-tiny")
     monkeypatch.setattr(tables, "run_one", lambda config, how: open_source(config))
     given = [str(folder), "--suite", "rdm", "--split", "rollout"]
     code, _, err = evaluate(*given)
     assert code == 0, err
-    assert "told a noisy past: past_lag 1 is for network 'rdm' with a lag of all of its steps" in err
-    assert "Real, of the training: " in err  # what cannot be rolled out, likewise
+    assert "Nearest training clip: corpus.safetensors has no training clips" in err
+    assert "told a noisy past: 5 repeats" in err  # whatever lag the folder has
     assert "R = 2, triangle: 3 repeats" in err
-    code, _, err = evaluate(*given, "--row", "noisy-past")
-    assert (code, "past_lag 1 is for network 'rdm'" in err, err.count("\n")) == (2, True, 1)
+    code, _, err = evaluate(*given, "--row", "nearest")
+    assert (code, "has no training clips" in err, err.count("\n")) == (2, True, 1)
 
 
 def test_what_draws_the_pictures_is_missed_before_anything_is_made(evaluate, tmp_path, monkeypatch):
