@@ -4,7 +4,6 @@ import contextlib
 import http.server
 import importlib
 import json
-import socket
 import struct
 import threading
 import zipfile
@@ -16,6 +15,7 @@ import torch
 from moveset.io.packets import pack_packet
 from moveset.motion.retarget import retarget
 from tests.motions import wander
+from tests.servers import answering
 
 
 @pytest.fixture(scope="module")
@@ -210,18 +210,8 @@ def test_what_is_no_moveset_server_is_told_from_one(load):
     ids=["silent", "ssh", "breaks off", "breaks off an error"],
 )
 def test_other_services_on_the_port_are_told_from_a_moveset_server(load, reply, word):
-    with socket.create_server(("127.0.0.1", 0)) as other:
-
-        def answer():
-            one, _ = other.accept()
-            with one:
-                one.recv(65536)
-                one.sendall(reply)
-
-        threading.Thread(target=answer, daemon=True).start()
-        url = "http://127.0.0.1:{1}".format(*other.getsockname())
-        with pytest.raises(load("take").MotionError, match=word):
-            load("server").generate(url, [("a person walks", None)], timeout=30)
+    with answering(reply) as address, pytest.raises(load("take").MotionError, match=word):
+        load("server").generate(f"http://{address}", [("a person walks", None)], timeout=30)
 
 
 def test_which_servers_are_on_this_machine(load):

@@ -9,6 +9,7 @@ import socket
 import subprocess
 import sys
 import threading
+from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,7 @@ from moveset import MotionStream
 from moveset.io import load
 from moveset.io.packets import pack_packet, unpack_packets
 from tests.motions import wander
+from tests.servers import answering
 
 CLIENTS = Path(__file__).resolve().parents[2] / "examples" / "clients"
 PROMPTS = ("a person walks forward", "someone waves with the left hand")
@@ -154,21 +156,7 @@ def test_a_stream_that_no_file_can_be_made_of_is_kept(node, served, tmp_path, sc
 )
 def test_a_stream_is_kept_whatever_the_server_does_before_there_is_a_file(reply, word, tmp_path, monkeypatch):
     packet = pack_packet(wander(9, seed=1))
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        address = "127.0.0.1:{1}".format(*server.getsockname())
-
-        def answer():
-            one, _ = server.accept()
-            with one:
-                asked = b""
-                while not asked.endswith(packet):
-                    asked += one.recv(65536)
-                one.sendall(reply)
-
-        if reply is None:
-            server.close()
-        else:
-            threading.Thread(target=answer, daemon=True).start()
+    with nullcontext("127.0.0.1:9") if reply is None else answering(reply, end=packet) as address:
         monkeypatch.syspath_prepend(CLIENTS)
         client = importlib.import_module("stream_client")
         monkeypatch.setattr(client, "record", lambda *_, packets: packets.append(packet))
@@ -247,16 +235,7 @@ def test_the_javascript_client_runs_by_whatever_path(node, tmp_path):
 )
 @pytest.mark.parametrize("script", ["generate_clip.py", "stream_client.py"])
 def test_a_server_that_is_none_is_told_in_one_sentence(reply, script, tmp_path):
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        address = "127.0.0.1:{1}".format(*server.getsockname())
-
-        def answer():
-            one, _ = server.accept()
-            with one:
-                one.recv(65536)
-                one.sendall(reply)
-
-        threading.Thread(target=answer, daemon=True).start()
+    with answering(reply) as address:
         done = run(sys.executable, CLIENTS / script, "a", "--server", address, "-o", tmp_path / "a.bvh")
     assert done.returncode == 1
     assert len(done.stderr.strip().splitlines()) == 1, done.stderr

@@ -1,6 +1,5 @@
 """What the networks of a model folder are for. A folder says so by their names, and nothing else reads those."""
 
-import re
 from dataclasses import dataclass
 from enum import Enum
 
@@ -31,7 +30,6 @@ class Named:
     steps: int | None = None
 
 
-_STUDENT = re.compile(r"(pcm|lcm)-(\d+)")
 _NAMES = {
     "vae": Role.VAE,
     "length": Role.LENGTH,
@@ -53,8 +51,9 @@ def named(network: str) -> Named:
     Raises:
         ValueError: no name for a network.
     """
-    if student := _STUDENT.fullmatch(network):
-        return Named(Role.STUDENT, student[1], int(student[2]))
+    if is_student(network):
+        solver, _, steps = network.partition("-")
+        return Named(Role.STUDENT, solver, int(steps))
     if network not in _NAMES:
         raise ValueError(f"{network!r} is no name of a network; there are {', '.join(_NAMES)}, pcm-1 and the like")
     return Named(_NAMES[network])
@@ -62,4 +61,5 @@ def named(network: str) -> Named:
 
 def is_student(network: str) -> bool:
     """Whether a network of this name samples in the few steps that its name has."""
-    return _STUDENT.fullmatch(network) is not None
+    solver, _, steps = network.partition("-")
+    return solver in ("pcm", "lcm") and steps.isdecimal()
