@@ -228,7 +228,7 @@ def test_a_folder_that_is_none_is_refused(tmp_path: Path):
 
 
 def test_models_that_the_suite_does_not_know_are_rows_too(tmp_path: Path):
-    mine = {**RESULTS["pcm-1"], "model": "mine", "network": "pcm-4"}
+    mine = {**RESULTS["pcm-1"], "model": "mine", "network": "pcm-4", "steps": 4}
     table = load_table(suite_folder(tmp_path, "motionpcm", {**RESULTS, "mine-pcm-4": mine}))
     row = table.rows[-1]
     assert (row.key, row.label, row.group, row.steps) == ("mine-pcm-4", "mine, pcm-4", "Others given", 4)

@@ -88,7 +88,7 @@ def test_a_few_items_at_random(items):
     few = items.limited(10)
     assert len(few) == 10
     assert [item.name for item in few.items] == [i.name for i in items.items if i in few.items]
-    assert few.dropped["left out at random by --items"] == 70
+    assert few.dropped["left out at random"] == 70
     assert items.limited(1000) is items
 
 

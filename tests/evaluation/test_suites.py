@@ -15,10 +15,10 @@ from moveset.rdm.staircase import Staircase
 SUITES = ("motionpcm", "rdm")
 
 
-def folder(path: Path, name: str, networks: tuple[str, ...]) -> Path:
+def folder(path: Path, name: str, networks: tuple[str, ...], **more: object) -> Path:
     """As much of a model folder as a suite looks at."""
     path.mkdir()
-    (path / "config.json").write_text(json.dumps({"name": name, "models": dict.fromkeys(networks)}))
+    (path / "config.json").write_text(json.dumps({"name": name, "models": dict.fromkeys(networks), **more}))
     return path
 
 
@@ -93,6 +93,14 @@ def test_folders_that_no_row_asks_for_become_rows(tmp_path: Path):
     assert [(row.steps, row.group, row.times(20)) for row, _, _ in found] == [
         (50, "Others given", 5), (2, "Others given", 20)
     ]  # fmt: skip
+
+
+def test_rows_of_given_folders_take_the_steps_that_a_folder_says(tmp_path: Path):
+    mine = folder(tmp_path / "a", "mine", ("rdm", "md", "pcm-1"), sampler_steps=20)
+    assert [row.steps for row, _, _ in chosen_rows("rdm", (mine,))[-3:]] == [20, 20, 1]
+    broken = folder(tmp_path / "b", "broken", ("rdm",), sampler_steps="many")
+    with pytest.raises(FormatError, match="sampler_steps 'many'"):
+        chosen_rows("rdm", (broken,))
 
 
 def test_what_cannot_be_is_refused(tmp_path: Path):

@@ -139,7 +139,7 @@ class TestSet:
             return self
         order = torch.randperm(len(self.items), generator=torch.Generator().manual_seed(0))[:count]
         kept = tuple(self.items[k] for k in sorted(order.tolist()))
-        dropped = {**self.dropped, "left out at random by --items": len(self.items) - count}
+        dropped = {**self.dropped, "left out at random": len(self.items) - count}
         return TestSet(kept, self.name, self.sha256, self.codec, dropped)
 
     def draw(self, generator: torch.Generator) -> list[Sample]:

@@ -275,19 +275,32 @@ def extra_rows(suite: Suite, folders: Mapping[str, Path]) -> list[Row]:
     """Rows for folders that no row of a suite asks for, one for each of their denoisers, in the folder's order."""
     asked = {_stem(row.model) for row in suite.rows}
     return [
-        given_row(suite, name, network)
+        given_row(suite, name, network, own_steps(path, network))
         for name, path in folders.items() if name not in asked
         for network in networks(path) if named(network).role in DENOISERS
     ]  # fmt: skip
 
 
-def given_row(suite: Suite, model: str, network: str) -> Row:
+def own_steps(folder: Path, network: str) -> int:
+    """In how many steps a network of a model folder is sampled where nobody says.
+
+    Raises:
+        FormatError: a damaged configuration.
+    """
+    if (steps := named(network).steps) is not None:
+        return steps
+    # Of clips no folder says it: the teacher's are the published ones.
+    steps = _config(folder).get("sampler_steps", 50)
+    if not isinstance(steps, int):
+        raise FormatError(f"{folder / 'config.json'} has sampler_steps {steps!r}, which is no number of steps")
+    return steps
+
+
+def given_row(suite: Suite, model: str, network: str, steps: int | None) -> Row:
     """The row of a network that a suite does not know."""
-    student = is_student(network)
-    steps = int(network.split("-")[1]) if student else 50 if network == "teacher" else 10
     return Row(
         key=f"{model}-{network}", label=f"{model}, {network}", group="Others given", model=model, network=network,
-        steps=steps, repeats=None if student else FEW, against=suite.references,
+        steps=steps, repeats=None if is_student(network) else FEW, against=suite.references,
     )  # fmt: skip
 
 

@@ -207,7 +207,10 @@ def load_table(folder: Path) -> Table:
     raw = {key: json_object(read_limited(path), path, "evaluate that row again") for key, path in files.items()}
     measured = {key: Measured.of(result, str(files[key])) for key, result in raw.items()}
     others = sorted(raw.keys() - {row.key for row in suite.rows})
-    given = (replace(given_row(suite, raw[key]["model"], raw[key]["network"] or REAL), key=key) for key in others)
+    given = (
+        replace(given_row(suite, one["model"], one["network"] or REAL, one["steps"]), key=key)
+        for key, one in ((key, raw[key]) for key in others)
+    )
     rows = (*suite.rows, *given)
     return Table(suite, rows, {row.key: measured[row.key] for row in rows if row.key in measured})
 
