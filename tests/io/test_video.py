@@ -75,6 +75,12 @@ def test_one_frame_makes_a_film(tmp_path):
         assert (tmp_path / name).stat().st_size > 1000
 
 
+def test_metadata_that_a_film_cannot_hold_is_left_out_whole(tmp_path):
+    for write, name in ((write_mp4, "a.mp4"), (write_gif, "a.gif")):
+        write(gait(2), tmp_path / name, metadata='{"prompt": "' + "ü" * 80_000 + '"}')
+        assert b"prompt" not in (tmp_path / name).read_bytes()
+
+
 @pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="cores cannot be taken away from a process here")
 @pytest.mark.skipif((os.cpu_count() or 1) < 2, reason="needs two cores")
 def test_a_film_does_not_depend_on_the_number_of_cores(tmp_path):

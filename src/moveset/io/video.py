@@ -17,6 +17,7 @@ from moveset.motion.clip import Motion
 MAX_SECONDS = 300.0
 _VIDEO, _GIF = 480, 320
 _COLOURS = 64
+_COMMENT = 60_000  # bytes; ffmpeg is told it on its command line, where Linux allows 128 KB
 
 
 def film_rate(fps: float, suffix: str) -> float:
@@ -33,7 +34,7 @@ def film_rate(fps: float, suffix: str) -> float:
 def write_mp4(motion: Motion, path: str | Path, *, caption: str = "", metadata: str = "") -> None:
     """Write an H.264 video, 480 x 480 pixels, at the rate that ``film_rate`` says.
 
-    ``metadata`` (JSON) becomes the comment tag.
+    ``metadata`` (JSON) becomes the comment tag, if it has at most 60,000 bytes.
 
     Raises:
         InputError: longer than 300 s, or the path cannot be written to.
@@ -44,7 +45,7 @@ def write_mp4(motion: Motion, path: str | Path, *, caption: str = "", metadata: 
     motion = _filmed(motion, ".mp4")
     # One thread: with several the bytes depend on how many cores there are.
     options = ["-preset", "veryfast", "-crf", "23", "-threads", "1", "-movflags", "+faststart", "-fflags", "+bitexact"]
-    options += ["-metadata", f"comment={metadata}"] if metadata else []
+    options += ["-metadata", f"comment={comment}"] if (comment := _comment(metadata)) else []
     # ffmpeg wants a seekable file of its own with the right extension.
     with atomic_write(path) as file, tempfile.TemporaryDirectory() as folder:
         name = str(Path(folder, "motion.mp4"))
@@ -64,7 +65,7 @@ def write_mp4(motion: Motion, path: str | Path, *, caption: str = "", metadata: 
 def write_gif(motion: Motion, path: str | Path, *, caption: str = "", metadata: str = "") -> None:
     """Write a looping GIF, 320 x 320 pixels, in the motion's time: GIF counts hundredths of a second.
 
-    ``metadata`` (JSON) becomes the comment.
+    ``metadata`` (JSON) becomes the comment, if it has at most 60,000 bytes.
 
     Raises:
         InputError: longer than 300 s, or the path cannot be written to.
@@ -89,8 +90,13 @@ def write_gif(motion: Motion, path: str | Path, *, caption: str = "", metadata: 
             duration=round(1000 / motion.fps),
             loop=0,
             optimize=False,
-            comment=metadata.encode()[:60_000],
+            comment=_comment(metadata).encode(),
         )
+
+
+def _comment(metadata: str) -> str:
+    """Metadata that a film can hold: all or nothing, since half of it is no JSON."""
+    return metadata if len(metadata.encode()) <= _COMMENT else ""
 
 
 def _filmed(motion: Motion, suffix: str) -> Motion:
