@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 
 from moveset.data.segments import SegmentSet
-from moveset.io.process import noted_signals
+from moveset.io.process import locked, noted_signals
 from moveset.training import pipeline
 from moveset.training.engine import EngineConfig, run
 from moveset.training.pipeline import Place, Report, train_all
@@ -75,6 +75,19 @@ def side_by_side_until_a_signal(corpus: str, out: str, only: list[str]) -> None:
     report = train_all("tiny", Path(corpus), Path(out), only=only, jobs=2, say=lambda line: None)
     assert (report.stopped_by, report.trained) == ("SIGTERM", ())
     assert all(path.exists() for path in ended)
+
+
+def side_by_side_without_end(corpus: str, out: str, only: list[str]) -> None:
+    """Two trainings that never end, each in its folder."""
+
+    def never_ending(stage: pipeline.Stage, key: str, place: Place) -> None:
+        with locked(Path(out, stage.name)):
+            Path(out, f"{stage.name}.begun").touch()
+            time.sleep(600)
+
+    pipeline.train_stage = never_ending
+    forked()
+    train_all("tiny", Path(corpus), Path(out), only=only, jobs=2, say=lambda line: None)
 
 
 @dataclass(frozen=True)

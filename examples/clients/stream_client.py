@@ -73,8 +73,8 @@ def main() -> None:
             given.out.write_bytes(exported(given.server, given.out.name.lower(), b"".join(packets)))
     except (Exception, SystemExit, KeyboardInterrupt) as error:
         told = isinstance(error, urllib.error.HTTPError) and error.headers.get_content_type() == "application/json"
-        why = json.load(error)["error"]["message"] if told else str(error) or repr(error)
-        if not packets and not isinstance(error, SystemExit):
+        why = json.load(error)["error"]["message"] if told else str(error) or type(error).__name__
+        if not packets and isinstance(error, Exception):  # neither told by the server nor interrupted
             why = f"no server at {given.server} ({why}); start one with: moveset serve"
         if given.out and packets:  # whatever it was, a stream cannot be had a second time
             (kept := given.out.with_suffix(".mvst")).write_bytes(b"".join(packets))

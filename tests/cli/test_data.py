@@ -1,10 +1,13 @@
 """``moveset data``: what it prints, what it refuses."""
 
 import json
+from dataclasses import replace
 
 import pytest
 
 from moveset.cli.__main__ import main
+from moveset.data.corpus import Corpus
+from moveset.data.summary import write_sheets
 from tests.synthetic import synthetic_corpus
 
 
@@ -35,6 +38,27 @@ def test_sheets_are_drawn_of_every_source(corpus, tmp_path, capsys):
     names = {path.name for path in tmp_path.iterdir()}
     assert {"synthetic-0.png", "synthetic-1.png"} <= names
     assert (tmp_path / "synthetic-0.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_sources_are_called_as_one_likes(corpus, tmp_path):
+    opened = Corpus.open(corpus)
+    opened.records = tuple(replace(record, source="a/b") for record in opened.records)
+    assert "a-b-0.png" in {path.name for path in write_sheets(opened, tmp_path / "sheets", count=1)}
+
+
+def test_a_damaged_report_is_said(corpus, tmp_path, capsys):
+    (tmp_path / corpus.name).symlink_to(corpus)
+    (tmp_path / f"{corpus.name}.report.json").write_text("{")
+    assert main(["data", "info", str(tmp_path / corpus.name)]) == 2
+    assert "corpus.safetensors.report.json is not JSON" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("arguments", [("info", "--sheets"), ("export",)])
+def test_folders_that_cannot_be_made_are_said(corpus, tmp_path, capsys, arguments):
+    (tmp_path / "file").touch()
+    verb, *flag = arguments
+    assert main(["data", verb, str(corpus), *flag, str(tmp_path / "file" / "folder")]) == 2
+    assert "cannot make the folder" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -185,4 +185,7 @@ def test_what_a_training_or_all_of_them_would_ignore_is_refused(tmp_path, capsys
         for what in ("vae", "export"):
             assert main(["train", what, "--folder", str(tmp_path / "runs"), *option]) == 2
             assert f"{option[0]} is of 'all', not of '{what}'" in capsys.readouterr().err
+    for option in (("--device", "cpu"), ("--resume",)):
+        assert main(["train", "export", "--folder", str(tmp_path / "runs"), *option]) == 2
+        assert f"{option[0]} is of trainings, not of 'export'" in capsys.readouterr().err
     assert not (tmp_path / "runs").exists()

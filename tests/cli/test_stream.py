@@ -314,6 +314,8 @@ def test_one_file_that_fails_does_not_lose_the_others(tmp_path, monkeypatch):
         (("a", "--total", "nan"), "total of nan seconds"),
         (("a", "--total", "3", "--forever"), "exclude each other"),
         (("a", "--loop"), "--loop needs"),
+        (("--prompts", "lines.txt", "--seconds", "3"), "--seconds and --loop are for PROMPTs"),
+        (("--prompts", "lines.txt", "--loop", "--forever"), "--seconds and --loop are for PROMPTs"),
         (("a", "--device", "tpu"), "unknown device"),
         (("a", "-o", "w.mp4"), "cannot stream to 'w.mp4'"),
         (("a", "-o", "w" * 248 + ".bvh"), "longer than 255 bytes"),

@@ -1,5 +1,6 @@
 """Building: archives that cannot hurt, cuts that lose nothing, and a build that survives being killed."""
 
+import errno
 import io
 import json
 import os
@@ -24,7 +25,7 @@ from moveset.data.compose import add_compositions
 from moveset.data.corpus import Corpus, CorpusWriter
 from moveset.data.raw import FREE, find_takes, unpacked
 from moveset.data.splits import split_of
-from moveset.errors import FormatError, InputError
+from moveset.errors import FormatError, InputError, MovesetError
 from moveset.io.process import locked
 from tests.synthetic import synthetic_motion
 
@@ -156,15 +157,29 @@ def test_archives_cannot_write_elsewhere(tmp_path):
         assert not any(p.is_symlink() for p in tmp_path.rglob("*"))
 
 
-def test_a_damaged_archive_leaves_nothing(tmp_path):
+@pytest.mark.parametrize("keep", [lambda data, half: data[:half], lambda data, half: data[:half] + data[half + 99 :]])
+def test_a_damaged_archive_leaves_nothing(tmp_path, keep):
     raw, scratch = tmp_path / "raw", tmp_path / "scratch"
     raw.mkdir()
-    archive(raw / "cmu.tar.xz", {f"cmu/{k}": os.urandom(5000) for k in range(20)})
+    archive(raw / "cmu.tar.xz", {f"cmu/{k}": os.urandom(200_000) for k in range(3)})
     data = (raw / "cmu.tar.xz").read_bytes()
-    (raw / "cmu.tar.xz").write_bytes(data[: len(data) // 2])
+    (raw / "cmu.tar.xz").write_bytes(keep(data, len(data) // 2))
     with pytest.raises(FormatError, match="cannot be unpacked"):
         unpacked(raw, scratch)
     assert [path.name for path in scratch.iterdir()] == [".lock"]
+
+
+def test_a_full_disk_is_no_fault_of_the_archive(tmp_path, monkeypatch):
+    raw = archives_of_all(tmp_path / "raw")
+
+    def full(*_: Any, **__: Any) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(tarfile.TarFile, "extractall", full)
+    with pytest.raises(MovesetError, match="No space left on device; make room") as said:
+        unpacked(raw, tmp_path / "scratch")
+    assert said.value.exit_code == 1
+    assert [path.name for path in (tmp_path / "scratch").iterdir()] == [".lock"]
 
 
 def test_no_data_names_the_remedy(tmp_path):
@@ -174,11 +189,11 @@ def test_no_data_names_the_remedy(tmp_path):
         find_takes(tmp_path)
 
 
-def own_capture(raw: Path, names: Sequence[str]) -> Path:
+def own_capture(raw: Path, names: Sequence[str], sentence: str = "a person walks") -> Path:
     """Takes as people lay out their own."""
     folder = raw / "more-mocap"
     folder.mkdir(parents=True)
-    about = {"source": "studio", "file": "take.bvh", "unit_m": 0.01, "sentence": "a person walks"}
+    about = {"source": "studio", "file": "take.bvh", "unit_m": 0.01, "sentence": sentence}
     synthetic_motion("walk", 60).save(folder / "take.bvh")
     (folder / "takes.jsonl").write_text("".join(json.dumps({"take": name, **about}) + "\n" for name in names))
     return raw
@@ -195,6 +210,48 @@ def test_spans_of_takes_that_are_not_there_decide_no_split(tmp_path):
     corpus = Corpus.open(tmp_path / "c.safetensors")
     assert {record.take: record.split for record in corpus.records} == {name: split_of(name) for name in names}
     assert "hi" not in {caption for k in range(len(corpus)) for caption in corpus.captions(k)}
+
+
+def test_typos_are_mended_in_what_people_typed_of_spans_alone(tmp_path):
+    raw = own_capture(tmp_path / "raw", ["walk-1"], sentence="a person mowing the lawn")
+    span = {"id": "1", "trial": "x", "start": 0, "end": 3, "use": "train", "sentences": ["moving"] * 30}
+    (raw / "humanml3d-cmu.jsonl").write_text(json.dumps(span))
+    assert split_of("walk-1") == "train"
+    build_corpus(raw, tmp_path / "c.safetensors", workers=1, sources=("more-mocap",), compositions=0)
+    assert Corpus.open(tmp_path / "c.safetensors").captions(0)[0] == "a person mowing the lawn"
+
+
+def test_takes_none_of_which_gives_a_clip_have_their_reason_said(tmp_path):
+    raw = own_capture(tmp_path / "raw", ["a", "b"])
+    (raw / "more-mocap" / "take.bvh").unlink()
+    with pytest.raises(InputError, match=r"of 2 takes none gives a clip; 'a' for one: its file take\.bvh is missing"):
+        build_corpus(raw, tmp_path / "c.safetensors", workers=1, sources=("more-mocap",))
+
+
+def test_takes_are_imported_anew_where_the_list_says_otherwise(tmp_path):
+    raw, settings = own_capture(tmp_path / "raw", ["a"]), {"workers": 1, "sources": ("more-mocap",), "compositions": 0}
+    build_corpus(raw, tmp_path / "c.safetensors", keep_work=True, **settings)
+    listing = raw / "more-mocap" / "takes.jsonl"
+    listing.write_text(json.dumps(json.loads(listing.read_text()) | {"quality": "spikes"}))
+    with pytest.raises(InputError, match="its joints jump"):
+        build_corpus(raw, tmp_path / "c.safetensors", keep_work=True, **settings)
+
+
+def test_one_process_at_a_time_builds_a_corpus(tmp_path):
+    raw, output = own_capture(tmp_path / "raw", ["a"]), tmp_path / "c.safetensors"
+    with locked(tmp_path / f"{output.name}.work"), pytest.raises(InputError, match="another process is building"):
+        build_corpus(raw, output, workers=1, sources=("more-mocap",), compositions=0)
+    assert not output.exists()
+    build_corpus(raw, output, workers=1, sources=("more-mocap",), compositions=0)
+    assert sorted(path.name for path in tmp_path.iterdir()) == [output.name, f"{output.name}.report.json", "raw"]
+
+
+@pytest.mark.parametrize("place", ["folder", "file/c.safetensors"])
+def test_an_output_that_cannot_be_written_is_said_before_anything_is_read(tmp_path, place):
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "file").touch()
+    with pytest.raises(InputError, match=r"^cannot (write|make)"):
+        build_corpus(tmp_path / "nothing", tmp_path / place, workers=1)
 
 
 def test_takes_that_would_be_kept_in_one_file_are_refused(tmp_path):

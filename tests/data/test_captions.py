@@ -57,6 +57,8 @@ def test_mirror_text(text, mirrored):
         ("show", "show shows showed showing"),
         ("dribble", "dribble dribbles dribbled dribbling"),
         ("sway", "sway sways swayed swaying"),
+        ("sleep", "sleep sleeps slept sleeping"),
+        ("set", "set sets set setting"),
     ],
 )
 def test_inflection(verb, forms):

@@ -45,6 +45,22 @@ def test_names_without_a_motion_are_left_out_aloud(tmp_path):
     assert data.splits == {"train": ("a",), "val": (), "test": ("b",)}
 
 
+def test_motions_on_two_sides_are_said(tmp_path):
+    written = folder(tmp_path, HUMANML3D, {"a": 60, "b": 60}, train=["a", "b"], val=["b"], test=["a"])
+    with pytest.warns(UserWarning, match=r"1 motions are in both train\.txt and (val|test)\.txt") as heard:
+        HumanML3D.open(written)
+    assert [("b for one" in str(said.message), "a for one" in str(said.message)) for said in heard] == [
+        (True, False),
+        (False, True),
+    ]
+
+
+def test_a_sentence_may_hold_any_character_of_unicode(tmp_path):
+    said = "a man walks\u2028slowly\x85 on\x0b"
+    data = HumanML3D.open(folder(tmp_path, HUMANML3D, {"a": 60}, {"a": [f"{said}#man/NOUN#0.0#0.0\r"]}, train=["a"]))
+    assert [caption.text for caption in data.captions("a")] == [said.strip()]
+
+
 @pytest.mark.parametrize("layout", [HUMANML3D, KIT])
 def test_only_lengths_from_the_shortest_to_199_are_drawn(tmp_path, layout):
     lengths = {str(n): n for n in (layout.shortest - 1, layout.shortest, 199, 200)}

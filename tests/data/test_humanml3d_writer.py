@@ -1,5 +1,7 @@
 """A corpus that is written as a HumanML3D or KIT-ML folder reads as one."""
 
+import errno
+import os
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +13,7 @@ from moveset.data.dataset import CorpusDataset, open_for_training
 from moveset.data.humanml3d import HUMANML3D, KIT, HumanML3D
 from moveset.data.humanml3d_writer import write_humanml3d
 from moveset.data.records import Part, Recipe
-from moveset.errors import InputError
+from moveset.errors import InputError, MovesetError
 from moveset.motion.features import Normalizer, get_codec
 from tests.synthetic import TakeEntry, add_take, synthetic_corpus, synthetic_motion
 
@@ -42,6 +44,20 @@ def test_what_is_written_is_what_is_read(layout, tmp_path):
     assert dataset.clip(0).group == "000000"
     with pytest.raises(InputError, match="is there already"):
         write_humanml3d(corpus, tmp_path / "data", layout)
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt(), OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))], ids=repr)
+def test_a_folder_is_written_whole_or_not_at_all(error, tmp_path, monkeypatch):
+    corpus = Corpus.open(synthetic_corpus(tmp_path / "corpus.safetensors", clips=12, seed=0))
+
+    def broken(path, values):
+        if path.name == "000002.npy":
+            raise error
+
+    monkeypatch.setattr(np, "save", broken)
+    with pytest.raises((KeyboardInterrupt, MovesetError), match=r"^$|No space left on device; make room"):
+        write_humanml3d(corpus, tmp_path / "data")
+    assert [path.name for path in tmp_path.iterdir()] == ["corpus.safetensors"]
 
 
 @pytest.mark.parametrize("layout", [HUMANML3D, KIT], ids=lambda layout: layout.name)

@@ -7,8 +7,9 @@ from typing import Any
 import pytest
 
 from moveset.data import more_mocap
-from moveset.data.takes import TakeRef
+from moveset.data.takes import RejectedTake, TakeRef
 from moveset.errors import FormatError
+from tests.synthetic import synthetic_motion
 
 
 def line(name: str, **other: Any) -> str:
@@ -28,7 +29,28 @@ def test_empty_lines_and_a_byte_order_mark_count_for_nothing(tmp_path):
 
 
 def test_a_take_may_have_no_sentence(tmp_path):
-    assert [take.sentence for take in listed(tmp_path, line("a", sentence=None), line("b"))] == [None, "a person walks"]
+    lines = line("a", sentence=None), line("b"), line("c", sentence=" \n"), line("d", sentence="a person\nwalks ")
+    assert [take.sentence for take in listed(tmp_path, *lines)] == [None, "a person walks", None, "a person walks"]
+
+
+def test_a_take_without_a_frame_between_poses_for_calibration_is_left_out(tmp_path, monkeypatch):
+    synthetic_motion("walk", 60).resampled(120).save(tmp_path / "a.bvh")
+    (ref,) = listed(tmp_path, line("a", file="a.bvh"))
+    assert more_mocap.read_take(ref).runs
+    # Between a tenth of a second and the frame after it, of 20 a second.
+    monkeypatch.setattr(more_mocap, "without_calibration", lambda joints, fps: (13, 17))
+    with pytest.raises(RejectedTake, match="nothing but poses for calibration"):
+        more_mocap.read_take(ref)
+
+
+def test_what_is_no_humanoid_is_left_out_with_its_reason(tmp_path):
+    rod = "{joint} {name}\n{{\nOFFSET 0 1 0\nCHANNELS 3 Zrotation Xrotation Yrotation\n{below}\n}}".format
+    tree = rod(joint="ROOT", name="a", below=rod(joint="JOINT", name="b", below="End Site\n{\nOFFSET 0 1 0\n}"))
+    frames = "0 0 0 0 0 0\n" * 20
+    (tmp_path / "a.bvh").write_text(f"HIERARCHY\n{tree}\nMOTION\nFrames: 20\nFrame Time: 0.05\n{frames}")
+    (ref,) = listed(tmp_path, line("a", file="a.bvh"))
+    with pytest.raises(RejectedTake, match=r"a: .* no joint recognisable as pelvis"):
+        more_mocap.read_take(ref)
 
 
 @pytest.mark.parametrize("source", ["cmux", "studio-cmu", "ys2010"])
@@ -46,8 +68,12 @@ def test_sources_are_called_as_one_likes(tmp_path, source):
         (line("b", source="bandai-studio"), "its source 'bandai-studio' begins like"),
         (line("b", file=None), "its file is null, not text"),
         (line("b", unit_m="cm"), "could not convert string to float: 'cm'"),
+        (line("b", unit_m=0), "a unit of 0 metres"),
+        (line("b", unit_m=-0.01), "a unit of -0.01 metres"),
+        (line("b", unit_m=float("nan")), "a unit of nan metres"),
         ('{"take": "b"}', "it has no source"),
-        ("5", "not a take"),
+        (json.dumps({key: held for key, held in json.loads(line("b")).items() if key != "unit_m"}), "it has no unit_m"),
+        ("5", "it is no JSON object"),
         ('{"take"', "Expecting"),
     ],
 )

@@ -167,6 +167,18 @@ def test_a_stream_is_kept_whatever_the_server_does_before_there_is_a_file(reply,
     assert not (tmp_path / "take.bvh").exists()
 
 
+def test_an_interruption_is_not_taken_for_a_missing_server(monkeypatch):
+    def interrupted(*_, packets):
+        raise KeyboardInterrupt
+
+    monkeypatch.syspath_prepend(CLIENTS)
+    client = importlib.import_module("stream_client")
+    monkeypatch.setattr(client, "record", interrupted)
+    monkeypatch.setattr(sys, "argv", ["", "a"])
+    with pytest.raises(SystemExit, match=r"^KeyboardInterrupt$"):
+        client.main()
+
+
 @pytest.fixture
 def breaking():
     """Address of a server whose streams break off behind their first packet, and that packet."""

@@ -107,6 +107,17 @@ def test_a_prefix_longer_than_a_chunk_keeps_its_newest_frames():
     assert [prefix[0, :, 0].tolist() for prefix in seen[::4]] == [[0, 0, 0, 0, 0], [0, 0, 0, 1, 1], [0, 1, 1, 2, 2]]
 
 
+def test_chunks_of_a_network_without_a_prefix_follow_nothing():
+    seen = []
+
+    def denoise(x, t, prefix, number):
+        seen.append(prefix.shape)
+        return x
+
+    assert rollout_chunks(denoise, cosine(4), torch.zeros(2, 0, 1), 6, SEEDS, chunk=2).shape == (2, 6, 1)
+    assert set(seen) == {(2, 0, 1)}
+
+
 def test_ddpm_of_a_chunk_reproduces_the_law_of_its_data():
     """With the exact denoiser of N(prefix mean, 0.5²) the ten steps end near that law, whatever the prefix."""
     schedule = cosine(10)

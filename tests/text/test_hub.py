@@ -129,6 +129,8 @@ def test_a_missing_projection_is_named(t5_folder, tmp_path):
 
 
 def test_missing_transformers_is_named_with_the_remedy(monkeypatch):
+    for module in [name for name in sys.modules if name.startswith("transformers.")]:
+        monkeypatch.delitem(sys.modules, module)
     monkeypatch.setitem(sys.modules, "transformers", None)
     for family in ("clip", "t5", "sentence-t5"):
         with pytest.raises(InputError, match=r"moveset\[hub\]"):

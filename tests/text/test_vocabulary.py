@@ -5,7 +5,7 @@ import json
 import pytest
 
 from moveset.pipelines.model_folder import shipped
-from moveset.text.vocabulary import figures_of, unread, words_of
+from moveset.text.vocabulary import denied, figures_of, unread, words_of
 
 WORDS = ("walk", "waves", "carries", "stop", "quick", "left", "hand", "race", "swing", "huge", "kick")
 
@@ -15,6 +15,12 @@ def test_words_of_any_script_and_no_others():
         "somebody", "two-step", "über", "alles", "he", "said", "走",
     ]  # fmt: skip
     assert words_of("") == words_of("42 …") == []
+
+
+@pytest.mark.parametrize("word", ["not", "cannot", "never", "NOT", "nobody"])
+def test_what_is_not_done_is_told_by_words_and_no_parts_of_them(word):
+    assert denied(f"a person {word} walks") == word
+    assert denied(f"a person un{word}ted walks") == ""
 
 
 def test_figures_are_no_parts_of_words():

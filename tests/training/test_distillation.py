@@ -97,6 +97,16 @@ def test_what_a_student_cannot_learn_is_refused(tiny_run, tmp_path, what, settin
         tiny_run.train(what, tmp_path / "run", *settings)
 
 
+def test_a_teacher_knows_the_latents_of_its_own_autoencoder(tiny_run, tmp_path):
+    """Whatever sizes its settings say; and its students are of the same."""
+    sources = {"vae": tiny_run.runs / "mld-vae"}
+    task, _ = tiny_run.train("teacher", tmp_path / "teacher", "model.text_dim=7", steps=1, sources=sources)
+    config = task.config.model
+    assert (config.tokens, config.token_dim, config.text_dim) == (1, 24, 384)
+    with pytest.raises(InputError, match=r"knows latents of 24 numbers, and .* makes some of 32; give the --vae"):
+        tiny_run.train("lcm-1", tmp_path / "lcm-1", sources={"teacher": tiny_run.runs / "mld"})
+
+
 def exported(dataset, runs, out, **networks):
     named = {"vae": "vae", "teacher": "teacher", **networks}
     scales = dict.fromkeys(("teacher", *networks), 2.0)

@@ -1,5 +1,6 @@
 import json
 import math
+import sys
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
@@ -130,6 +131,12 @@ def test_a_folder_with_a_training_is_not_overwritten(tmp_path):
     with pytest.raises(InputError, match="step 5; continue it with --resume"):
         train(tmp_path)
     assert contents(tmp_path / "step_5") == before
+
+
+def test_a_folder_that_cannot_be_is_named(tmp_path):
+    (tmp_path / "file").touch()
+    with pytest.raises(InputError, match=r"cannot train in .*run: Not a directory; give another folder"):
+        train(tmp_path / "file" / "run")
 
 
 def test_resuming_nothing_starts_and_resuming_the_end_does_nothing(tmp_path):
@@ -354,6 +361,12 @@ def test_streams_depend_on_seed_name_and_rank():
 def test_nonsense_settings_are_refused(setting, value):
     with pytest.raises(InputError, match=setting):
         EngineConfig(**{"steps": 1, setting: value})
+
+
+def test_an_absent_extra_is_named(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "lightning_fabric", None)
+    with pytest.raises(InputError, match=r"pip install 'moveset\[train\]'"):
+        train(tmp_path)
 
 
 def test_an_absent_device_is_refused(tmp_path):

@@ -84,6 +84,21 @@ def test_who_starts_with_anothers_weights_has_its_own_statistics_and_encoder(tin
     assert all(torch.allclose(made[key], old[key], atol=1e-6) for key in learned)
 
 
+def test_a_judge_has_the_sizes_of_the_movement_encoder_that_it_is_given(tiny_run, tmp_path):
+    sizes = ("model.movement_width=32", "model.movement_latent=32")
+    task, _ = tiny_run.train("evaluator", tmp_path / "evaluator", *sizes, steps=1)
+    assert (task.config.model.movement_width, task.config.model.movement_latent) == (16, 16)
+
+
+@pytest.mark.parametrize(
+    ("what", "setting", "message"),
+    [("movement", "window=400", "has 400 frames"), ("evaluator", "model.word_width=300", "set model.word_width=384")],
+)
+def test_what_no_judge_can_learn_of_is_refused(what, setting, message, tiny_run, tmp_path):
+    with pytest.raises(InputError, match=message):
+        tiny_run.train(what, tmp_path / what, setting)
+
+
 def test_a_judge_reads_as_many_words_as_it_was_trained_with(tiny_run, tmp_path):
     tiny_run.train("evaluator", tmp_path / "e", "max_words=3", steps=1)
     what = EvaluatorExport(name="judge", runs={"evaluator": "e"})

@@ -1,5 +1,6 @@
 import json
 import math
+from pathlib import Path
 
 import pytest
 import torch
@@ -20,6 +21,15 @@ def test_resuming_drops_what_came_later_and_a_torn_line(tmp_path):
     assert file.read_text().splitlines() == whole[:4]
     truncate_metrics(tmp_path / "absent.jsonl", 3)
     assert [item.name for item in tmp_path.iterdir()] == ["metrics.jsonl"]
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no full device")
+def test_a_full_disk_is_one_sentence_that_names_the_file(tmp_path):
+    with TrainingLog(tmp_path, "t", 0, 1, tensorboard=False) as log:
+        log._file.close()
+        log._file = open("/dev/full", "ab", buffering=0)  # noqa: SIM115 (closed by the log)
+        with pytest.raises(MovesetError, match=r"/dev/full could not be written \(No space left on device\)"):
+            log.write("train", 1, {"loss": 1.0})
 
 
 def test_means_are_those_since_the_last_line(tmp_path):

@@ -5,7 +5,7 @@ import pytest
 import torch
 from torch import nn
 
-from moveset.errors import FormatError
+from moveset.errors import FormatError, InputError
 from moveset.training.ema import Ema, ema_warmup
 from moveset.training.momo import MomoAdam
 from moveset.training.optim import cosine_lr, flatten_optimizer, unflatten_optimizer
@@ -116,6 +116,12 @@ def test_the_average_follows_the_closed_form():
         ema.update(module)
     want = 0.9**5 * start + sum(0.1 * 0.9 ** (4 - k) * value for k, value in enumerate(values))
     torch.testing.assert_close(ema.module.weight.detach(), want)
+
+
+@pytest.mark.parametrize("decay", [-0.1, 1.5, float("nan")])
+def test_an_average_forgets_a_share(decay):
+    with pytest.raises(InputError, match=r"ema = .* is outside 0"):
+        Ema(nn.Linear(1, 1), decay)
 
 
 def test_the_average_is_frozen_and_copies_buffers():

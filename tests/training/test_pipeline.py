@@ -1,9 +1,15 @@
 """One command from data to models: stages in order, skipped when done, refused when something else made them."""
 
 import json
+import os
 import shutil
+import signal
+import time
+from contextlib import suppress
 from dataclasses import replace
+from multiprocessing import get_context
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -15,7 +21,8 @@ from moveset.errors import InputError
 from moveset.evaluation import report
 from moveset.evaluation.evaluator import Evaluator
 from moveset.evaluation.suites import get_suite
-from moveset.training import checkpoint, pipeline
+from moveset.io.process import LOCKS, locked
+from moveset.training import checkpoint, engine, pipeline
 from moveset.training.pipeline import Report, Stage, stages, train_all
 
 
@@ -148,11 +155,40 @@ def test_tables_are_of_the_models_that_were_made_each_in_its_suite(tiny_run, mon
     assert {config.evaluator for _, config in asked} == {str(tiny_run.model("t2m"))}
 
 
+def test_a_run_that_saved_nothing_keeps_its_model_alone_from_being_exported(tiny_run, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    runs = tmp_path / "runs" / "tiny"
+    (runs / "rdm-1").mkdir(parents=True)
+    shutil.copytree(tiny_run.runs / "evaluator", runs / "evaluator")
+    assert main(["train", "export", "--recipe", "tiny", "--corpus", str(tiny_run.corpus)]) == 0
+    said, complained = capsys.readouterr()
+    assert Path(said.strip()) == Path("runs/tiny/models/t2m-tiny")
+    assert "rdm-1-tiny: not made, for nothing is trained in runs/tiny/rdm-1" in complained
+
+
+@pytest.mark.parametrize(("said", "lines"), [({}, 1), ({"LOCAL_RANK": "1"}, 0), ({"RANK": "1", "LOCAL_RANK": "0"}, 0)])
+def test_of_several_processes_the_first_says_how_it_went(said, lines, monkeypatch, capsys):
+    for name in ("RANK", "LOCAL_RANK"):
+        monkeypatch.delenv(name, raising=False)
+    for name, value in said.items():
+        monkeypatch.setenv(name, value)
+    monkeypatch.setattr(engine, "run", lambda *given: engine.TrainResult(4, None, None, {}))
+    assert main(["train", "length", "--recipe", "tiny"]) == 0
+    assert len(capsys.readouterr().err.splitlines()) == lines
+
+
 def test_tables_without_a_judge_are_refused_before_anything_is_trained(tmp_path, capsys):
     given = ["train", "all", "--recipe", "tiny", "--corpus", "nowhere", "--out", str(tmp_path / "runs")]
     assert main([*given, "--only", "rdm-tiny", "--tables"]) == 2
     assert "give --only t2m-tiny, too" in capsys.readouterr().err
     assert not (tmp_path / "runs").exists()
+
+
+def test_a_device_that_cannot_train_is_refused_before_data_is_built(tmp_path, capsys):
+    given = ["train", "all", "--raw", "nowhere", "--corpus", str(tmp_path / "corpus"), "--out", str(tmp_path / "runs")]
+    assert main([*given, "--device", "mps"]) == 2
+    assert "give --device cpu" in capsys.readouterr().err
+    assert not any(tmp_path.iterdir())
 
 
 def test_trainings_side_by_side_are_those_alone(forks, tiny_run, tmp_path):
@@ -168,6 +204,40 @@ def test_trainings_side_by_side_are_those_alone(forks, tiny_run, tmp_path):
 def test_a_signal_to_the_command_alone_stops_trainings_side_by_side(forks, tiny_run, tmp_path):
     given = str(tiny_run.corpus), str(tmp_path), ["movement", "length"]
     assert forks.run("tests.tiny_run:side_by_side_until_a_signal", *given) == 0, forks.said
+
+
+def until(happened, seconds=100):
+    deadline = time.monotonic() + seconds
+    while not happened() and time.monotonic() < deadline:
+        time.sleep(0.02)
+    return happened()
+
+
+def nobody_trains_in(folder):
+    with suppress(InputError), locked(folder, "somebody does"):
+        return True
+    return False
+
+
+@pytest.mark.skipif(not LOCKS, reason="there are no locks")
+def test_trainings_side_by_side_end_with_a_command_that_is_killed(forks, tiny_run, tmp_path):
+    only = ["movement", "length"]
+    process = forks.start("tests.tiny_run:side_by_side_without_end", str(tiny_run.corpus), str(tmp_path), only)
+    begun = until(lambda: not forks.running or all((tmp_path / f"{name}.begun").exists() for name in only))
+    os.kill(process, signal.SIGKILL)
+    assert (begun, forks.end()) == (True, -signal.SIGKILL), forks.said
+    assert until(lambda: all(nobody_trains_in(tmp_path / name) for name in only), seconds=20)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="forks")
+def test_a_training_that_ends_by_the_signal_that_all_were_sent_has_not_failed(tmp_path, monkeypatch):
+    """It may still have been preparing its data, and not have noted it."""
+    received = []
+    monkeypatch.setattr(pipeline, "get_context", lambda _: get_context("fork"))
+    monkeypatch.setattr(pipeline, "_in_a_process", lambda *given: os._exit(1))
+    log = SimpleNamespace(begin=lambda stage: received.append(signal.SIGINT))
+    place = pipeline.Place(data=tmp_path, out=tmp_path)
+    assert pipeline._side_by_side([Stage(name="a", needs=())], {"a": ""}, place, log, 2, received) == ([], "SIGINT")
 
 
 def test_the_log_says_how_much_is_left_by_the_pace_so_far_and_less_what_has_run(tmp_path, monkeypatch):

@@ -95,7 +95,7 @@ def test_lower_phases_meet_what_the_student_landed_at(tiny_run, tmp_path, monkey
     )
     landed, land = [], BoundSegments.land
     monkeypatch.setattr(BoundSegments, "land", lambda *given: landed.append(land(*given)) or landed[-1])
-    settings = ("rollout_share=0.5", "phases=2", "trajectory_rows=99")
+    settings = ("rollout_share=0.5", "phases=2", "trajectory_rows=4")
     task, _ = tiny_run.train("rdm-student", tmp_path / "run", *settings, steps=4)
     first, second = task.own.rows.tolist()
     assert [point_B[[first, second]].tolist() for point_B, _ in met] == [[9, 4], [4, 9]] * 2
@@ -150,7 +150,7 @@ def test_turns_are_learned_by_teacher_and_student(tiny_run, tmp_path, monkeypatc
 @pytest.mark.parametrize(
     ("config", "message"),
     [
-        ({"mismatched_text": 2.0}, "mismatched text = 2"),
+        ({"mismatched_text": 2.0}, "mismatched_text = 2"),
         ({"rollout_share": 1.5}, "rollout_share"),
         ({"rollout_share": -0.1}, "rollout_share"),
     ],
@@ -158,6 +158,18 @@ def test_turns_are_learned_by_teacher_and_student(tiny_run, tmp_path, monkeypatc
 def test_what_a_student_of_streams_cannot_learn_is_refused(config, message):
     with pytest.raises(InputError, match=message):
         RDMStudentConfig(**config)
+
+
+@pytest.mark.parametrize("teacher", ["light-rdm-1", "motiondiffuse", "dip"])
+def test_only_a_segment_transformer_teaches_streams(teacher, tiny_run, tmp_path):
+    with pytest.raises(InputError, match="only a segment_transformer teaches streams"):
+        tiny_run.train("rdm-student", tmp_path / "run", sources={"teacher": tiny_run.runs / teacher})
+
+
+@pytest.mark.parametrize("rows", [-1, 5])
+def test_no_more_rows_follow_a_trajectory_than_a_batch_has(rows, tiny_run, tmp_path):
+    with pytest.raises(InputError, match=f"trajectory_rows = {rows} is outside 0 to 4"):
+        tiny_run.train("rdm-student", tmp_path / "run", f"trajectory_rows={rows}")
 
 
 def test_a_noisy_past_of_streams_asks_for_streams(tiny_run, tmp_path):

@@ -36,6 +36,7 @@ class Config:
     corpus: Path = Path("a")
     model: Model = field(default_factory=Model)
     other: Model | None = field(default_factory=Model)
+    nothing: Model | None = None
 
 
 def test_settings_replace_fields_by_their_types():
@@ -54,7 +55,7 @@ def test_settings_replace_fields_by_their_types():
         ("lr", "not of the form NAME=VALUE"),
         ("lrr=1", "did you mean 'lr'"),
         ("model.layer=1", "did you mean 'layers'"),
-        ("kind=y", "no setting 'kind'; choose one of lr, augment, name, corpus, model, other$"),
+        ("kind=y", "no setting 'kind'; choose one of lr, augment, name, corpus, model, other, nothing$"),
         ("lr=NaN", "is no finite number; give one, such as 0.001"),
         ("lr=fast", "is str but must be float"),
         ("augment=1", "is int but must be bool"),
@@ -62,11 +63,32 @@ def test_settings_replace_fields_by_their_types():
         ("lr.x=1", "float has no setting 'x'"),
         ("model=3", "must be Model"),
         ("model=null", "is NoneType but must be Model"),
+        ("model.widths=[1]", r"has 1 values but must have 2, such as \[8, 8\]"),
+        ('model.widths=[1,"b"]', "is str but must be int"),
+        ("nothing=3", "there is none here, and a setting cannot make one"),
     ],
 )
 def test_a_wrong_setting_is_one_sentence(setting, message):
     with pytest.raises(InputError, match=message):
         with_settings(Config(), [setting])
+
+
+@pytest.mark.parametrize(
+    ("what", "setting", "message"),
+    [
+        ("teacher", "weight=x0", "weight 'x0' is not one of eps, v"),
+        ("vae", "loss=publishd", "loss 'publishd' is not one of auto, kinematic, published"),
+        ("evaluator", "negatives=none", "negatives 'none' is not one of roll, all"),
+        ("teacher", "condition_dropout=10", "condition_dropout = 10.0 is outside 0"),
+        ("pcm-1", "mismatched_text=-0.5", "mismatched_text = -0.5 is outside 0"),
+        ("rdm-student", "sides=7", "sides = 7.0 is outside 0"),
+        ("movement", "window=30", "window modulo 4 = 2"),
+        ("evaluator", "batch=1", "batch = 1 is outside 2"),
+    ],
+)
+def test_a_name_is_a_known_one_and_a_share_within_the_whole(what, setting, message):
+    with pytest.raises(InputError, match=message):
+        with_settings(load_recipe("tiny", what).task, [setting])
 
 
 def test_the_command_does_not_import_torch_before_it_has_set_the_wait_policy():

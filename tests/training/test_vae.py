@@ -1,6 +1,9 @@
 """The autoencoder's trainings: what suits which features, and whose sizes a decoder that goes on has."""
 
+from types import SimpleNamespace
+
 import pytest
+import torch
 
 from moveset.errors import InputError
 from moveset.models.token_vae import TokenVAEConfig
@@ -16,6 +19,22 @@ def test_a_loss_of_native_features_is_refused_for_others(tiny_run, tmp_path):
     task, result = tiny_run.train("vae", tmp_path / "vae", corpus=data, steps=1)
     assert result.step == 1
     assert (task.config.codec, task.config.loss, task.vae.config.features) == ("hml", "published", 263)
+
+
+def test_motion_is_measured_in_full_precision_whatever_networks_compute_in(tiny_run, tmp_path):
+    """Real motion is the same motion; and so is a latent's, as students of clips are asked for limbs in it."""
+    task, _ = tiny_run.train("vae", tmp_path / "vae", steps=1)
+    at = SimpleNamespace(device=torch.device("cpu"))
+    data = tiny_run.train("pcm-1", tmp_path / "pcm", steps=1)[0].data
+    batch = data.val.batch(4, 0, 0)
+    features = data.vae.module.decode(batch.z0, batch.frames, int(batch.frames.max()))
+    data.vae.module.decode = lambda *given: features
+    plain, joints = task.validate(1, at), data.joints(batch.z0, batch.frames)
+    with torch.autocast("cpu", torch.bfloat16):
+        mixed, joints_mixed = task.validate(1, at), data.joints(batch.z0, batch.frames)
+    for name in ("real_jerk", "real_skating"):
+        assert mixed[name] == plain[name]
+    assert joints_mixed.equal(joints)
 
 
 def test_a_decoder_has_the_sizes_of_the_autoencoder_that_it_is_of(tiny_run, tmp_path):

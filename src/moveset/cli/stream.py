@@ -92,6 +92,8 @@ def stream(
     """
     if not prompt and prompts is None:
         raise InputError("no prompt was given; describe a motion, such as 'a person walks forward and waves'")
+    if not prompt and (seconds or loop):
+        raise InputError("--seconds and --loop are for PROMPTs, those of --prompts last until the next; leave them out")
     if total is not None and forever:
         raise InputError("--total and --forever exclude each other; leave one out")
     if loop and total is None and not forever:

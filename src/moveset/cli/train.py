@@ -121,6 +121,7 @@ def train(
     if what == "all":
         return _all(recipe, out or runs, corpus, raw, only, share, device or "auto", jobs, tables)
     if what == "export":
+        _refuse({"device": device, "resume": resume or None}, "is of trainings, not of 'export'")
         return _export(recipe, runs, corpus, folder or runs / "models")
     unneeded = {"vae": None if TASKS[what].vae else vae, "teacher": None if TASKS[what].teacher else teacher}
     _refuse(unneeded, f"is of trainings that stand on one, not of {what!r}")
@@ -132,7 +133,8 @@ def train(
     sources = replace(sources, vae=vae or sources.vae, teacher=teacher or sources.teacher)
 
     result = run(task_maker(what, config, sources), engine, folder, resume, init)
-    if int(os.environ.get("RANK", "0")) == 0:
+    # torchrun says RANK; --devices tells the processes that it starts LOCAL_RANK only.
+    if not int(os.environ.get("RANK") or os.environ.get("LOCAL_RANK") or 0):
         print(_summary(what, result, engine.steps), file=sys.stderr)
     return 130 if result.stopped_by == "SIGINT" else 0
 
@@ -149,17 +151,17 @@ def _all(
 ) -> int:  # fmt: skip
     """Data, trainings, models and tables."""
     from moveset.data.build import build_corpus
+    from moveset.io.process import cores
     from moveset.training.pipeline import choose, stages, train_all
 
-    chosen = choose(stages(recipe, share=share), only)  # what is wrong with these is said before minutes of data
+    chosen = choose(stages(recipe, device, share), only)  # what is wrong with these is said before minutes of data
     judge = _judge(recipe)
     if tables and f"export {judge}" not in {stage.name for stage in chosen} and not (out / "models" / judge).is_dir():
         raise InputError(f"--tables needs the evaluator; give --only {judge}, too")
     if raw is not None and corpus.is_dir():
         raise InputError(f"--raw builds a corpus file, and {corpus} is a folder, used as it is; leave --raw out")
     if raw is not None and not corpus.is_file():
-        corpus.parent.mkdir(parents=True, exist_ok=True)
-        build_corpus(raw, corpus, workers=os.cpu_count() or 1)
+        build_corpus(raw, corpus, workers=cores())
     report = train_all(recipe, corpus, out, only=only, share=share, device=device, jobs=jobs)
     if report.stopped_by:
         return 130
@@ -193,12 +195,13 @@ def _tables(recipe: str, corpus: Path, out: Path, jobs: int) -> None:
 def _export(recipe: str, runs: Path, corpus: Path, folder: Path) -> int:
     """Every model of the recipe whose networks are there; the others are named."""
     from moveset.data.dataset import open_for_training
+    from moveset.training import checkpoint
     from moveset.training.export import export
 
     dataset, made = open_for_training(corpus), 0
     for model in load_exports(recipe):
-        if lacking := [run for run in model.runs.values() if not (runs / run).is_dir()]:
-            print(f"{model.name}: not made, for there is no {runs / lacking[0]}", file=sys.stderr)
+        if lacking := [run for run in model.runs.values() if not checkpoint.steps(runs / run)]:
+            print(f"{model.name}: not made, for nothing is trained in {runs / lacking[0]}", file=sys.stderr)
             continue
         print(export(model, dataset, runs, runs / "cache", folder / model.name))
         made += 1

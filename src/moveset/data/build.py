@@ -22,6 +22,7 @@ from moveset.data.bandai_captions import bandai_captions
 from moveset.data.compose import add_compositions
 from moveset.data.corpus import CorpusWriter
 from moveset.data.descriptions import STANDING_STILL, described, said_otherwise, spelled_out
+from moveset.data.folders import made
 from moveset.data.importing import cache_of, import_all, read_cached
 from moveset.data.raw import FREE, find_spans, find_takes, unpacked
 from moveset.data.records import ClipRecord
@@ -31,7 +32,8 @@ from moveset.data.takes import TakeRef
 from moveset.data.typos import mend, word_list
 from moveset.data.verbs import common_verbs
 from moveset.errors import InputError, MovesetError
-from moveset.io.limits import write_text
+from moveset.io.limits import write_text, written_to
+from moveset.io.process import locked
 from moveset.motion.clip import Motion
 
 FPS = 20.0
@@ -105,12 +107,14 @@ class _Piece:
 
 
 class _Spans:
-    """Which frames of which take are told about, and which are on a held-out side."""
+    """Which frames of which take are told about, by which sentences, and which are on a held-out side."""
 
     def __init__(self, refs: Sequence[TakeRef], spans: dict[str, list[Span]]) -> None:
         # Those of takes that are not here decide nothing, nor do CMU's tell of another set's take of the same name.
         self.spans = {ref.name: spans[ref.name] for ref in refs if ref.name in spans and ref.source.startswith("cmu")}
         self.failed: dict[str, str] = {}
+        self.mended: dict[str, str] = {}
+        self._words = word_list(sentence for told in spans.values() for span in told for sentence in span.sentences)
         self._held_out: dict[str, list[tuple[int, int, Split]]] = {}
         for ref in refs:
             for span in self.spans.get(ref.name, ()):
@@ -130,6 +134,15 @@ class _Spans:
                 continue
             found.append((start, stop, span.split, span))
         return found
+
+    def sentences(self, span: Span) -> tuple[str, ...]:
+        """What is said of a span; in training without obvious typos."""
+        typed = clean_sentences(span.sentences)
+        if span.split != "train":
+            return typed
+        mended = {sentence: mend(sentence, self._words) for sentence in typed}
+        self.mended |= {sentence: told for sentence, told in mended.items() if told != sentence}
+        return tuple(dict.fromkeys(mended.values()))
 
     def held_out(self, ref: TakeRef) -> list[tuple[int, int]]:
         """Frames of a take that belong to validation or testing."""
@@ -154,7 +167,7 @@ def _pieces(ref: TakeRef, runs: Sequence[_Run], spans: _Spans) -> Iterator[tuple
                 b = min(b, a + MAX_FRAMES)
                 done.add(span.name)
                 taken.append((a, b))
-                yield number, _Piece(f"{ref.name}@{span.name}", a, b, split, clean_sentences(span.sentences))
+                yield number, _Piece(f"{ref.name}@{span.name}", a, b, split, spans.sentences(span))
         least = MIN_FRAMES if whole else MIN_UNTOLD
         for a, b in free_parts(first, last, taken):
             if b - a < least:
@@ -222,41 +235,56 @@ def build_corpus(
         keep_work: keep the imported takes for the next build.
 
     Raises:
-        InputError: no raw data, two takes of one name, or the output cannot be written.
+        InputError: no raw data, two takes of one name, none that gives a clip, the output cannot be written, or
+            another process is building it.
         FormatError: an archive or a list is damaged.
     """
-    output.parent.mkdir(parents=True, exist_ok=True)
+    made(output.parent)
+    written_to(output)
     raw = unpacked(raw, output.parent / "raw", sources)
-    refs, found = find_takes(raw, sources), find_spans(raw)
-    work = output.parent / f"{output.name}.work"
-    work.mkdir(exist_ok=True)
-    rejected = {ref.name: f"its file {ref.path.name} is missing" for ref in refs if not ref.path.is_file()}
+    refs, told = find_takes(raw, sources), find_spans(raw)
+    work = made(output.parent / f"{output.name}.work")
     present = [ref for ref in refs if ref.path.is_file()]
     _refuse_doubles(present, work)
-    import_all(present, work, workers)
-    writer, spans = CorpusWriter(), _Spans(present, found)
-    words = word_list(sentence for told in found.values() for span in told for sentence in span.sentences)
+    with locked(work, f"another process is building {output}; wait for it, or choose another output"):
+        import_all(present, work, workers)
+        report = _written(output, refs, present, work, told, compositions)
+    if not keep_work:
+        shutil.rmtree(work)
+    return report
+
+
+def _written(
+    output: Path,
+    refs: Sequence[TakeRef],
+    present: Sequence[TakeRef],
+    work: Path,
+    told: dict[str, list[Span]],
+    compositions: int,
+) -> BuildReport:
+    """The corpus of takes that are imported, and its report."""
+    rejected = {ref.name: f"its file {ref.path.name} is missing" for ref in refs if not ref.path.is_file()}
     trimmed: dict[str, str] = {}
-    mended: dict[str, str] = {}
+    writer, spans = CorpusWriter(), _Spans(present, told)
     for _, performed in groupby(present, key=lambda ref: (ref.source.split("-")[0], ref.subject)):
         for ref, runs in _upright(list(performed), work, rejected, trimmed):
             pieces = list(_pieces(ref, runs, spans))
             if not pieces:
                 frames = sum(len(motion) for _, motion in runs)
                 rejected[ref.name] = f"its {frames} clean frames are too short a run, or held out"
-            _add(writer, ref, runs, pieces, words, mended)
+            _add(writer, ref, runs, pieces)
     clips = len(writer.records)
+    if not clips:
+        name, reason = next(iter(rejected.items()))
+        raise InputError(f"of {len(refs)} takes none gives a clip; {name!r} for one: {reason}")
     composed = add_compositions(writer, train=compositions, progress=sys.stderr.isatty())
     writer.records[:] = _weighed(writer.records)
     writer.write(output)
-    report = BuildReport(
-        str(output), len(refs), clips, composed, round(writer.frames / FPS, 1), rejected, trimmed, spans.failed, mended
-    )
+    found = rejected, trimmed, spans.failed, spans.mended
+    report = BuildReport(str(output), len(refs), clips, composed, round(writer.frames / FPS, 1), *found)
     write_text(
         output.parent / f"{output.name}.report.json", json.dumps({**asdict(report), "corpus": output.name}, indent=1)
     )
-    if not keep_work:
-        shutil.rmtree(work)
     return report
 
 
@@ -297,25 +325,14 @@ def _upright(
         yield ref, [(first, posture.on_floor(local, root, floor)) for first, local, root in runs]
 
 
-def _add(
-    writer: CorpusWriter,
-    ref: TakeRef,
-    runs: Sequence[_Run],
-    pieces: Sequence[tuple[int, _Piece]],
-    words: Counter[str],
-    mended: dict[str, str],
-) -> None:
+def _add(writer: CorpusWriter, ref: TakeRef, runs: Sequence[_Run], pieces: Sequence[tuple[int, _Piece]]) -> None:
     """Store a take's runs, as far as clips are in them, and its clips."""
     stored: dict[int, int] = {}
     for number, piece in pieces:
         if number not in stored:
             first, motion = runs[number]
             stored[number] = writer.add_run(ref.name, motion, first)
-        sentences = piece.sentences
-        if piece.split == "train":
-            sentences = tuple(dict.fromkeys(mend(sentence, words) for sentence in piece.sentences))
-            mended |= {a: b for a in piece.sentences if (b := mend(a, words)) != a}
-        content = (ref.content,) if ref.content else common_verbs(sentences) or ("move",)
+        content = (ref.content,) if ref.content else common_verbs(piece.sentences) or ("move",)
         record = ClipRecord(
             name=piece.name,
             take=ref.name,
@@ -323,7 +340,7 @@ def _add(
             subject=ref.subject,
             group=ref.group,
             kind="take",
-            contents=content if sentences else (),
+            contents=content if piece.sentences else (),
             style=ref.style,
             split=piece.split,
             fps=FPS,
@@ -332,7 +349,7 @@ def _add(
             first_frame=piece.start,
             run=stored[number],
         )
-        writer.add_clip(record, sentences)
+        writer.add_clip(record, piece.sentences)
 
 
 def _weighed(records: Sequence[ClipRecord]) -> list[ClipRecord]:

@@ -4,19 +4,20 @@ A conversion has a T-pose in front and begins one frame of the capture late; som
 with two decimals, and turn single joints by half a turn for some frames.
 """
 
-import json
 import math
 import re
 from pathlib import Path
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from moveset.data import glitches
 from moveset.data.hml22_calibration import FPS, assemble, chain, turn
+from moveset.data.listing import read_listing
 from moveset.data.resample import resampled
 from moveset.data.takes import ImportedRun, ImportedTake, RejectedTake, TakeRef
-from moveset.errors import FormatError, InputError
+from moveset.errors import InputError
 from moveset.io.asf_amc import read_amc, read_asf
 from moveset.io.bvh import local_frames
 from moveset.io.bvh_parser import read_bvh
@@ -43,40 +44,35 @@ def list_takes(root: Path) -> list[TakeRef]:
 
     Raises:
         InputError: there is no trial list.
-        FormatError: a line of it is damaged.
+        FormatError: it is not UTF-8, or a line of it is damaged.
     """
     listing = Path(root) / "trials.jsonl"
     if not listing.is_file():
         raise InputError(f"{listing} is missing; give the folder that holds trials.jsonl and subjects/")
-    takes: list[TakeRef] = []
-    for number, line in enumerate(listing.read_text(encoding="utf-8").splitlines(), start=1):
-        try:
-            trial = json.loads(line)
-            name, files, description = str(trial["trial"]), list(trial["files"]), str(trial["description"])
-            fps, file = float(trial["fps"]), next((f for f in files if f.endswith(".amc")), files[0])
-            capture_hz, drop = float(trial.get("capture_hz", fps)), int(trial.get("drop_first", _BVH_LEADING))
-            group = str(trial.get("group", _SALSA.sub(r"60-61_\1", name)))
-        except (ValueError, KeyError, TypeError, IndexError, AttributeError) as error:
-            raise FormatError(f"{listing}, line {number}: not a trial ({error}); restore the original file") from error
-        amc = file.endswith(".amc")
-        subject = name.split("_")[0]
-        takes.append(
-            TakeRef(
-                name=name,
-                source="cmu-amc" if amc else "cmu-bvh" if fps == capture_hz else "cmu-more",
-                path=Path(root) / file,
-                subject=subject,
-                group=group,
-                description=description,
-                fps=fps,
-                capture_hz=capture_hz,
-                drop=0 if amc else drop,
-                skeleton=(Path(root) / file).with_name(f"{subject}.asf") if amc else None,
-                leave_out=_DUPLICATES.get(name, ""),
-                levelled=True,
-            )
-        )
-    return takes
+    return read_listing(listing, lambda number, trial: _listed(Path(root), trial), "a trial")
+
+
+def _listed(root: Path, trial: dict[str, Any]) -> TakeRef:
+    """A line's trial."""
+    name, files, fps = str(trial["trial"]), [str(file) for file in trial["files"]], float(trial["fps"])
+    if not files or not fps > 0:
+        raise ValueError(f"{len(files)} files at {fps:g} frames a second")
+    path = root / next((file for file in files if file.endswith(".amc")), files[0])
+    capture_hz, subject, amc = float(trial.get("capture_hz", fps)), name.split("_")[0], path.suffix == ".amc"
+    return TakeRef(
+        name=name,
+        source="cmu-amc" if amc else "cmu-bvh" if fps == capture_hz else "cmu-more",
+        path=path,
+        subject=subject,
+        group=str(trial.get("group", _SALSA.sub(r"60-61_\1", name))),
+        description=str(trial["description"]),
+        fps=fps,
+        capture_hz=capture_hz,
+        drop=0 if amc else int(trial.get("drop_first", _BVH_LEADING)),
+        skeleton=path.with_name(f"{subject}.asf") if amc else None,
+        leave_out=_DUPLICATES.get(name, ""),
+        levelled=True,
+    )
 
 
 def read_take(ref: TakeRef) -> ImportedTake:

@@ -331,7 +331,7 @@ class FolderDataset:
     def left_out(self, split: Split) -> dict[str, int]:
         used, layout = {self.items[item].name for item in self._splits[split]}, self.data.layout
         unused = [name for name in self.data.splits[split] if name not in used]
-        span = f"not of {layout.shortest} to {layout.too_long - 1} frames, or without a sentence for the whole"
+        span = f"not of {layout.shortest} to {layout.too_long - 1} frames, or without a sentence for as many"
         return {span: len(unused)} if unused else {}
 
     def long_clips(self, split: Split) -> list[Clip]:

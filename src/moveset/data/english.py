@@ -12,11 +12,13 @@ _IRREGULAR = {
     "cut": ("cut", "cutting"), "do": ("did", "doing"), "drink": ("drank", "drinking"), "fight": ("fought", "fighting"),
     "flee": ("fled", "fleeing"), "fly": ("flew", "flying"), "freeze": ("froze", "freezing"), "get": ("got", "getting"),
     "give": ("gave", "giving"), "go": ("went", "going"),
-    "hang": ("hung", "hanging"), "hit": ("hit", "hitting"), "hold": ("held", "holding"), "keep": ("kept", "keeping"),
+    "hang": ("hung", "hanging"), "hide": ("hid", "hiding"), "hit": ("hit", "hitting"),
+    "hold": ("held", "holding"), "keep": ("kept", "keeping"),
     "lead": ("led", "leading"), "let": ("let", "letting"), "make": ("made", "making"), "put": ("put", "putting"),
     "run": ("ran", "running"), "say": ("said", "saying"), "see": ("saw", "seeing"), "shake": ("shook", "shaking"),
-    "shoot": ("shot", "shooting"), "show": ("showed", "showing"), "sidestep": ("sidestepped", "sidestepping"),
-    "speed": ("sped", "speeding"), "spin": ("spun", "spinning"), "spring": ("sprang", "springing"),
+    "set": ("set", "setting"), "shoot": ("shot", "shooting"), "sidestep": ("sidestepped", "sidestepping"),
+    "sleep": ("slept", "sleeping"), "speak": ("spoke", "speaking"), "speed": ("sped", "speeding"),
+    "spin": ("spun", "spinning"), "spring": ("sprang", "springing"),
     "stand": ("stood", "standing"),
     "stick": ("stuck", "sticking"), "stride": ("strode", "striding"), "strike": ("struck", "striking"),
     "sweep": ("swept", "sweeping"), "swing": ("swung", "swinging"), "take": ("took", "taking"),
@@ -27,7 +29,7 @@ _IRREGULAR = {
     "grind": ("ground", "grinding"), "kneel": ("knelt", "kneeling"), "leap": ("leapt", "leaping"),
     "lie": ("lay", "lying"), "ride": ("rode", "riding"), "rise": ("rose", "rising"), "sit": ("sat", "sitting"),
     "slide": ("slid", "sliding"), "squat": ("squatted", "squatting"), "swim": ("swam", "swimming"),
-    "write": ("wrote", "writing"),
+    "uppercut": ("uppercut", "uppercutting"), "write": ("wrote", "writing"),
 }  # fmt: skip
 
 

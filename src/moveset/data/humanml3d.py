@@ -9,6 +9,7 @@ import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import combinations
 from pathlib import Path
 
 import torch
@@ -138,6 +139,13 @@ class HumanML3D:
                     f"left out, {lost[0]} for one; figures are comparable only with all of them",
                     stacklevel=2,
                 )
+        for one, other in combinations(splits, 2):
+            if both := sorted({*splits[one]} & {*splits[other]}):
+                warnings.warn(
+                    f"{len(both)} motions are in both {one}.txt and {other}.txt of {folder}, {both[0]} for one; leave "
+                    "each to one of them, or what was trained on is judged",
+                    stacklevel=2,
+                )
         return cls(folder, layout, splits)
 
     def __len__(self) -> int:
@@ -166,8 +174,9 @@ class HumanML3D:
         path = self.folder / "texts" / f"{name}.txt"
         if not path.is_file():
             raise InputError(f"{path} is missing; unpack the data set completely")
+        lines = _lines(path)
         try:
-            return tuple(parse_caption(line) for line in _lines(path))
+            return tuple(parse_caption(line) for line in lines)
         except FormatError as error:
             raise FormatError(f"{path}: {error}") from None
 
@@ -253,4 +262,5 @@ def _lines(path: Path) -> list[str]:
         text = path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError:
         raise FormatError(f"{path} is not UTF-8 text; restore the original") from None
-    return [line.strip() for line in text.splitlines() if line.strip()]
+    # Not splitlines, which also parts a sentence at the line ends of Unicode.
+    return [line.strip() for line in text.split("\n") if line.strip()]

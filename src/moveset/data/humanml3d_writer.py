@@ -4,15 +4,17 @@ import math
 import re
 from collections.abc import Sequence
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 from tqdm import tqdm
 
 from moveset.data.corpus import Corpus
 from moveset.data.dataset import Clip, CorpusDataset
+from moveset.data.folders import made
 from moveset.data.humanml3d import HUMANML3D, Layout
 from moveset.data.splits import Split
-from moveset.errors import InputError
+from moveset.errors import InputError, MovesetError
 from moveset.io.limits import write_text
 from moveset.motion.clip import Motion
 from moveset.motion.features import Normalizer, get_codec
@@ -35,7 +37,8 @@ def write_humanml3d(corpus: Corpus, folder: Path, layout: Layout = HUMANML3D, *,
         layout: ``HUMANML3D``, or ``KIT``, whose skeleton, frame rate and units motions are brought to.
 
     Raises:
-        InputError: the folder is there, or nothing is of the training split.
+        InputError: the folder is there or cannot be made, or nothing is of the training split.
+        MovesetError: the disk is full or not writable.
     """
     if folder.exists():
         raise InputError(f"{folder} is there already; give the name of a new folder")
@@ -44,6 +47,19 @@ def write_humanml3d(corpus: Corpus, folder: Path, layout: Layout = HUMANML3D, *,
     dataset = CorpusDataset(corpus)
     if not dataset.split("train"):
         raise InputError("a corpus without a clip of the training split has no statistics; build it from more takes")
+    made(folder.parent)
+    try:
+        # Whole or not at all: half a data set reads as one.
+        with TemporaryDirectory(prefix=f".{folder.name}.", dir=folder.parent) as place:
+            _write_all(dataset, Path(place) / folder.name, codec, layout, progress)
+            (Path(place) / folder.name).rename(folder)
+    except OSError as error:
+        reason = error.strerror or error
+        raise MovesetError(f"cannot write {folder}: {reason}; make room or choose another place") from error
+    return folder
+
+
+def _write_all(dataset: CorpusDataset, folder: Path, codec: HmlCodec, layout: Layout, progress: bool) -> None:
     for part in ("new_joint_vecs", "new_joints", "texts"):
         (folder / part).mkdir(parents=True)
     names: dict[Split, list[str]] = {split: [] for split in _SPLITS}
@@ -68,7 +84,6 @@ def write_humanml3d(corpus: Corpus, folder: Path, layout: Layout = HUMANML3D, *,
     for split, listed in names.items():
         _write(folder / f"{split}.txt", listed)
     _write(folder / "all.txt", [name for listed in names.values() for name in listed])
-    return folder
 
 
 def _on(motion: Motion, codec: HmlCodec) -> Motion:

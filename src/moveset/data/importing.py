@@ -22,8 +22,10 @@ _IMPORT_VERSION = 4
 
 
 def _stamp(ref: TakeRef) -> str:
-    stat = ref.path.stat()
-    return f"{_IMPORT_VERSION} {stat.st_size} {stat.st_mtime_ns}"
+    """What an import depends on: the files, and what the list says of how to read them."""
+    files = [path.stat() for path in (ref.path, ref.skeleton) if path is not None and path.is_file()]
+    listed = (ref.fps, ref.capture_hz, ref.drop, ref.unit, ref.leave_out)
+    return repr((_IMPORT_VERSION, *((file.st_size, file.st_mtime_ns) for file in files), *listed))
 
 
 def _import_to(ref: TakeRef, cache: Path) -> None:

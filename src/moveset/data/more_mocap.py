@@ -1,6 +1,7 @@
 """Eleven small sets of motion capture as BVH, each on skeletons of its own, with a sentence for every take."""
 
 import json
+import math
 import re
 import warnings
 from pathlib import Path
@@ -11,9 +12,10 @@ from torch import Tensor
 
 from moveset.data import glitches
 from moveset.data.hml22_calibration import FPS
+from moveset.data.listing import read_listing
 from moveset.data.resample import resampled
 from moveset.data.takes import ImportedRun, ImportedTake, RejectedTake, TakeRef
-from moveset.errors import FormatError, InputError
+from moveset.errors import InputError
 from moveset.io.bvh import bvh_motion
 from moveset.io.bvh_parser import read_bvh
 from moveset.motion.retarget import retarget
@@ -29,39 +31,31 @@ def list_takes(root: Path) -> list[TakeRef]:
 
     Raises:
         InputError: there is no list.
-        FormatError: a line of it is damaged, or has the name of another one's take.
+        FormatError: it is not UTF-8, or a line of it is damaged, or has the name of another one's take.
     """
     listing = Path(root) / "takes.jsonl"
     if not listing.is_file():
         raise InputError(f"{listing} is missing; give the folder that holds takes.jsonl and takes/")
-    try:
-        lines = listing.read_text(encoding="utf-8-sig").splitlines()
-    except UnicodeDecodeError:
-        raise FormatError(f"{listing} is not UTF-8 text; save it as UTF-8, or restore the original file") from None
-    takes: dict[str, tuple[int, TakeRef]] = {}
-    for number, line in enumerate(lines, start=1):
-        if not line.strip():
-            continue
-        try:
-            take = _listed(Path(root), json.loads(line))
-            if take.name in takes:
-                raise ValueError(f"its name {take.name!r} is that of line {takes[take.name][0]}, too")
-        except (ValueError, TypeError) as error:
-            remedy = "mend the line, or restore the original file"
-            raise FormatError(f"{listing}, line {number}: not a take ({error}); {remedy}") from error
-        takes[take.name] = number, take
-    return [take for _, take in takes.values()]
+    lines: dict[str, int] = {}
+
+    def once(number: int, take: dict[str, Any]) -> TakeRef:
+        ref = _listed(Path(root), take)
+        if (first := lines.setdefault(ref.name, number)) != number:
+            raise ValueError(f"its name {ref.name!r} is that of line {first}, too")
+        return ref
+
+    return read_listing(listing, once, "a take")
 
 
 def _listed(root: Path, take: dict[str, Any]) -> TakeRef:
-    """A line's take; what is wrong with it is a ValueError or a TypeError."""
-    if missing := [key for key in ("take", "source", "file", "unit_m", "sentence") if key not in take]:
-        raise ValueError(f"it has no {missing[0]}")
+    """A line's take."""
     for key in ("take", "source", "file"):
         if not isinstance(take[key], str):
             raise ValueError(f"its {key} is {json.dumps(take[key])}, not text")
     if not isinstance(take["sentence"], str | None):
         raise ValueError(f"its sentence is {json.dumps(take['sentence'])}, neither text nor null")
+    if not 0 < (unit := float(take["unit_m"])) < math.inf:
+        raise ValueError(f"a unit of {unit:g} metres")
     if _TAKEN.match(take["source"]):
         raise ValueError(f"its source {take['source']!r} begins like those of other sets, cmu and bandai")
     return TakeRef(
@@ -70,8 +64,8 @@ def _listed(root: Path, take: dict[str, Any]) -> TakeRef:
         path=root / take["file"],
         subject=take["take"],  # nobody says who else is the same performer, or on the same floor
         group=take["take"],
-        sentence=take["sentence"],
-        unit=float(take["unit_m"]),
+        sentence=" ".join((take["sentence"] or "").split()) or None,
+        unit=unit,
         leave_out="its joints jump" if take.get("quality") == "spikes" else "",
     )
 
@@ -80,8 +74,8 @@ def read_take(ref: TakeRef) -> ImportedTake:
     """A take on ``hml22`` at 20 fps, not on the floor yet, without the poses for calibration at its ends.
 
     Raises:
-        RejectedTake: the take should not be trained on, or is nothing but such poses.
-        InputError: the file cannot be read, or its skeleton is no humanoid.
+        RejectedTake: the take should not be trained on, is nothing but such poses, or is of no humanoid.
+        InputError: the file cannot be read.
         FormatError: it is damaged.
     """
     if ref.leave_out:
@@ -90,16 +84,19 @@ def read_take(ref: TakeRef) -> ImportedTake:
     with warnings.catch_warnings():
         # These skeletons have no telling rest pose; how they stand is found from the motion.
         warnings.simplefilter("ignore", UserWarning)
-        motion = retarget(bvh_motion(bvh, scale=ref.unit), HML22)
+        try:
+            motion = retarget(bvh_motion(bvh, scale=ref.unit), HML22)
+        except InputError as error:
+            raise RejectedTake(f"{ref.name}: {error}") from error
     local, root = motion.rotations.double(), motion.root.double()
     if len(root) < 4:
         raise RejectedTake(f"{ref.name}: only {len(root)} frames")
     start, stop = without_calibration(motion.joints, bvh.fps)
-    if stop - start < 4:
+    first = int(start / bvh.fps * FPS) + 1 if start else 0
+    frames = torch.arange(first, max(first, int((stop - 1) / bvh.fps * FPS + 1e-6) + 1))
+    if stop - start < 4 or not len(frames):
         raise RejectedTake(f"{ref.name}: nothing but poses for calibration")
-    times = torch.arange(len(root), dtype=torch.float64)[start:stop] / bvh.fps
-    first = int(times[0] * FPS) + 1 if start else 0
-    frames = torch.arange(first, int(times[-1] * FPS + 1e-6) + 1)
+    times = torch.arange(start, stop, dtype=torch.float64) / bvh.fps
     local, root = resampled(glitches.mended(local[start:stop], bvh.fps), root[start:stop], times, frames / FPS)
     return ImportedTake((ImportedRun(first, local, root),))
 

@@ -1,5 +1,6 @@
 """Raw motion capture as it is handed out: folders, or archives that are unpacked with care."""
 
+import lzma
 import os
 import shutil
 import sys
@@ -10,7 +11,7 @@ from pathlib import Path
 from moveset.data import bandai_namco, cmu, more_mocap
 from moveset.data.spans import Span, read_spans
 from moveset.data.takes import TakeRef
-from moveset.errors import FormatError, InputError
+from moveset.errors import FormatError, InputError, MovesetError
 from moveset.io.process import locked
 
 _ARCHIVES = {
@@ -36,6 +37,7 @@ def unpacked(raw: Path, scratch: Path, sources: Sequence[str] = FREE) -> Path:
         InputError: ``raw`` holds neither folders nor archives of these sources; or, where ``scratch`` is another
             folder, a folder of one and an archive of another, which would be left out.
         FormatError: an archive is damaged, tries to write elsewhere, or is absurdly large.
+        MovesetError: the disk is full or not writable.
     """
     wanted = {f"{source}.tar.xz": _ARCHIVES[f"{source}.tar.xz"] for source in sources}
     folders = [folder for names in wanted.values() for folder in names]
@@ -69,9 +71,13 @@ def _unpack(archive: Path, to: Path) -> None:
     try:
         with tarfile.open(archive, "r:xz") as tar:
             tar.extractall(partial, members=_bounded(tar, archive), filter="data")
-    except (tarfile.TarError, EOFError, OSError) as error:
+    except (tarfile.TarError, lzma.LZMAError, EOFError) as error:
         shutil.rmtree(partial, ignore_errors=True)
         raise FormatError(f"{archive} cannot be unpacked ({error}); copy or download it again") from error
+    except OSError as error:
+        shutil.rmtree(partial, ignore_errors=True)
+        remedy = "make room, or choose another disk"
+        raise MovesetError(f"{archive} cannot be unpacked to {to}: {error.strerror or error}; {remedy}") from error
     for folder in _ARCHIVES[archive.name]:
         if (partial / folder).is_dir() and not (to / folder).is_dir():
             os.replace(partial / folder, to / folder)

@@ -1,12 +1,12 @@
 """Human-written sentences about spans of captures, and which side of the split each span is on."""
 
-import json
+import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
+from moveset.data.listing import read_listing
 from moveset.data.splits import Split
-from moveset.errors import FormatError
 
 #: "drop": the official split has it in training, though it shares seconds with a test or validation span.
 Use = Literal["train", "val", "test", "drop"]
@@ -39,17 +39,21 @@ def read_spans(path: Path) -> dict[str, list[Span]]:
     """Spans by the take they are of, from JSON lines with id, trial, start, end, use and sentences.
 
     Raises:
-        FormatError: a line is damaged.
+        InputError: the file cannot be read.
+        FormatError: it is not UTF-8, or a line is damaged.
     """
     spans: dict[str, list[Span]] = {}
-    for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), start=1):
-        try:
-            clip = json.loads(line)
-            sentences = tuple(str(sentence) for sentence in clip["sentences"])
-            span = Span(str(clip["id"]), float(clip["start"]), float(clip["end"]), clip["use"], sentences)
-            if not 0 <= span.start < span.end or span.use not in ("train", "val", "test", "drop"):
-                raise ValueError(f"{span.start} to {span.end} s for {span.use!r}")
-            spans.setdefault(str(clip["trial"]), []).append(span)
-        except (ValueError, KeyError, TypeError) as error:
-            raise FormatError(f"{path}, line {number}: not a span ({error}); restore the original file") from error
+    for trial, span in read_listing(path, _listed, "a span"):
+        spans.setdefault(trial, []).append(span)
     return spans
+
+
+def _listed(number: int, clip: dict[str, Any]) -> tuple[str, Span]:
+    """A line's span, and the take that it is of."""
+    sentences = clip["sentences"]
+    if not isinstance(sentences, list) or not all(isinstance(sentence, str) for sentence in sentences):
+        raise TypeError("its sentences are no list of texts")
+    span = Span(str(clip["id"]), float(clip["start"]), float(clip["end"]), clip["use"], tuple(sentences))
+    if not 0 <= span.start < span.end < math.inf or span.use not in ("train", "val", "test", "drop"):
+        raise ValueError(f"{span.start} to {span.end} s for {span.use!r}")
+    return str(clip["trial"]), span

@@ -1,6 +1,5 @@
 """What is in a corpus: numbers, a picture of its clips, and why takes are not in it."""
 
-import json
 import random
 import re
 from collections import Counter
@@ -9,7 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from moveset.data.corpus import Corpus
+from moveset.data.folders import made
 from moveset.data.verbs import count_verbs
+from moveset.io.manifest import json_object
 
 if TYPE_CHECKING:
     from PIL import Image
@@ -54,12 +55,17 @@ def summarize(corpus: Corpus) -> dict[str, Any]:
 
 
 def rejections(corpus: Path) -> dict[str, int]:
-    """Why takes and spans are not in a corpus, with how many, from the report beside it; empty where there is none."""
+    """Why takes and spans are not in a corpus, with how many, from the report beside it; empty where there is none.
+
+    Raises:
+        FormatError: the report is damaged.
+    """
     path = corpus.with_name(f"{corpus.name}.report.json")
     if not path.is_file():
         return {}
-    report = json.loads(path.read_text(encoding="utf-8"))
-    reasons = Counter(re.sub(r"\d+", "N", str(reason).split(": ")[-1]) for reason in report["rejected"].values())
+    report = json_object(path.read_bytes(), path, "build the corpus again, or remove the report")
+    rejected = report.get("rejected", {}).values()
+    reasons = Counter(re.sub(r"\d+", "N", str(reason).split(": ")[-1]) for reason in rejected)
     reasons.update(f"span: {reason}" for reason in report.get("spans", {}).values())
     return dict(reasons.most_common())
 
@@ -76,7 +82,7 @@ def write_sheets(corpus: Corpus, folder: Path, count: int = 10, seed: int = 0) -
     for number, record in enumerate(corpus.records):
         if record.captions:
             by_source.setdefault(record.source if record.kind == "take" else record.kind, []).append(number)
-    folder.mkdir(parents=True, exist_ok=True)
+    made(folder)
     paths = []
     for source, clips in by_source.items():
         chosen = sorted(random.Random(f"{source} {seed}").sample(clips, min(count, len(clips))))
@@ -85,7 +91,7 @@ def write_sheets(corpus: Corpus, folder: Path, count: int = 10, seed: int = 0) -
             for number in chosen[start : start + _STRIPS]:
                 record, sentences = corpus.records[number], corpus.captions(number)
                 strips.append(filmstrip(corpus.motion(number), f"{record.name} {record.split}: {sentences[0]}"))
-            paths.append(folder / f"{source}-{start // _STRIPS}.png")
+            paths.append(folder / f"{source.replace('/', '-')}-{start // _STRIPS}.png")
             _write_sheet(strips, paths[-1])
     return paths
 

@@ -16,7 +16,7 @@ _LIST = """
     imitate gesture stagger skip creep tiptoe bounce dribble shoot hit strike fight dodge block swat stir chop cut
     dig shovel hammer paint scrub clean rub pat tap stroke mop pour open close unscrew eat smoke talk speak signal
     direct salute greet shrug nod look search watch answer call type write draw conduct strum row paddle fly flip
-    somersault cartwheel tumble dive vault swerve strut stride stroll pivot twirl whirl sidestep march stomp stamp
+    somersault cartwheel tumble dive vault swerve strut stride stroll pivot twirl whirl sidestep stomp stamp
     tread wade trip slip slide skate ski surf bowl pitch golf juggle fish hunt aim toss pass give take put place
     set get rise straighten hunch slump rest sleep wait pause relax laugh cry cough sneeze yawn shiver tremble
     wiggle shimmy waltz tango moonwalk thrust uppercut jab guard defend parry stab slash attack retreat approach
@@ -30,12 +30,11 @@ STANDING = "stand"
 _ALSO = {"laying": "lie", "lays": "lie", "laid": "lie", "lay": "lie", "fell": "fall", "hopscotch": "hop"}
 #: Forms that mostly are no verbs in such sentences.
 _LOOKALIKES = """
-    back hand hands place places position set box boxes point points circle circles cross block blocks pass stroke
-    strokes ground rock rocks bow bar fish ski bowl close open clean steps step turn turns kick kicks jump jumps
-    walk run stand swing swings rest direct slip row rows putt pitch fly land trip signal signals type draw lower
-    left head golf dance punch punches rolls roll bend hop hops lunge lunges squat squats spin spins stretch
-    stretches look call play drink drive ride skip skips wave waves box march move moves flip flips rise reach
-    throw catch hit shot guard
+    place places set box boxes point points circle circles cross block blocks pass stroke strokes ground rock rocks
+    bow fish ski bowl close open clean steps step turn turns kick kicks jump jumps walk run stand swing swings rest
+    direct slip row rows pitch fly land trip signal signals type draw lower golf dance punch punches rolls roll bend
+    hop hops lunge lunges squat squats spin spins stretch stretches look call play drink drive ride skip skips wave
+    waves march move moves flip flips rise reach throw catch hit shot guard
 """
 _NOUNS = frozenset(_LOOKALIKES.split())
 _BEFORE_NOUNS = "a an the his her their its of this that one two three four five several few each"

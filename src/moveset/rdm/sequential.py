@@ -192,7 +192,7 @@ def rollout_chunks(
             f"{frames} frames of {len(prefix_BPD)} prefixes for {len(seeds)} seeds; give one prefix per seed"
         )
     solver = Solver(schedule=schedule, levels=tuple(reversed(range(len(schedule)))), eta=1.0)
-    kept, nothing = prefix_BPD.shape[1], prefix_BPD.new_zeros(len(seeds), chunk, prefix_BPD.shape[2])
+    nothing = prefix_BPD.new_zeros(len(seeds), chunk, prefix_BPD.shape[2])
     made: list[Tensor] = []
     for number in range(-(-frames // chunk)):
         before = prefix_BPD
@@ -201,6 +201,6 @@ def rollout_chunks(
             return denoiser(x, t_B, before, number)  # noqa: B023 (called before the next turn)
 
         made.append(sample_segment(denoise, solver, seeds, [number] * len(seeds), nothing))
-        # A chunk may be shorter than the prefix.
-        prefix_BPD = torch.cat((prefix_BPD, made[-1]), dim=1)[:, -kept:]
+        # A chunk may be shorter than the prefix, and the prefix nothing.
+        prefix_BPD = torch.cat((prefix_BPD, made[-1]), dim=1)[:, chunk:]
     return torch.cat(made, dim=1)[:, :frames]

@@ -198,7 +198,6 @@ class EmbeddingCache:
         tensors = {name: getattr(self, name).contiguous() for name in _TENSORS}
         tensors["sentences"] = torch.frombuffer(names, dtype=torch.uint8)
         meta = {"format": _FORMAT, "encoder": self.encoder, "max_tokens": str(self.max_tokens)}
-        path.parent.mkdir(parents=True, exist_ok=True)
         with atomic_write(path) as file:
             file.write(save(tensors, metadata={**meta, "sha256": self._digest()}))
 

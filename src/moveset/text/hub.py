@@ -122,10 +122,10 @@ class SentenceT5(T5Text):
 
     def __init__(self, where: str, *, device: torch.device | str = "cpu", max_tokens: int = 256) -> None:
         from safetensors.torch import load_file
-        from transformers.utils.hub import cached_file
 
         super().__init__(where, device=device, max_tokens=max_tokens)
-        path = _from_disk(cached_file, where, filename="model.safetensors", subfolder="2_Dense")
+        find = _transformers().utils.hub.cached_file
+        path = _from_disk(find, where, filename="model.safetensors", subfolder="2_Dense")
         self._projection = load_file(path, device=str(self.device))["linear.weight"].float()
         self.dim = len(self._projection)
 

@@ -16,7 +16,7 @@ _SEVERAL = re.compile(
     r"|one\s+another)\b(?!['’])",
     re.IGNORECASE,
 )
-_NOT = re.compile(r"\b(?:not|never|nobody|no\s+one)\b|n['’]t\b", re.IGNORECASE)
+_NOT = re.compile(r"\b(?:(?:can)?not|never|nobody|no\s+one)\b|n['’]t\b", re.IGNORECASE)
 
 
 def words_of(sentence: str) -> list[str]:

@@ -10,6 +10,7 @@ import re
 import shutil
 import warnings
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -69,6 +70,15 @@ def write(
         shutil.rmtree(temporary, ignore_errors=True)
         raise
     return target
+
+
+@contextmanager
+def writing_to(folder: Path) -> Iterator[None]:
+    """What a training does first in a folder. Raises InputError where the system does not let it."""
+    try:
+        yield
+    except OSError as error:
+        raise InputError(f"cannot train in {folder}: {error.strerror or error}; give another folder") from error
 
 
 def verify(path: Path) -> dict[str, Any]:

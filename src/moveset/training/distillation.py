@@ -39,7 +39,7 @@ from moveset.text.sides import forget, with_sides
 from moveset.training.adversarial import discriminator_step, of_another
 from moveset.training.ema import Ema
 from moveset.training.engine import Loop
-from moveset.training.single_network import SingleNetworkTask
+from moveset.training.single_network import SingleNetworkTask, require_sense
 from moveset.training.tasks import Sources
 from moveset.training.teacher import LatentData, normalised_latents
 from moveset.training.trained import load_trained
@@ -86,11 +86,15 @@ class StudentConfig:
     kind: str = field(init=False, default="")
 
     def __post_init__(self) -> None:
-        require_range("share of sampled points", self.inference_points, 0.0, 1.0)
-        require_range("share of mismatched text", self.mismatched_text, 0.0, 1.0)
-        require_range("judged span", self.discriminator_max_noise, 0.0, 1.0)
+        require_sense(self)
         if self.model is not None:
             object.__setattr__(self, "kind", describe(self.model)[0])
+
+
+def require_rows(config: StudentConfig, *names: str) -> None:
+    """Raises InputError for more rows than a batch has. No check of the configuration: settings come one by one."""
+    for name in names:
+        require_range(f"rows that are {name}", getattr(config, name), 0, config.batch)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -117,13 +121,17 @@ class _DistillationTask(SingleNetworkTask):
     heads: DiscriminatorHeads | None = None
 
     def __init__(self, config: DistillationConfig, sources: Sources, loop: Loop) -> None:
-        # Not a check of the configuration: settings come one by one, in any order.
-        for name in ("trajectory_rows", "side_rows"):
-            require_range(f"rows that are {name}", getattr(config, name), 0, config.batch)
+        require_rows(config, "trajectory_rows", "side_rows")
         self.steps = loop.config.steps
         teacher = load_trained(sources.teacher, "teacher_ema", loop.device)
         self.data = LatentData(sources, config.text_encoder, config.augmentation, loop, normalised_latents(teacher))
         self.teacher = teacher.module
+        known, made = self.teacher.config.token_dim, self.data.train.mean.shape[-1]
+        if known != made:
+            raise InputError(
+                f"{teacher.path} knows latents of {known} numbers, and {self.data.vae.path} makes some of {made}; give "
+                "the --vae that it was trained with"
+            )
         self.student = self.teacher.student().requires_grad_(True)
         self.config = replace(config, model=self.student.config)
         self.ema = Ema(self.student, config.ema)

@@ -6,6 +6,8 @@ import torch
 from torch import nn
 from torch.optim.swa_utils import get_ema_multi_avg_fn
 
+from moveset.models.registry import require_range
+
 
 class Ema:
     """A frozen copy of a module that follows it: average ← decay · average + (1 − decay) · parameter.
@@ -15,10 +17,14 @@ class Ema:
 
     Args:
         module: what to follow; the average starts as a copy of it.
-        decay: in [0, 1).
+        decay: in 0 to 1.
+
+    Raises:
+        InputError: a decay that is not.
     """
 
     def __init__(self, module: nn.Module, decay: float) -> None:
+        require_range("ema", decay, 0.0, 1.0)
         self.module = copy.deepcopy(module).eval().requires_grad_(False)
         self.decay = decay
 

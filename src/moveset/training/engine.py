@@ -139,6 +139,8 @@ class Loop:
         self.device: torch.device = fabric.device
         self.rank: int = fabric.global_rank
         self.world_size: int = fabric.world_size
+        #: Of this process's batches: each is a function of it and of the step.
+        self.seed = config.seed * 64 + self.rank
         self.generators: dict[str, torch.Generator] = {}
         self._optimizers: dict[str, torch.optim.Optimizer] = {}
 
@@ -213,8 +215,9 @@ def run(
     with ExitStack() as stack:
         if fabric.is_global_zero:
             busy = f"another training is running in {folder}; stop it or give another folder"
-            stack.enter_context(locked(folder, busy))
-            checkpoint.clean(folder)
+            with checkpoint.writing_to(folder):
+                stack.enter_context(locked(folder, busy))
+                checkpoint.clean(folder)
         # The caller's global generator is left as it was.
         stack.enter_context(torch.random.fork_rng(devices=cuda))
 

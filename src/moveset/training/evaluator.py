@@ -21,7 +21,8 @@ from moveset.data.dataset import Dataset, choose_codec, open_for_training
 from moveset.data.feature_store import Crop, FeatureStore
 from moveset.data.glove_files import read_glove
 from moveset.errors import InputError
-from moveset.models.evaluator import EvaluatorConfig, MatchingEvaluator, MovementConfig
+from moveset.models.evaluator import FRAMES_PER_TOKEN, EvaluatorConfig, MatchingEvaluator, MovementConfig
+from moveset.models.registry import require_range
 from moveset.motion.features import Normalizer, get_codec
 from moveset.text.glove import GloveWords
 from moveset.text.words import as_words
@@ -40,7 +41,7 @@ class MovementTrainingConfig(NetworkConfig):
     """What ``MovementTask`` trains and how.
 
     Args:
-        window: frames of a training window.
+        window: frames of a training window, a multiple of four.
         small, smooth: weights of the tokens' size and of their change from one to the next.
         feat_bias: how much more root and contacts weigh (T2M: 5 by intention, 25 in its checkpoints).
         codec: its features, a name for ``data.dataset.choose_codec``.
@@ -56,12 +57,17 @@ class MovementTrainingConfig(NetworkConfig):
     feat_bias: float = 5.0
     codec: str = "published"
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_range("window modulo 4", self.window % FRAMES_PER_TOKEN, 0, 0)
+
 
 @dataclass(frozen=True, kw_only=True)
 class EvaluatorTrainingConfig(NetworkConfig):
     """What ``EvaluatorTask`` trains and how.
 
     Args:
+        model: its sizes of the movement encoder follow from that.
         margin: distance beyond which a negative pair is left alone.
         negatives: "roll": one motion of the batch for each sentence, as published. "all": all that may serve.
         ema: decay of the averaged copy that ships; 0 for none.
@@ -88,6 +94,10 @@ class EvaluatorTrainingConfig(NetworkConfig):
     feat_bias: float = 5.0
     codec: str = "hml"
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_range("batch", self.batch, 2, 65536)  # others are what a sentence is told apart from
+
 
 class MovementTask(SingleNetworkTask):
     """The movement autoencoder: L1 on windows, tokens kept small and smooth."""
@@ -109,7 +119,9 @@ class MovementTask(SingleNetworkTask):
             [clip for clip in dataset.split(split) if self.store.clips[clip].frames >= config.window]
             for split in ("train", "val")
         )
-        self.seed = loop.config.seed * 64 + loop.rank
+        if not (self.train_clips and self.val_clips):
+            raise InputError(f"no clip of one split has {config.window} frames; set window to fewer")
+        self.seed = loop.seed
 
     def training_step(self, step: int, loop: Loop) -> dict[str, Tensor]:
         loss, parts = self._loss(self._windows(self.train_clips, self.seed * 1_000_003 + step).to(loop.device))
@@ -149,8 +161,8 @@ class EvaluatorTask(SingleNetworkTask):
 
     def __init__(self, config: EvaluatorTrainingConfig, sources: Sources, loop: Loop) -> None:
         movement = load_trained(sources.teacher, "movement")
-        codec, features = movement.task["codec"], movement.module.config.features
-        model = replace(config.model, features=features)
+        codec, sizes = movement.task["codec"], movement.module.config
+        model = replace(config.model, features=sizes.features, movement_width=sizes.width, movement_latent=sizes.latent)
         self.config = config = replace(config, codec=codec, feat_bias=movement.task["feat_bias"], model=model)
         self.steps, self.dataset = loop.config.steps, open_for_training(sources.corpus)
         self.store = _features(self.dataset, config.codec, sources.cache, loop)
@@ -164,11 +176,14 @@ class EvaluatorTask(SingleNetworkTask):
         self.optimizer = torch.optim.Adam(trained, config.lr)
         train, self.val = self.dataset.split("train"), self.dataset.split("val")
         weights = self.dataset.weights(train, power=0.25, composed_share=0.4)
-        self.seed = loop.config.seed * 64 + loop.rank
+        self.seed = loop.seed
         # Whole clips, or for those that may be divided most of them: a shorter window may miss what its sentence says.
         self.sampler = CropSampler(self.store, train, weights, config.batch, self.seed, whole=0.5, shortest=(0.7, 24))
         with loop.fabric.rank_zero_first():
             self.read = reader(config, self.dataset, (*train, *self.val), sources.cache)
+        words = self.read(train[:1], [0.0])[0].shape[-1]
+        if words != config.model.word_width:
+            raise InputError(f"words of {config.words!r} are {words} numbers; set model.word_width={words}")
 
     def take_given(self) -> None:
         """The movement encoder of ``Sources.teacher`` and the statistics of these features (``resume.Given``)."""

@@ -2,6 +2,7 @@
 
 import atexit
 import os
+from importlib.util import find_spec
 from typing import TYPE_CHECKING
 
 import torch
@@ -18,20 +19,11 @@ def launch(config: "EngineConfig") -> "Fabric":
     """Lightning's Fabric for a training, launched: this process has its place among all of them.
 
     Raises:
-        InputError: no lightning-fabric, or a device that cannot be used here.
+        InputError: as ``chosen_device``; too many processes.
     """
-    try:
-        from lightning_fabric import Fabric
-    except ImportError as error:
-        raise InputError("training needs lightning-fabric; install it with pip install 'moveset[train]'") from error
-    device = config.device
-    if device == "auto":
-        device = "cuda" if torch.cuda.is_available() else "cpu"
-    if device == "mps":
-        raise InputError("trainings add up in double precision, which 'mps' does not have; give --device cpu")
-    if device != "cpu" and not (device == "cuda" and torch.cuda.is_available()):
-        usable = "cpu, cuda" if torch.cuda.is_available() else "cpu"
-        raise InputError(f"device {device!r} cannot be used here; this machine has {usable}")
+    device = chosen_device(config.device)
+    from lightning_fabric import Fabric
+
     precision = config.precision
     if precision == "auto":
         precision = "bf16-mixed" if _multiplies_bf16(device) else "32-true"
@@ -50,6 +42,24 @@ def launch(config: "EngineConfig") -> "Fabric":
     if torch.distributed.is_initialized() and torch.distributed.get_backend() == "gloo":
         atexit.register(_leave_group)
     return fabric
+
+
+def chosen_device(device: str) -> str:
+    """Where a training computes, "cpu" or "cuda", if it is asked to do so on this one or on any ("auto").
+
+    Raises:
+        InputError: no lightning-fabric, or a device that cannot be used here.
+    """
+    if find_spec("lightning_fabric") is None:
+        raise InputError("training needs lightning-fabric; install it with pip install 'moveset[train]'")
+    if device == "auto":
+        return "cuda" if torch.cuda.is_available() else "cpu"
+    if device == "mps":
+        raise InputError("trainings add up in double precision, which 'mps' does not have; give --device cpu")
+    if device != "cpu" and not (device == "cuda" and torch.cuda.is_available()):
+        usable = "cpu, cuda" if torch.cuda.is_available() else "cpu"
+        raise InputError(f"device {device!r} cannot be used here; this machine has {usable}")
+    return device
 
 
 def _multiplies_bf16(device: str) -> bool:

@@ -43,7 +43,7 @@ class LengthTask(SingleNetworkTask):
     network = "length"
 
     def __init__(self, config: LengthConfig, sources: Sources, loop: Loop) -> None:
-        self.steps, self.seed = loop.config.steps, loop.config.seed * 64 + loop.rank
+        self.steps, self.seed = loop.config.steps, loop.seed
         dataset = open_for_training(sources.corpus)
         self.train, self.val = _pairs(dataset, "train"), _pairs(dataset, "val")
         captions = [text for texts, _ in self.train + self.val for text in texts]

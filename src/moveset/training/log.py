@@ -49,7 +49,8 @@ class TrainingLog:
 
         folder.mkdir(parents=True, exist_ok=True)
         truncate_metrics(folder / "metrics.jsonl", start)
-        self._file = open(folder / "metrics.jsonl", "a")  # noqa: SIM115 (closed in __exit__)
+        # Unbuffered: what a full disk did not take must not come again when the file is closed.
+        self._file = open(folder / "metrics.jsonl", "ab", buffering=0)  # noqa: SIM115 (closed in __exit__)
         self._board = _summary_writer(folder / "tensorboard", start) if tensorboard else None
         self._bar = tqdm(
             total=total, initial=start, desc=name, unit="step", file=sys.stderr, disable=not sys.stderr.isatty()
@@ -91,12 +92,20 @@ class TrainingLog:
         self._steps, self._since = 0, time.monotonic()
 
     def write(self, split: str, step: int, metrics: dict[str, float]) -> None:
-        """Appends one line ``{"step", "split", "time", …}``."""
+        """Appends one line ``{"step", "split", "time", …}``.
+
+        Raises:
+            MovesetError: the disk is full or not writable.
+        """
         line: dict[str, Any] = {"step": step, "split": split, "time": round(time.time(), 3)}
         # JSON has no NaN; a validation may well have one (the correlation of constants, say).
         line |= {key: float(f"{value:.8g}") if math.isfinite(value) else None for key, value in metrics.items()}
-        self._file.write(json.dumps(line, allow_nan=False) + "\n")
-        self._file.flush()
+        try:
+            self._file.write((json.dumps(line, allow_nan=False) + "\n").encode())
+        except OSError as error:
+            raise MovesetError(
+                f"{self._file.name} could not be written ({error.strerror or error}); make room, then resume"
+            ) from error
         if self._board is not None:
             for key, value in metrics.items():
                 self._board.add_scalar(f"{split}/{key}", value, step)

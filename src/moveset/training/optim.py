@@ -13,8 +13,6 @@ from moveset.errors import FormatError
 def cosine_lr(step: int, base: float, warmup: int, total: int) -> float:
     """Learning rate of step ``step`` (1, 2, … total): linear up to ``base``, then half a cosine down to 0.
 
-    Step 0 is that of a network that waits.
-
     >>> [cosine_lr(s, 1.0, 2, 6) for s in (1, 2, 4, 6)]
     [0.5, 1.0, 0.5, 0.0]
     """

@@ -21,11 +21,12 @@ from moveset.data.glove_files import read_glove
 from moveset.data.splits import Split
 from moveset.errors import InputError, MovesetError
 from moveset.io.limits import write_text
-from moveset.io.process import noted_signals
+from moveset.io.process import end_with_parent, noted_signals
 from moveset.text.encoder import get_text_encoder
 from moveset.training import checkpoint
 from moveset.training.engine import EngineConfig, run
 from moveset.training.export import Export, export
+from moveset.training.fabric import chosen_device
 from moveset.training.tasks import TASKS, Recipe, Sources, load_exports, load_recipes, task_maker
 
 LOG = "train.log"
@@ -82,8 +83,9 @@ def stages(recipe: str, device: str = "auto", share: float = 1.0) -> tuple[Stage
     """Those of a recipe, in order, with this share of their steps.
 
     Raises:
-        InputError: no such recipe; a share that is not above 0 and at most 1.
+        InputError: no such recipe; a share that is not above 0 and at most 1; a device that cannot be used here.
     """
+    chosen_device(device)
     if not 0.0 < share <= 1.0:
         raise InputError(f"the share {share} of all steps is not above 0 and at most 1; give one between, such as 0.1")
     trainings = tuple(_training(name, chosen, device, share) for name, chosen in load_recipes(recipe).items())
@@ -155,8 +157,9 @@ def train_all(
     every = stages(recipe, device, share)
     chosen = choose(every, only)
     place = Place(data=data, out=out)
-    for folder in ("stages", "models"):
-        (out / folder).mkdir(parents=True, exist_ok=True)
+    with checkpoint.writing_to(out):
+        for folder in ("stages", "models"):
+            (out / folder).mkdir(parents=True, exist_ok=True)
     keys = _keys(every, open_for_training(data))
     _check(every, chosen, keys, place)
     open_stages = [stage for stage in chosen if not _done(stage, keys, place)]
@@ -194,7 +197,7 @@ def _side_by_side(
 ) -> tuple[list[str], str | None]:
     """As many at once as there are jobs, each in a process of its own as soon as what it needs is done.
 
-    A signal stops all of them: none goes on when this process has ended.
+    A signal stops all of them: none goes on when this process has ended, however that was.
     """
     waiting, running, trained = list(trainings), dict[Any, tuple[Stage, Any]](), list[str]()
     spawn = get_context("spawn")
@@ -210,6 +213,8 @@ def _side_by_side(
                 process.start()
                 running[process.sentinel] = stage, process
             for sentinel in connection.wait(list(running), _LOOK):
+                if received:  # a training that did not note it has not failed
+                    break
                 stage, process = running.pop(sentinel)
                 process.join()
                 if process.exitcode == _STOPPED:
@@ -231,6 +236,7 @@ _LOOK = 0.5  # seconds between two looks at signals
 
 
 def _in_a_process(stage: Stage, key: str, place: Place) -> None:
+    end_with_parent()
     try:
         stopped = train_stage(stage, key, place)
     except MovesetError as error:
@@ -246,7 +252,7 @@ def train_stage(stage: Stage, key: str, place: Place) -> str | None:
     _note(place, stage, key)
     result = run(task_maker(stage.name, stage.task, place.sources(stage.name)), stage.engine, folder, True)
     if result.stopped_by is None:
-        _note(place, stage, key, finished=True, validation=result.validation)
+        _note(place, stage, key, finished=True)
     return result.stopped_by
 
 

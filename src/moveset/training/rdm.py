@@ -7,7 +7,7 @@ Source: RDM (arXiv 2406.07169), Section 4.4 and Algorithm 2; MotionDiffuse (arXi
 
 from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
-from typing import Literal, cast, get_args
+from typing import Any, Literal, cast
 
 import torch
 from torch import Tensor, nn
@@ -92,9 +92,6 @@ class RDMConfig(NetworkConfig):
         heading_noise: deviation, in radians, of how far their way has turned more or less than it should have, of which
             they take half back (``training.condition_dropout.perturb_heading``).
         max_tokens: tokens of a caption that are read; other numbers than 32 are for undisturbed captions.
-
-    Raises:
-        InputError: an unknown name.
     """
 
     model: SegmentTransformerConfig | SegmentDenoiserConfig | LightT2MConfig = field(
@@ -137,19 +134,6 @@ class RDMConfig(NetworkConfig):
     side_weight: float = 0.0
     max_tokens: int = MAX_TOKENS
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        named = {
-            "optimizer": Optimizer,
-            "weight": Weight,
-            "noise": Noise,
-            "predict": Prediction,
-            "md_condition": Told,
-        }
-        for name, known in named.items():
-            if getattr(self, name) not in get_args(known):
-                raise InputError(f"{name} {getattr(self, name)!r} is not one of {', '.join(get_args(known))}")
-
 
 class RDMTask(Task):
     """Both networks, each with its own loss and optimiser; the denoiser's error reaches the flow only if ``joint``."""
@@ -163,12 +147,8 @@ class RDMTask(Task):
         self.config = config = _sized(config, self.data)
         self.denoiser = config.model.build().to(loop.device)
         if config.noise == "coloured":
-            if not isinstance(self.denoiser, SegmentTransformer):
-                raise InputError(
-                    'noise="coloured" is for the segment transformer; this denoiser knows white noise only'
-                )
-            self.denoiser.spectrum.copy_(spectrum(self.data.train))  # type: ignore[operator]
-        if config.forecast and isinstance(self.denoiser, SegmentTransformer):
+            self.denoiser.spectrum.copy_(spectrum(self.data.train))
+        if config.forecast:
             with torch.no_grad():
                 self.denoiser.forecast.copy_(forecast(self.data.train))
         self.ema = Ema(self.denoiser, config.ema)
@@ -353,11 +333,7 @@ def _sized(config: RDMConfig, data: SegmentData) -> RDMConfig:
     """With the sizes that follow from the codec, the segment and the text encoder filled in."""
     features, text = data.codec.dim, data.text
     model = replace(config.model, features=features, frames=config.grid.frames, text_dim=text.widths[0])
-    if config.heading_change:
-        if not isinstance(model, SegmentTransformerConfig):
-            raise InputError(
-                f"heading_change is for the segment transformer, and {describe(model)[0]!r} cannot read it"
-            )
+    if config.heading_change and isinstance(model, SegmentTransformerConfig):
         model = replace(model, heading_change=True)
     if config.md_condition == "none":
         # Whoever samples it tells it of the segment before: the network itself must not listen.
@@ -369,8 +345,19 @@ def _sized(config: RDMConfig, data: SegmentData) -> RDMConfig:
     return replace(config, codec=data.codec.name, model=model, flow=flow)
 
 
+def require_heading_told(config: Any) -> None:
+    """Raises InputError for ways that go astray of which nobody is told."""
+    if config.heading_noise and not config.heading_change:
+        raise InputError("heading_noise is for segments that are told their heading_change; set that too")
+
+
 def _check(config: RDMConfig) -> None:
     """Raises InputError for settings that contradict each other (as a whole: they are made one after the other)."""
+    if not isinstance(config.model, SegmentTransformerConfig):
+        for name, plain in (("noise", "white"), ("forecast", False), ("heading_change", 0.0)):
+            if (value := getattr(config, name)) != plain:
+                kind = describe(config.model)[0]
+                raise InputError(f"{name}={value} is for the segment transformer, not for a {kind}; leave it out")
     asked = config.sides and config.side_weight  # who is told no sides is asked for none
     judged = config.velocity or config.feet or config.heading or asked
     if config.predict == "eps" and (config.flow is not None or judged or config.weight != "x0"):
@@ -383,5 +370,6 @@ def _check(config: RDMConfig) -> None:
             raise InputError(f"{name} {getattr(config, name):g} is of the flow, and there is none; leave it out")
     if config.grid.entangled and config.grid.anchor != "segment":
         raise InputError(f'grid.entangled {config.grid.entangled:g} is for grid.anchor="segment"; leave it out')
+    require_heading_told(config)
     if config.md_condition == "none" and (config.flow is not None or config.grid.condition != "clean"):
         raise InputError('md_condition="none" is for models without a flow and with grid.condition="clean"')

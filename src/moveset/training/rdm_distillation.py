@@ -17,8 +17,7 @@ from moveset.diffusion.steps import add_noise, over, predict_eps, renoise
 from moveset.errors import InputError
 from moveset.models.condition import Denoiser
 from moveset.models.discriminator import DiscriminatorConfig
-from moveset.models.registry import require_range
-from moveset.models.segment_transformer import SegmentTransformerConfig
+from moveset.models.segment_transformer import SegmentTransformer, SegmentTransformerConfig
 from moveset.motion.features import Normalizer
 from moveset.pcm.consistency import Draws, draw
 from moveset.pcm.losses import hinge_generator, huber
@@ -32,10 +31,10 @@ from moveset.text.sides import forget, with_sides
 from moveset.training.adversarial import discriminator_step
 from moveset.training.bound_segments import BoundSegments
 from moveset.training.condition_dropout import drop_heading_change, perturb_heading, perturb_past
-from moveset.training.distillation import StudentConfig
+from moveset.training.distillation import StudentConfig, require_rows
 from moveset.training.ema import Ema
 from moveset.training.engine import Loop
-from moveset.training.rdm import SCHEDULE, RDMConfig, feature_weights
+from moveset.training.rdm import SCHEDULE, RDMConfig, feature_weights, require_heading_told
 from moveset.training.rollout import Rollout
 from moveset.training.segment_data import SegmentData
 from moveset.training.segment_losses import heading_error, placed, side_shortfall
@@ -87,10 +86,6 @@ class RDMStudentConfig(StudentConfig):
     frames: int = 0
     model: SegmentTransformerConfig | None = None
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        require_range("rollout_share, the share of rows told what the student made,", self.rollout_share, 0.0, 1.0)
-
 
 class RDMStudentTask(SingleNetworkTask):
     """Consistency inside each of M phases, a discriminator on the frozen teacher's features."""
@@ -99,7 +94,8 @@ class RDMStudentTask(SingleNetworkTask):
     network = "student"
 
     def __init__(self, config: RDMStudentConfig, sources: Sources, loop: Loop) -> None:
-        # Not a check of the configuration: settings come one by one, in any order.
+        require_rows(config, "trajectory_rows")
+        require_heading_told(config)
         if config.context_noise_rollout and not config.rollout_share:
             raise InputError(
                 "context_noise_rollout is of the student's own streams, and there are none; set rollout_share too"
@@ -107,6 +103,11 @@ class RDMStudentTask(SingleNetworkTask):
         self.steps = loop.config.steps
         teacher = load_trained(sources.teacher, "denoiser_ema", loop.device)
         self.teacher = teacher.module
+        if not isinstance(self.teacher, SegmentTransformer):
+            raise InputError(
+                f"{teacher.path} holds a {teacher.kind}; only a segment_transformer teaches streams: give another "
+                "--teacher"
+            )
         flow = None
         if teacher.task["flow"] is not None:
             flow = load_trained(sources.teacher, "flow_ema", loop.device, part="coupling_flow").module

@@ -35,7 +35,7 @@ class SegmentData:
         if config.max_tokens != MAX_TOKENS and config.augmentation != AS_WRITTEN:
             raise InputError(f"disturbed captions are read to {MAX_TOKENS} tokens; set max_tokens to that")
         self.augmentation, self.max_tokens = config.augmentation, config.max_tokens
-        self.seed = loop.config.seed * 64 + loop.rank
+        self.seed = loop.seed
         self.device = loop.device
         self._ahead = Ahead(loop.config.workers, loop.config.steps)
         with loop.fabric.rank_zero_first():

@@ -42,7 +42,7 @@ class SidesTask(SingleNetworkTask):
     network = "sides"
 
     def __init__(self, config: SidesConfig, sources: Sources, loop: Loop) -> None:
-        self.steps, self.seed = loop.config.steps, loop.config.seed * 64 + loop.rank
+        self.steps, self.seed = loop.config.steps, loop.seed
         dataset = open_for_training(sources.corpus)
         codec = choose_codec(dataset, "auto").name
         with loop.fabric.rank_zero_first():

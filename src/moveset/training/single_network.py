@@ -1,15 +1,21 @@
 """Trainings of one network: what the engine saves and steps, by one name."""
 
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass, field, fields
+from typing import Any, Literal, get_args, get_origin
 
 import torch
 from torch import nn
 
-from moveset.models.registry import describe
+from moveset.errors import InputError
+from moveset.models.registry import describe, require_range
 from moveset.training.ema import Ema
 from moveset.training.engine import Task
 from moveset.training.optim import cosine_lr
+
+_SHARES = {
+    "condition_dropout", "sides", "heading_change", "frozen_flow", "standing", "smoothing", "composed_share",
+    "inference_points", "mismatched_text", "discriminator_max_noise", "rollout_share",
+}  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -21,6 +27,21 @@ class NetworkConfig:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "kind", describe(self.model)[0])
+        require_sense(self)
+
+
+def require_sense(config: Any) -> None:
+    """For ``__post_init__`` of trainings' settings: names are known ones, and shares within 0 to 1.
+
+    Raises:
+        InputError: one that is not.
+    """
+    for each in fields(config):
+        value, known = getattr(config, each.name), get_args(each.type)
+        if get_origin(each.type) is Literal and value not in known:
+            raise InputError(f"{each.name} {value!r} is not one of {', '.join(known)}")
+        if each.name in _SHARES:
+            require_range(each.name, value, 0.0, 1.0)
 
 
 class SingleNetworkTask(Task):

@@ -174,9 +174,9 @@ def with_settings(config: Config, settings: Iterable[str]) -> Config:
     >>> @dataclass(frozen=True)
     ... class Example:
     ...     lr: float = 1e-3
-    ...     phases: tuple[int, ...] = (1, 2)
-    >>> with_settings(Example(), ["lr=1", "phases=[4]"])
-    Example(lr=1.0, phases=(4,))
+    ...     guidance: tuple[float, float] = (1.0, 2.5)
+    >>> with_settings(Example(), ["lr=1", "guidance=[1, 4]"])
+    Example(lr=1.0, guidance=(1.0, 4.0))
 
     Raises:
         InputError: there is no such field, or the value is of another type.
@@ -203,7 +203,10 @@ def _replaced(config: Any, path: list[str], value: Any, setting: str) -> Any:
     old = getattr(config, path[0])
     if len(path) > 1:
         return dataclasses.replace(config, **{path[0]: _replaced(old, path[1:], value, setting)})
-    if value is not None or type(None) not in get_args(fields[path[0]]):
+    types = get_args(fields[path[0]])
+    if old is None and any(map(dataclasses.is_dataclass, types)) and value is not None:
+        raise InputError(f"{setting!r}: there is none here, and a setting cannot make one; leave it out")
+    if value is not None or type(None) not in types:
         value = _as_type_of(old, value, setting)
     return dataclasses.replace(config, **{path[0]: value})
 
@@ -214,7 +217,9 @@ def _as_type_of(old: Any, value: Any, setting: str) -> Any:
     if isinstance(value, float) and not math.isfinite(value):
         raise InputError(f"{setting!r} is no finite number; give one, such as {old!r}")
     if isinstance(old, tuple) and isinstance(value, list):
-        return tuple(value)
+        if len(value) != len(old):
+            raise InputError(f"{setting!r} has {len(value)} values but must have {len(old)}, such as {list(old)}")
+        return tuple(_as_type_of(old[0], item, setting) for item in value)
     if isinstance(old, Path) and isinstance(value, str):
         return Path(value)
     if old is not None and type(value) is not type(old):

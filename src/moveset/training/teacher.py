@@ -1,6 +1,6 @@
 """Training the teacher: noise prediction in the VAE's latent space, text dropped now and then for guidance."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
@@ -23,6 +23,7 @@ from moveset.training.condition_dropout import drop_captions
 from moveset.training.ema import Ema, ema_warmup
 from moveset.training.engine import Loop
 from moveset.training.reading import embedded, read_captions, told_sides
+from moveset.training.segment_losses import placed
 from moveset.training.single_network import NetworkConfig, SingleNetworkTask
 from moveset.training.tasks import Sources
 from moveset.training.trained import TrainedNetwork, load_trained
@@ -35,6 +36,7 @@ class TeacherConfig(NetworkConfig):
     """What ``TeacherTask`` trains and how; the learning rate is a cosine over the run.
 
     Args:
+        model: its sizes of latents and of text follow from autoencoder and text encoder.
         beta2: of AdamW.
         normalised_latents: latents of mean 0 and deviation 1; False takes them as the encoder gives them, as published.
         sides: share of samples that are told, beside their sentence, which sides the motion favours (``text.sides``).
@@ -70,7 +72,7 @@ class LatentData:
         self, sources: Sources, text_encoder: str, augmentation: TextAugmentation, loop: Loop, normalised: bool
     ) -> None:
         self.augmentation = augmentation
-        self.seed, self.device = loop.config.seed * 64 + loop.rank, loop.device
+        self.seed, self.device = loop.seed, loop.device
         self.vae = load_trained(sources.vae, "vae_ema", loop.device)
         # Whoever comes first makes the caches; the other processes open them.
         with loop.fabric.rank_zero_first():
@@ -95,7 +97,7 @@ class LatentData:
         """(B, F, J, 3) joints of latents as the networks know them, metres."""
         z_BND = z_BND * self.train.scale.to(z_BND) + self.train.center.to(z_BND)
         features_BFD = self.vae.module.decode(z_BND, frames_B, int(frames_B.max()))
-        return self.codec.joints(self.normalizer.denormalize(features_BFD.float()))
+        return placed(features_BFD, self.codec, self.normalizer)
 
     def batch(self, size: int, step: int) -> LatentBatch:
         """Training latents of a step, on the device."""
@@ -118,9 +120,14 @@ class TeacherTask(SingleNetworkTask):
     network = "teacher"
 
     def __init__(self, config: TeacherConfig, sources: Sources, loop: Loop) -> None:
-        self.config, self.steps = config, loop.config.steps
+        self.steps = loop.config.steps
         normalised = config.normalised_latents
         self.data = LatentData(sources, config.text_encoder, config.augmentation, loop, normalised)
+        _, tokens, token_dim = self.data.train.mean.shape
+        model = replace(config.model, token_dim=token_dim, text_dim=self.data.text.widths[0])
+        if isinstance(model, LatentDenoiserConfig):
+            model = replace(model, tokens=tokens)
+        self.config = config = replace(config, model=model)
         self.schedule = scaled_linear()
         self.teacher = config.model.build().to(loop.device)
         self.ema = Ema(self.teacher, config.ema)

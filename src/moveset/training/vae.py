@@ -17,6 +17,7 @@ from moveset.motion.measures import jerk, skating
 from moveset.motion.native import NativeCodec
 from moveset.training.ema import Ema, ema_warmup
 from moveset.training.engine import Loop
+from moveset.training.segment_losses import placed
 from moveset.training.single_network import NetworkConfig, SingleNetworkTask
 from moveset.training.tasks import Sources
 from moveset.training.trained import load_trained
@@ -91,8 +92,7 @@ class VAETask(SingleNetworkTask):
         )
         clips = dataset.split("train", untold=True)
         weights = dataset.weights(clips, power=config.balance, composed_share=config.composed_share)
-        seed = loop.config.seed * 64 + loop.rank
-        self.sampler = CropSampler(self.store, clips, weights, config.batch, seed)
+        self.sampler = CropSampler(self.store, clips, weights, config.batch, loop.seed)
         val = dataset.split("val", composed=False, mirrored=False, untold=True)
         held_out = (self.store.whole(clip) for clip in val)
         self.held_out = sorted(held_out, key=lambda crop: crop.frames)
@@ -178,10 +178,10 @@ def reconstruction_report(
     for start in range(0, len(crops), batch):
         real, lengths = (x.to(device) for x in store.batch(crops[start : start + batch]))
         made = vae.decode(vae.encode(real, lengths)[0], lengths, real.shape[1])
-        aligned, unaligned = position_errors(made, real, lengths, codec, store.normalizer)
+        made, real = (placed(features, codec, store.normalizer) for features in (made, real))
+        aligned, unaligned = position_errors(made, real, lengths)
         columns = {"mpjpe_mm": aligned, "mpjpe_unaligned_mm": unaligned}
-        for name, features in (("", made), ("real_", real)):
-            joints = codec.joints(store.normalizer.denormalize(features))
+        for name, joints in (("", made), ("real_", real)):
             clips = [x[:frames] for x, frames in zip(joints, lengths.tolist(), strict=True)]
             columns[f"{name}jerk"] = torch.stack([jerk(clip, codec.fps) for clip in clips])
             columns[f"{name}skating"] = torch.stack([skating(clip, codec.fps) for clip in clips])

@@ -89,12 +89,13 @@ def kl_divergence(mean: Tensor, log_variance: Tensor) -> Tensor:
     return 0.5 * (mean.square() + log_variance.exp() - 1.0 - log_variance).mean()
 
 
-def position_errors(
-    made: Tensor, real: Tensor, lengths: Tensor, codec: FeatureCodec, normalizer: Normalizer
-) -> tuple[Tensor, Tensor]:
-    """Mean per-joint position error of each clip in millimetres, (B,) root-aligned and (B,) unaligned."""
+def position_errors(made: Tensor, real: Tensor, lengths: Tensor) -> tuple[Tensor, Tensor]:
+    """Mean per-joint position error of each clip in millimetres, (B,) root-aligned and (B,) unaligned.
+
+    Args:
+        made, real: (B, F, J, 3) joints in metres.
+    """
     valid = (torch.arange(real.shape[1], device=real.device) < lengths[:, None]).to(real.dtype)
-    made, real = codec.joints(normalizer.denormalize(made)), codec.joints(normalizer.denormalize(real))
     aligned = ((made - made[..., :1, :]) - (real - real[..., :1, :])).norm(dim=-1).mean(-1)
     unaligned = (made - real).norm(dim=-1).mean(-1)
     count = valid.sum(1)
