@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from moveset.cli.tables import How, make_folder, print_results, run_one, run_suite
+from moveset.cli.tables import How, print_results, results_folder, run_one, run_suite
 from moveset.errors import InputError
 
 if TYPE_CHECKING:
@@ -128,7 +128,7 @@ def _sanity(models: Sequence[str], config: "EvaluationConfig", out: Path, json: 
     if config.protocol.split == "rollout":
         raise InputError("--sanity checks the evaluator on single motions; take --split test or val")
     judge, items = Evaluator.open(config.evaluator, pick_device(config.device)), open_set(config).items
-    make_folder(out)
+    results_folder(out)
     report = sanity(judge, items, torch.Generator().manual_seed(config.protocol.seed))
     few = "" if config.items is None else f"-{config.items}-items"
     path = out / f"sanity-{judge.card.name}-{config.protocol.split}{few}.json"

@@ -98,23 +98,21 @@ def run_suite(
         print(f"moveset: {row.label}: {missing or plural(config.protocol.repeats, 'repeat')}", file=sys.stderr)
         if not missing:
             run_one(config, replace(how, out=out))
-    make_folder(out)
+    results_folder(out)
     path = write_report(out)
     print(jsonlib.dumps({"suite": name, "table": str(path)}) if json else path.read_text("utf-8"))
     return 0
 
 
-def make_folder(out: Path) -> None:
+def results_folder(out: Path) -> None:
     """A folder for results, if it is not there.
 
     Raises:
         InputError: it cannot be made, or nothing can be written to it.
     """
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"cannot write to {str(out)!r}: {error.strerror or error}; choose another --out") from error
-    check_folder(out)
+    from moveset.io.limits import make_folder
+
+    check_folder(make_folder(out, "choose another --out"))
 
 
 def state_now(common: "EvaluationConfig") -> "State":

@@ -22,7 +22,6 @@ from moveset.data.bandai_captions import bandai_captions
 from moveset.data.compose import add_compositions
 from moveset.data.corpus import CorpusWriter
 from moveset.data.descriptions import STANDING_STILL, described, said_otherwise, spelled_out
-from moveset.data.folders import made
 from moveset.data.importing import cache_of, import_all, read_cached
 from moveset.data.raw import FREE, find_spans, find_takes, unpacked
 from moveset.data.records import ClipRecord
@@ -32,7 +31,7 @@ from moveset.data.takes import TakeRef
 from moveset.data.typos import mend, word_list
 from moveset.data.verbs import common_verbs
 from moveset.errors import InputError, MovesetError
-from moveset.io.limits import write_text, written_to
+from moveset.io.limits import make_folder, write_text, written_to
 from moveset.io.process import locked
 from moveset.motion.clip import Motion
 
@@ -239,11 +238,11 @@ def build_corpus(
             another process is building it.
         FormatError: an archive or a list is damaged.
     """
-    made(output.parent)
+    make_folder(output.parent)
     written_to(output)
     raw = unpacked(raw, output.parent / "raw", sources)
     refs, told = find_takes(raw, sources), find_spans(raw)
-    work = made(output.parent / f"{output.name}.work")
+    work = make_folder(output.parent / f"{output.name}.work")
     present = [ref for ref in refs if ref.path.is_file()]
     _refuse_doubles(present, work)
     with locked(work, f"another process is building {output}; wait for it, or choose another output"):

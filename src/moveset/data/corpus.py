@@ -21,7 +21,6 @@ from torch import Tensor
 
 from moveset.data.augment import bent, compose_body, compose_in_time, stretched
 from moveset.data.captions import mirror_text
-from moveset.data.folders import made
 from moveset.data.quantize import pack, unpack
 from moveset.data.records import ClipRecord, Part, Recipe, Run, record_from_json, record_to_json, run_from_json
 from moveset.data.splits import Split
@@ -306,7 +305,7 @@ class CorpusWriter:
         """
         from safetensors.torch import save
 
-        from moveset.io.limits import atomic_write
+        from moveset.io.limits import atomic_write, make_folder
 
         if not self._motions:
             raise InputError("there are no clips to write; every take was rejected or none was given")
@@ -332,7 +331,7 @@ class CorpusWriter:
         # One entry only: the order of several would differ from run to run.
         metadata = {_ENTRY: json.dumps(index, separators=(",", ":"))}
         path = Path(path)
-        made(path.parent)
+        make_folder(path.parent)
         with atomic_write(path) as file:
             file.write(save(tensors, metadata=metadata))
         return path

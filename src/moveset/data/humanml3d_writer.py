@@ -11,11 +11,10 @@ from tqdm import tqdm
 
 from moveset.data.corpus import Corpus
 from moveset.data.dataset import Clip, CorpusDataset
-from moveset.data.folders import made
 from moveset.data.humanml3d import HUMANML3D, Layout
 from moveset.data.splits import Split
 from moveset.errors import InputError, MovesetError
-from moveset.io.limits import write_text
+from moveset.io.limits import make_folder, write_text
 from moveset.motion.clip import Motion
 from moveset.motion.features import Normalizer, get_codec
 from moveset.motion.hml import HmlCodec
@@ -47,7 +46,7 @@ def write_humanml3d(corpus: Corpus, folder: Path, layout: Layout = HUMANML3D, *,
     dataset = CorpusDataset(corpus)
     if not dataset.split("train"):
         raise InputError("a corpus without a clip of the training split has no statistics; build it from more takes")
-    made(folder.parent)
+    make_folder(folder.parent)
     try:
         # Whole or not at all: half a data set reads as one.
         with TemporaryDirectory(prefix=f".{folder.name}.", dir=folder.parent) as place:

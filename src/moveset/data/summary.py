@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from moveset.data.corpus import Corpus
-from moveset.data.folders import made
 from moveset.data.verbs import count_verbs
+from moveset.io.limits import make_folder
 from moveset.io.manifest import json_object
 
 if TYPE_CHECKING:
@@ -82,7 +82,7 @@ def write_sheets(corpus: Corpus, folder: Path, count: int = 10, seed: int = 0) -
     for number, record in enumerate(corpus.records):
         if record.captions:
             by_source.setdefault(record.source if record.kind == "take" else record.kind, []).append(number)
-    made(folder)
+    make_folder(folder)
     paths = []
     for source, clips in by_source.items():
         chosen = sorted(random.Random(f"{source} {seed}").sample(clips, min(count, len(clips))))

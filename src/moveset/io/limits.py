@@ -63,6 +63,19 @@ def written_to(path: str | Path) -> Path:
     return target
 
 
+def make_folder(folder: Path, remedy: str = "choose another place") -> Path:
+    """A folder, which is made with those that it is in where they are missing.
+
+    Raises:
+        InputError: it cannot be made.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"cannot make the folder {folder}: {error.strerror or error}; {remedy}") from error
+    return folder
+
+
 def write_text(path: str | Path, text: str) -> None:
     """A UTF-8 file, by ``atomic_write``."""
     with atomic_write(path) as file:
