@@ -243,12 +243,24 @@ def test_a_training_that_ends_by_the_signal_that_all_were_sent_has_not_failed(tm
 def test_the_log_says_how_much_is_left_by_the_pace_so_far_and_less_what_has_run(tmp_path, monkeypatch):
     now, lines = [0.0], list[str]()
     monkeypatch.setattr(pipeline.time, "monotonic", lambda: now[0])
-    one, two, three = (Stage(name=name, needs=(), hours=hours) for name, hours in (("a", 1), ("b", 2), ("c", 1)))
+    one, two, three = (Stage(name=name, needs=(), hours=hours) for name, hours in (("a", 1.5), ("b", 2), ("c", 1)))
     log = pipeline._Log(tmp_path / "train.log", (one, two, three), lines.append)
     log.begin(one)
     log.begin(two)
-    now[0] = 2 * 3600.0  # twice as long as was expected
+    now[0] = 3.5 * 3600.0  # two hours more than was expected
     log.end(one)
     log.begin(three)
-    assert lines[0] == "a: begins, about 4 h 0 min of one core left"
-    assert lines[2:] == ["a: done in 2 h 0 min", "c: begins, about 4 h 0 min of one core left"]
+    assert lines[0] == "a: begins, about 4 h 30 min of one core left"
+    assert lines[2:] == ["a: done in 3 h 30 min", "c: begins, about 2 h 30 min of one core left"]
+
+
+def test_a_stage_of_a_minute_says_little_of_how_long_hours_take(tmp_path, monkeypatch):
+    now, lines = [0.0], list[str]()
+    monkeypatch.setattr(pipeline.time, "monotonic", lambda: now[0])
+    short, long = Stage(name="short", needs=(), hours=0.05), Stage(name="long", needs=(), hours=5.0)
+    log = pipeline._Log(tmp_path / "train.log", (short, long), lines.append)
+    log.begin(short)
+    now[0] = 10.0  # of three minutes
+    log.end(short)
+    log.begin(long)
+    assert lines[2] == "long: begins, about 4 h 34 min of one core left"

@@ -373,11 +373,14 @@ class _Log:
 
     def _left(self) -> str:
         """By what stages took so far, in terms of what was expected, and how long those that run have been running."""
-        pace, now = self._spent / self._expected if self._expected else 1.0, time.monotonic()
+        pace, now = (self._spent + _TRUSTED) / (self._expected + _TRUSTED), time.monotonic()
         whole = {stage.name: stage.hours * pace for stage in self._todo.values()}
         run = {name: (now - began) / 3600 for name, began in self._began.items() if name in whole}
         hours = sum(max(0.0, took - run.get(name, 0.0)) for name, took in whole.items())
         return f", about {_duration(hours)} of one core left" if hours else ""
+
+
+_TRUSTED = 0.5  # hours that pass before the pace says more than the recipe: a stage of a minute says little
 
 
 def _duration(hours: float) -> str:
