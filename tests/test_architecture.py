@@ -114,3 +114,10 @@ def test_the_package_ships_its_weights_and_types():
 
     data = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]["package-data"]["moveset"]
     assert {"weights/**/*", "py.typed"} <= set(data)
+
+
+def test_tests_that_share_run_together(request):
+    """pytest 9.2 hides the groups from pytest-xdist 3.8, silently: what a file's tests share was then made twice."""
+    if not getattr(request.config.option, "loadgroup", False):
+        pytest.skip("tests are not grouped here")
+    assert "@" in request.node.nodeid
