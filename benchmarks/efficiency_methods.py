@@ -23,7 +23,7 @@ from moveset.models.dip_decoder import DipDecoderConfig
 from moveset.models.flow import CouplingFlow, FlowConfig
 from moveset.models.segment_denoiser import SegmentDenoiser, SegmentDenoiserConfig, TextStates
 from moveset.models.segment_transformer import SegmentTransformerConfig
-from moveset.rdm.sampler import Denoiser, Settings, sample
+from moveset.rdm.sampler import Denoiser, Settings, Stream
 from moveset.rdm.sequential import Solver, rollout_chunks
 from moveset.rdm.staircase import Staircase, levels
 from moveset.rdm.transport import Transport
@@ -213,14 +213,14 @@ class Methods:
     ) -> Tensor:
         segments, batch = pieces(row, frames), tally.batch
         plan = staircase(row, steps, segments) if flow else Staircase(steps, segments, start=0)
-        made = sample(
+        pooled_BC = _noise(batch, self.flow.config.text_dim).to(self.device) if flow else None
+        made = Stream(
             _bound(network, *self._text(batch), tally, once=False),
             Transport(_TimedFlow(self.flow, tally) if flow else None),
             Settings(solver=_solver(steps, eta), staircase=plan), range(batch), (row.frames, network.config.features),
-            [_noise(batch, self.flow.config.text_dim).to(self.device)] * segments if flow else None,
-            device=self.device,
+            lambda segment: pooled_BC, device=self.device,
         )  # fmt: skip
-        return made.flatten(1, 2)[:, :frames]
+        return torch.cat(list(made), dim=1)[:, :frames]
 
     def _motiondiffuse(self, row: Row, network: nn.Module, steps: int, frames: int, tally: Tally, eta: float) -> Tensor:
         # One segment and no flow: the same sampler.
@@ -231,8 +231,9 @@ class Methods:
         denoiser = _bound(network, *self._text(tally.batch), tally, once=True)
         plan = Staircase(steps, pieces(row, frames), steps, lag=steps)
         settings = Settings(solver=_solver(steps, eta), staircase=plan)
-        made = sample(denoiser, Transport(None), settings, range(tally.batch), shape, device=self.device)
-        return made.flatten(1, 2)[:, :frames]
+        seeds = range(tally.batch)
+        made = Stream(denoiser, Transport(None), settings, seeds, shape, lambda segment: None, device=self.device)
+        return torch.cat(list(made), dim=1)[:, :frames]
 
     def _dip(self, row: Row, network: nn.Module, steps: int, frames: int, tally: Tally, eta: float) -> Tensor:
         copies = 1 if row.variant == UNGUIDED else 2

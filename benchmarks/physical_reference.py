@@ -29,9 +29,8 @@ def measured(clips: list[Tensor], fps: float) -> dict[str, list[float]]:
     """Each measure of each clip."""
     out: dict[str, list[float]] = {}
     for joints in clips:
-        found = measure(joints, fps)
-        for name in found.__dataclass_fields__:
-            out.setdefault(name, []).append(float(getattr(found, name)))
+        for name, found in measure(joints, fps).items():
+            out.setdefault(name, []).append(float(found))
         out.setdefault("skating_window_5", []).append(float(skating(joints, fps, window=5)))
     return out
 

@@ -226,7 +226,7 @@ def gather(out: Path) -> dict[str, Any]:
         curves.append(
             {
                 "variant": name, "base": base, "K": steps, "R": start, "lag": lag, "shape": shape, "variance": variance,
-                "calls": Staircase(steps, N, start, shape, lag).calls,
+                "calls": sum(map(len, Staircase(steps, N, start, shape, lag).wavefront())),
                 "metrics": {metric: Interval.of([one[metric] for one in seeds.values()]).to_json() for metric in first},
                 "minus_whole": _paired(seeds, whole if start < steps else {}),
                 "minus_base": _paired(seeds, rows.get((base, steps, start, base_lag, shape, variance), {})),

@@ -77,7 +77,7 @@ def inverse_kinematics(convention, joints, smooth):
 def reposed(convention, joints, lengths):
     """``joints`` (T, J, 3) on a body with the given bone lengths, by inverse and forward kinematics."""
     directions = convention.directions.numpy()
-    parents = convention.parents
+    parents = convention.skeleton.parents
     legs = convention.legs
     own = sum(np.linalg.norm(joints[0, j] - joints[0, parents[j]]) for j in legs)
     wanted = sum(np.abs(directions[j] * lengths[j]).max() for j in legs)
@@ -124,7 +124,7 @@ def extract(convention, joints, lengths, uniform=True):
 
 def recover(convention, features):
     """Positions (F, J, 3) from the root and position columns, frame by frame."""
-    count = len(convention.parents)
+    count = len(convention.skeleton.parents)
     angle, root, out = 0.0, np.zeros(3), []
     for t, row in enumerate(features):
         if t > 0:

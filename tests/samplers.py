@@ -4,7 +4,7 @@ import torch
 
 from moveset.diffusion.schedule import linear
 from moveset.rdm.noise import segment_noise
-from moveset.rdm.sampler import Settings, Stream, sample
+from moveset.rdm.sampler import Settings, Stream
 from moveset.rdm.sequential import Solver
 from moveset.rdm.staircase import levels
 from moveset.rdm.transport import Transport
@@ -65,11 +65,22 @@ def settings(plan, *, init_noise="independent", **options):
     return Settings(solver=solver(plan.steps, **options), staircase=plan, init_noise=init_noise)
 
 
+def sample(denoiser, transport, settings, seeds, shape, pooled=None):
+    """N segments (B, N, n, D); ``pooled`` has the sentence embeddings (B, C) of every one, for the flow."""
+    enter = (lambda segment: None) if pooled is None else pooled.__getitem__
+    return torch.stack(list(Stream(denoiser, transport, settings, seeds, shape, enter)), dim=1)
+
+
 def run(plan, transport=None, denoiser=None, **options):
     return sample(
         denoiser or Denoiser(), transport or Transport(Scaled()), settings(plan, **options), SEEDS, SHAPE,
         texts(plan.segments),
     )  # fmt: skip
+
+
+def calls(plan):
+    """Network evaluations of one segment each."""
+    return sum(map(len, plan.wavefront()))
 
 
 def rows(plan):

@@ -31,14 +31,13 @@ def fail(message: str, code: int) -> int:
     return code
 
 
-def exit_code_of(main: Callable[[], None]) -> int:
-    """Runs a program besides ``moveset``; what is wrong is said in one line, as ``moveset`` itself does."""
+def exit_code_of(main: Callable[[], int | None]) -> int:
+    """Runs a program, ``moveset`` or another; what is wrong is said in one line."""
     try:
-        main()
+        return main() or 0
     except MovesetError as error:
         return fail(str(error), error.exit_code)
     except KeyboardInterrupt:
         return fail("interrupted", 130)
     except Exception as error:
         return fail(f"{type(error).__name__}: {error} (MOVESET_DEBUG=1 shows where)", 1)
-    return 0

@@ -12,6 +12,7 @@ from moveset.evaluation.intervals import Interval
 from moveset.rdm.staircase import Staircase
 from moveset.training.tasks import load_recipe, with_settings
 from tests.evaluation.corpora import content_corpus
+from tests.samplers import calls
 
 
 @pytest.fixture
@@ -116,7 +117,7 @@ def test_points_that_are_there_are_kept_and_curves_have_intervals(grid, tiny_str
         (1, "parallelogram"), (1, "triangle"), (2, "parallelogram"), (2, "triangle")
     ]  # fmt: skip
     for curve in found["curves"]:
-        assert curve["calls"] == Staircase(2, 7, curve["R"], curve["shape"]).calls
+        assert curve["calls"] == calls(Staircase(2, 7, curve["R"], curve["shape"]))
         seeds = [values["fid"] for values in curve["seeds"].values()]
         assert len(seeds) == 2
         assert curve["metrics"]["fid"] == Interval.of(seeds).to_json()

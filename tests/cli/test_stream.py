@@ -192,15 +192,15 @@ def test_prompts_from_a_file_take_effect(stream, tmp_path):
 def test_a_named_pipe_is_read_from_one_writer_after_the_other(tmp_path):
     os.mkfifo(tmp_path / "pipe")
     found = []
-    with PromptLines(tmp_path / "pipe") as lines:
-        for text in ("a person bows", "a person waves"):
-            (tmp_path / "pipe").write_text(f"{text}\n")
-            end = time.monotonic() + 20.0
-            while len(found) < 1 or found[-1] != text:
-                assert time.monotonic() < end, found
-                found += lines.new()
-                time.sleep(0.01)
-        assert not lines.ended
+    lines = PromptLines(tmp_path / "pipe")
+    for text in ("a person bows", "a person waves"):
+        (tmp_path / "pipe").write_text(f"{text}\n")
+        end = time.monotonic() + 20.0
+        while len(found) < 1 or found[-1] != text:
+            assert time.monotonic() < end, found
+            found += lines.new()
+            time.sleep(0.01)
+    assert not lines.ended
 
 
 def test_of_prompts_that_come_at_once_the_last_that_can_be_told_counts(stream, tmp_path):

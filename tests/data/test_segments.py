@@ -161,12 +161,12 @@ def test_a_part_of_a_clip_is_told_by_its_own_sentence(corpus):
         assert seam == first.stop - first.start - record.recipe.blend // 2
         assert end == len(row)
         chance = [0.9, 0.0]
-        assert found.say(row, seam - N, N, chance) == row.said[0][0]
+        assert found.say(row, seam - N, N, chance)[0] == row.said[0][0]
         # More of the segment belongs to the second part.
-        assert found.say(row, seam - 3, N, chance) == row.said[1][0]
-        assert found.say(row, end - 5, N, chance) == row.said[1][0]
+        assert found.say(row, seam - 3, N, chance)[0] == row.said[1][0]
+        assert found.say(row, end - 5, N, chance)[0] == row.said[1][0]
     whole = corpus.cut(replace(PLAIN, whole_caption=1.0))
-    assert whole.say(two[0][1], 0, N, [0.9, 0.0]) == two[0][1].whole[0]
+    assert whole.say(two[0][1], 0, N, [0.9, 0.0])[0] == two[0][1].whole[0]
 
 
 def test_a_segment_lies_in_the_time_of_its_sentence(corpus):

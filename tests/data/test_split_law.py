@@ -41,7 +41,7 @@ def test_partners_and_overlapping_spans_are_on_one_side():
     spans = {
         "18_01": [Span("a", 0.0, 5.0, "test", ("one",)), Span("b", 6.0, 10.0, "train", ("two",))],
         "19_01": [Span("c", 4.0, 8.0, "train", ("three",)), Span("d", 9.0, 14.0, "val", ("four",))],
-        "20_01": [Span("e", 2.0, 6.0, "drop", ("five",))],
+        "20_01": [Span("e", 2.0, 6.0, None, ("five",))],
     }
     assert check(refs, spans, 400) > 5
     told = _Spans(refs, spans)

@@ -323,7 +323,7 @@ def test_a_table_of_another_width_does_not_fit(tmp_path, glove):
     write_official(tmp_path)
     np.save(glove / "our_vab_data.npy", np.zeros((len(VOCABULARY), 6)))
     with pytest.raises(FormatError, match="words of 6 numbers and 15 classes do not fit"):
-        import_official(tmp_path, glove)
+        import_official(read_official(tmp_path), glove)
 
 
 def test_the_command_fails_with_one_line(tmp_path, glove, capsys):

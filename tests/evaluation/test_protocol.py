@@ -37,7 +37,7 @@ def test_an_oracle_finds_all_real_motion_and_its_physical_measures_are_those_of_
     assert "multimodality" not in found
     measured = [measure(item.joints(), 20.0) for item in items.items]
     for name in ("skating", "jerk", "floating", "penetration", "root_drift"):
-        values = [getattr(one, name) for one in measured]
+        values = [one[name] for one in measured]
         assert found[name] == pytest.approx(float(torch.stack(values).double().mean()), rel=1e-6)
 
 

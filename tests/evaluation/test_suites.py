@@ -11,6 +11,7 @@ from moveset.evaluation.published import tables
 from moveset.evaluation.suites import CLIPS, REAL, STREAMS, chosen_rows, get_suite
 from moveset.pipelines.model_folder import shipped
 from moveset.rdm.staircase import Staircase
+from tests.samplers import calls
 
 SUITES = ("motionpcm", "rdm")
 
@@ -47,11 +48,11 @@ def test_staircases_are_those_that_the_sampler_knows():
             assert row.steps is not None
             shown = {key: value for key, value in row.settings.items() if key != "past_lag"}
             stairs[row.key] = Staircase(row.steps, 7, **shown)
-    assert stairs["disentangled"].calls == 10
-    assert stairs["triangle-7"].calls == 10 + 6 * 9 // 2
-    assert stairs["rdm-7"].calls == 70
+    assert calls(stairs["disentangled"]) == 10
+    assert calls(stairs["triangle-7"]) == 10 + 6 * 9 // 2
+    assert calls(stairs["rdm-7"]) == 70
     # One segment after the other, whatever a folder's own lag is.
-    assert stairs["sequential"].waves == stairs["noisy-past"].waves == 70
+    assert stairs["sequential"].end(6) == stairs["noisy-past"].end(6) == 70
 
 
 def test_rows_have_their_shipped_folders_or_no_weights():

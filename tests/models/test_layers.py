@@ -6,7 +6,8 @@ from torch import nn
 
 from moveset.errors import InputError
 from moveset.models.layers import Block, Positions, TimeEmbedding, time_embedding
-from moveset.models.skip_transformer import SkipTransformer, SkipTransformerConfig
+from moveset.models.skip_transformer import SkipTransformer
+from moveset.models.token_denoiser import TokenDenoiserConfig
 
 
 def _copy_attention(ours, theirs):
@@ -72,11 +73,11 @@ def test_positions_run_out_with_a_sentence():
 
 @pytest.mark.parametrize(("cross", "count"), [(False, 7_633_664), (True, 10_006_784)])
 def test_published_stack_sizes(cross, count):
-    assert sum(p.numel() for p in SkipTransformer(SkipTransformerConfig(), cross=cross).parameters()) == count
+    assert sum(p.numel() for p in SkipTransformer(TokenDenoiserConfig(), cross=cross).parameters()) == count
 
 
 def test_skips_are_last_in_first_out():
-    stack = SkipTransformer(SkipTransformerConfig(width=8, layers=5, heads=2, feed_forward=16), cross=False).eval()
+    stack = SkipTransformer(TokenDenoiserConfig(width=8, layers=5, heads=2, feed_forward=16), cross=False).eval()
     inputs: list[torch.Tensor] = []
     for join in stack.joins:
         join.register_forward_hook(lambda _module, args, _out: inputs.append(args[0]))
@@ -90,4 +91,4 @@ def test_skips_are_last_in_first_out():
 @pytest.mark.parametrize("bad", [{"layers": 8}, {"heads": 3}, {"width": 0}, {"dropout": 1.0}])
 def test_impossible_sizes_are_refused(bad):
     with pytest.raises(InputError):
-        SkipTransformerConfig(**bad)
+        TokenDenoiserConfig(**bad)

@@ -4,8 +4,8 @@ import pytest
 import torch
 from torch.nn import functional as fn
 
+from moveset.models.layers import sinusoids
 from moveset.models.selective_scan import Mamba, recurrence, selective_scan
-from moveset.models.sinusoids import sinusoids
 
 
 @pytest.fixture

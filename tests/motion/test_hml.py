@@ -112,7 +112,7 @@ def test_round_trip_below_a_hundredth_of_a_millimetre(name):
 
 def test_encoded_clips_have_the_datasets_body():
     joints = CODEC.joints(CODEC.encode(wander(30, 7)))
-    parents = list(HUMANML3D.parents[1:])
+    parents = list(HUMANML3D.skeleton.parents[1:])
     lengths = (joints[:, 1:] - joints[:, parents]).norm(dim=-1)
     assert (lengths - HUMANML3D.lengths[1:]).abs().max() < 1e-5
     assert joints[..., 1].min().abs() < 1e-5

@@ -30,10 +30,9 @@ def moved(frames: int, speed: float, height: float, joint: int = LEFT_TOE) -> to
 
 
 def test_a_standing_body_has_no_faults():
-    assert measures.measure(standing(10), FPS).mean() == {
-        "skating": 0.0, "jerk": 0.0, "acceleration": 0.0, "penetration": 0.0, "floating": 0.0,
-        "root_drift": 0.0,
-    }  # fmt: skip
+    found = measures.measure(standing(10), FPS)
+    assert list(found) == ["skating", "jerk", "acceleration", "penetration", "floating", "root_drift"]
+    assert not any(found.values())
 
 
 @pytest.mark.parametrize(
@@ -188,8 +187,8 @@ def test_batches_equal_single_clips():
     near = measures.boundary_jerk(clips, FPS, [10, 20]).near
     for place in itertools.product(range(2), range(3)):
         single = measures.measure(clips[place], FPS)
-        for name in single.__dataclass_fields__:
-            torch.testing.assert_close(getattr(batch, name)[place], getattr(single, name), msg=name)
+        for name, value in single.items():
+            torch.testing.assert_close(batch[name][place], value, msg=name)
         assert windowed[place] == measures.skating(clips[place], FPS, window=5)
         torch.testing.assert_close(near[place], measures.boundary_jerk(clips[place], FPS, [10, 20]).near)
 

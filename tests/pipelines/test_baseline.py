@@ -117,7 +117,8 @@ def test_chunks_go_on_from_the_frames_before(folders):
 def test_a_chunk_is_told_the_part_that_it_begins_in(folders):
     model = baseline(folders["chunks"], guidance=0.0)
     heard = []
-    model._encoded, encoded = lambda said: heard.append(tuple(said)) or encoded(said), model._encoded
+    text, encode = model._text, model._text.encode
+    text.encode = lambda said: heard.append(tuple(said)) or encode(said)
     model.generate([Request((WALK, BOW), (13, 12), 0)])
     assert [said for said in heard if said != ("",)] == [(WALK,)] * 8 + [(BOW,)] * 4
 
@@ -125,7 +126,8 @@ def test_a_chunk_is_told_the_part_that_it_begins_in(folders):
 def test_a_clip_of_two_parts_is_told_both(folders):
     model = baseline(folders["light"], guidance=0.0)
     heard = []
-    model._encoded, encoded = lambda said: heard.append(tuple(said)) or encoded(said), model._encoded
+    text, encode = model._text, model._text.encode
+    text.encode = lambda said: heard.append(tuple(said)) or encode(said)
     model.generate([Request((WALK, BOW), (13, 12), 0)])
     assert heard[0] == (f"{WALK} then {BOW}",)
 

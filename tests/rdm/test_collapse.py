@@ -15,10 +15,11 @@ import torch
 from moveset.diffusion.schedule import linear
 from moveset.rdm.grid import GridConfig, corrupt, draw
 from moveset.rdm.losses import masked_mse
-from moveset.rdm.sampler import Settings, sample
+from moveset.rdm.sampler import Settings
 from moveset.rdm.sequential import Solver
 from moveset.rdm.staircase import Staircase, levels
 from moveset.rdm.transport import Transport
+from tests.samplers import sample
 
 T, N, RADIUS, TURN = 100, 4, 1.5, math.radians(40)
 SCHEDULE, IDENTITY = linear(T, 1e-3, 0.2), Transport(None)

@@ -10,7 +10,7 @@ from moveset.diffusion.steps import denoise_step
 from moveset.errors import InputError
 from moveset.models.flow import FlowConfig
 from moveset.rdm.noise import START, segment_noise
-from moveset.rdm.sampler import Stream, sample
+from moveset.rdm.sampler import Stream
 from moveset.rdm.staircase import Staircase, levels
 from moveset.rdm.state import StreamState
 from moveset.rdm.transport import Transport
@@ -21,9 +21,11 @@ from tests.samplers import (
     SHAPE,
     Denoiser,
     Scaled,
+    calls,
     noise_of_items,
     run,
     run_by_rows,
+    sample,
     settings,
     texts,
 )
@@ -53,8 +55,8 @@ def test_a_wave_in_one_batch_is_every_cell_alone_to_the_last_bit(options):
         assert torch.equal(batched, one_by_one), plan
         assert batched.isfinite().all()
         assert batched.shape == (2, plan.segments, *SHAPE)
-        assert (together.segments, together.waves) == (plan.calls, plan.waves)
-        assert (alone.segments, alone.waves) == (plan.calls, plan.calls)
+        assert (together.segments, together.waves) == (calls(plan), plan.end(plan.segments - 1))
+        assert (alone.segments, alone.waves) == (calls(plan), calls(plan))
 
 
 def test_a_real_network_and_flow_agree_up_to_the_order_of_sums():
@@ -257,8 +259,3 @@ def test_noise_is_a_function_of_its_key():
 def test_settings_that_do_not_fit_are_refused(changed, message):
     with pytest.raises(InputError, match=message):
         run(Staircase(6, 3, 3), **changed)
-
-
-def test_a_sample_has_an_end():
-    with pytest.raises(InputError, match="without end"):
-        sample(Denoiser(), IDENTITY, settings(Staircase(6, None, 3)), SEEDS, SHAPE)

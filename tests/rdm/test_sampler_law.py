@@ -10,10 +10,9 @@ import pytest
 import torch
 
 from moveset.diffusion.schedule import linear
-from moveset.rdm.sampler import sample
 from moveset.rdm.staircase import Staircase
 from moveset.rdm.transport import Transport
-from tests.samplers import settings
+from tests.samplers import sample, settings
 
 SCHEDULE, REPEATS, N, KEEP = linear(), 4000, 4, 0.8
 A = KEEP * torch.tensor([[math.cos(0.5), -math.sin(0.5)], [math.sin(0.5), math.cos(0.5)]])

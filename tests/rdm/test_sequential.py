@@ -8,7 +8,7 @@ from moveset.errors import InputError
 from moveset.rdm.sequential import Past, Solver, rollout_chunks, sample_segment
 from moveset.rdm.staircase import Staircase
 from moveset.rdm.transport import Transport
-from tests.samplers import IDENTITY, SEEDS, SHAPE, Denoiser, Scaled, run, solver, texts
+from tests.samplers import IDENTITY, SEEDS, SHAPE, Denoiser, Scaled, calls, run, solver, texts
 
 
 def in_sequence(net, how, transport, text, seeds, count):
@@ -37,7 +37,7 @@ def test_in_sequence_is_the_staircase_that_waits_for_finished_segments(options, 
     want = run(plan, transport, oracle, **options)
     assert torch.equal(in_sequence(net, solver(5, **options), transport, texts(4), SEEDS, 4), want)
     assert net.seen == oracle.seen
-    assert net.waves == plan.calls == plan.waves
+    assert net.waves == calls(plan) == plan.end(3)
 
 
 def test_rows_of_unlike_streams_do_not_see_each_other():

@@ -28,7 +28,7 @@ class TinyTask(Task):
     stop_at = 0  # the step in which this process gets a SIGTERM
 
     def __init__(self, config: TinyConfig, loop: Loop) -> None:
-        self.config, self.steps = config, loop.config.steps
+        self.config = config
         self.generator = nn.Sequential(
             nn.Linear(5, config.width), nn.ReLU(), nn.Dropout(0.3), nn.Linear(config.width, 3)
         )
@@ -55,8 +55,8 @@ class TinyTask(Task):
     def optimizers(self):
         return self._optimizers
 
-    def learning_rates(self, step):
-        return {"generator": cosine_lr(step, self.config.lr, 3, self.steps)}
+    def learning_rates(self, step, steps):
+        return {"generator": cosine_lr(step, self.config.lr, 3, steps)}
 
     def batch(self, device):
         if self.position + self.config.batch > len(self.queue):

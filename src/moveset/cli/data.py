@@ -177,9 +177,9 @@ def import_evaluator(
             set. The published std.npy has it in it.
         json: Print one JSON object on stdout and nothing else.
     """
-    from moveset.evaluation.official import import_official
+    from moveset.evaluation.official import import_official, read_official
 
-    made = import_official(checkpoints, glove, dataset, statistics=statistics, bias=bias)
+    made = import_official(read_official(checkpoints, dataset, statistics=statistics, bias=bias), glove)
     made.save(output)
     weights = sum(p.numel() for p in made.module.parameters())
     if json:
@@ -229,4 +229,4 @@ def _folder_info(folder: Path, captions: int, json: bool) -> int:
     return 0
 
 
-COMMANDS = {"build": build, "info": info, "export": export, "import-evaluator": import_evaluator}
+data = {"build": build, "info": info, "export": export, "import-evaluator": import_evaluator}

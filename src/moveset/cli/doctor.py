@@ -26,14 +26,13 @@ def doctor(
         device: auto, cpu, cuda or mps.
         json: Print one JSON object on stdout and nothing else.
     """
-    report: dict[str, Any] = {"versions": _versions(), "checks": {}}
-    for name, check in {
-        "device": lambda: _device(device),
-        "weights": _weights,
-        "video": _video,
-        "self_test": lambda: _self_test(model, device),
-    }.items():
-        report["checks"][name] = _outcome(check)
+    checks = {
+        "device": _outcome(lambda: _device(device)),
+        "weights": _outcome(_weights),
+        "video": _outcome(_video),
+        "self_test": _outcome(lambda: _self_test(model, device)),
+    }
+    report: dict[str, Any] = {"versions": _versions(), "checks": checks}
     report["ok"] = all(check["ok"] for check in report["checks"].values())
     if json:
         print(jsonlib.dumps(report))

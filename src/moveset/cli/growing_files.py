@@ -1,6 +1,7 @@
 """The files that a stream writes while it runs; one that is as long as can be read back is followed by the next."""
 
 from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
@@ -83,11 +84,6 @@ class GrowingFiles:
             self.paths.append(path)
 
     def _close(self) -> None:
-        failure: Exception | None = None
-        for take in self._takes:
-            try:
-                self._end(take)
-            except Exception as error:  # the other files must be ended all the same
-                failure = failure or error
-        if failure is not None:
-            raise failure
+        with ExitStack() as stack:  # if one fails, the other files must be ended all the same
+            for take in reversed(self._takes):
+                stack.callback(self._end, take)

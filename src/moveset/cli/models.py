@@ -2,15 +2,11 @@
 
 import json as jsonlib
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import tyro
 
 from moveset.pipelines.role import Role, named
-
-if TYPE_CHECKING:
-    from moveset.pipelines.model_config import ClipConfig, StreamConfig
-    from moveset.pipelines.model_folder import ModelFolder
 
 
 def models(*, json: tyro.conf.FlagCreatePairsOff[bool] = False) -> int:
@@ -39,6 +35,14 @@ def describe(name: str, path: Path) -> dict[str, Any]:
 
     folder = ModelFolder.open(path)
     config = folder.config
+    if isinstance(config, StreamConfig):
+        limits: dict[str, Any] = {"network": config.network, "segment_seconds": config.segment / config.fps}
+    else:
+        limits = {
+            "lcm_steps": list(config.steps("lcm")),
+            "teacher": "teacher" in config.models,
+            "max_seconds": config.max_frames / config.fps,
+        }
     return {
         "name": name,
         "task": config.task,
@@ -53,28 +57,12 @@ def describe(name: str, path: Path) -> dict[str, Any]:
             for network, spec in config.models.items()
         },
         "pcm_steps": list(config.steps("pcm")),
-        **(stream_limits(folder) if isinstance(folder.config, StreamConfig) else clip_limits(folder)),
+        **limits,
         "fps": config.fps,
         "text_encoder": config.text_encoder,
         "guidance": dict(config.guidance),
         "provenance": dict(config.provenance),
     }
-
-
-def clip_limits(folder: "ModelFolder[ClipConfig]") -> dict[str, Any]:
-    """What is particular to text-to-motion."""
-    config = folder.config
-    return {
-        "lcm_steps": list(config.steps("lcm")),
-        "teacher": "teacher" in config.models,
-        "max_seconds": config.max_frames / config.fps,
-    }
-
-
-def stream_limits(folder: "ModelFolder[StreamConfig]") -> dict[str, Any]:
-    """What is particular to a stream."""
-    config = folder.config
-    return {"network": config.network, "segment_seconds": config.segment / config.fps}
 
 
 def tell(row: dict[str, Any]) -> None:

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from moveset.errors import InputError
+from moveset.io.limits import system_errors, written_to
 from moveset.pipelines.postprocess import Postprocess as Postprocess
 
 if TYPE_CHECKING:
@@ -24,7 +25,6 @@ def plan_outputs(outputs: Sequence[Path], names: Sequence[str]) -> list[list[Pat
             be written to.
     """
     from moveset.io import WRITABLE, check_name
-    from moveset.io.limits import written_to
 
     for path in outputs:
         check_name(path)
@@ -57,10 +57,8 @@ def write(
     start = time.perf_counter()
     motion = finish(motion)
     for path in paths:
-        try:
+        with system_errors(f"write {str(path)!r}", "choose another place", InputError):
             save(motion, path, metadata=metadata)
-        except OSError as error:
-            raise InputError(f"cannot write {str(path)!r}: {error.strerror or error}; choose another place") from error
         if finish.fps is not None and (kept := rate_of(motion.fps, path)) != motion.fps:
             print(f"moveset: {path} has {kept:g} frames a second, not {motion.fps:g}", file=sys.stderr)
     spent = round((time.perf_counter() - start) * 1e3, 3)
@@ -82,11 +80,9 @@ def check_folder(folder: Path) -> None:
     """
     if not folder.is_dir():
         raise InputError(f"folder {str(folder)!r} does not exist; create it first")
-    try:
-        # Asking the file system beats asking for permissions: a read-only disk grants them to root.
-        with tempfile.TemporaryFile(dir=folder):
-            pass
-    except OSError as error:
-        raise InputError(
-            f"cannot write to folder {str(folder)!r}: {error.strerror or error}; choose another"
-        ) from error
+    # Asking the file system beats asking for permissions: a read-only disk grants them to root.
+    with (
+        system_errors(f"write to folder {str(folder)!r}", "choose another", InputError),
+        tempfile.TemporaryFile(dir=folder),
+    ):
+        pass

@@ -5,7 +5,6 @@ import queue
 import sys
 import threading
 from pathlib import Path
-from typing import Self
 
 from moveset.errors import InputError
 
@@ -30,14 +29,8 @@ class PromptLines:
         # A named pipe ends when its last writer does: with this process among them the next one is heard, too.
         self._mode = os.O_RDWR if source.is_fifo() else os.O_RDONLY
         self._over = threading.Event()
-
-    def __enter__(self) -> Self:
         # A daemon: nobody can call off a read of standard input.
         threading.Thread(target=self._read, daemon=True).start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        pass
 
     @property
     def ended(self) -> bool:

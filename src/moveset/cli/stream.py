@@ -100,6 +100,7 @@ def stream(
         raise InputError("--loop needs an end or none at all; give --total S or --forever")
     from moveset.cli.growing_files import GrowingFiles, plan_takes
     from moveset.cli.prompt_lines import PromptLines
+    from moveset.io import load
     from moveset.io.process import noted_signals
     from moveset.pipelines.model_config import StreamConfig
     from moveset.pipelines.model_folder import ModelFolder
@@ -120,8 +121,9 @@ def stream(
         # Nobody said how long each prompt lasts, but it ends: so that all of them come, and know of it.
         request = check([length * share / request.seconds for share in request.durations])
     with ExitStack() as stack:
-        lines = None if prompts is None else stack.enter_context(PromptLines(prompts))
-        made = MotionStream(bundle, request, seed_motion=_clip(seed_motion), device=device)
+        lines = None if prompts is None else PromptLines(prompts)
+        begin = None if seed_motion is None else load(seed_motion)
+        made = MotionStream(bundle, request, seed_motion=begin, device=device)
         limit = None if forever else total if total is not None else None if lines else request.seconds
         frames = None if limit is None else max(1, round(limit * bundle.config.fps))
         signals = stack.enter_context(noted_signals())
@@ -147,11 +149,13 @@ def _run(
     forever: bool, realtime: bool, in_place: bool, json: bool,
 ) -> Sequence[float]:  # fmt: skip
     """Segments until there is a reason to stop; the latencies of the last thousand."""
+    from tqdm import tqdm
+
     latencies: deque[float] = deque(maxlen=1000)
     begun, done = time.monotonic(), 0
     each = made.bundle.config.segment
     warn(made.warnings)
-    with _progress(frames) as bar:
+    with tqdm(total=frames, delay=2.0, disable=None, unit="frame", leave=False) as bar:
         while frames is None or done < frames:
             live = lines is not None and not lines.ended
             if realtime or live:
@@ -213,14 +217,6 @@ def _held_in_place(motion: "Motion") -> "Motion":
     return replace(motion, root=root)
 
 
-def _clip(path: Path | None) -> "Motion | None":
-    if path is None:
-        return None
-    from moveset.io import load
-
-    return load(path)
-
-
 def _notes(made: "MotionStream", request: "StreamRequest") -> dict[str, str | int | float]:
     """What the files tell about how they were made."""
     from moveset import __version__
@@ -270,12 +266,6 @@ def _tell_unseen(request: "StreamRequest", frames: int | None, each: int) -> Non
     ]
     if unseen:
         print(f"moveset: the stream ends before {', '.join(map(repr, unseen))}; make it longer", file=sys.stderr)
-
-
-def _progress(frames: int | None) -> Any:
-    from tqdm import tqdm
-
-    return tqdm(total=frames, delay=2.0, disable=not sys.stderr.isatty(), unit="frame", leave=False)
 
 
 def _summary(files: Any, made: "MotionStream", latencies: Sequence[float]) -> None:

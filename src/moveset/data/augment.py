@@ -13,8 +13,8 @@ from torch import Tensor
 from moveset.data.posture import standing
 from moveset.errors import InputError
 from moveset.motion import bend, rotations
-from moveset.motion.clip import Motion
-from moveset.motion.features import get_codec
+from moveset.motion.clip import Motion, between_frames, concatenate
+from moveset.motion.native import NativeCodec
 from moveset.motion.skeleton import HML22
 from moveset.motion.smoothing import spans
 
@@ -100,10 +100,7 @@ def compose_in_time(a: Motion, b: Motion, blend_frames: int) -> Motion:
     turned = rotations.mul(rotations.yaw(angle[-1]), rotations.inv(rotations.heading(last.rotations[0, 0])))
     shift = (place[-1] - rotations.rotate(turned, last.root[0])) * torch.tensor((1.0, 0.0, 1.0))
     rest = last.transformed(turned, shift)[1:]
-    parts = (a[: len(a) - n], blended, rest)
-    return replace(
-        a, rotations=torch.cat([p.rotations for p in parts]), root=torch.cat([p.root for p in parts])
-    ).canonical()
+    return concatenate([a[: len(a) - n], blended, rest]).canonical()
 
 
 def _without_heading(motion: Motion) -> Tensor:
@@ -116,15 +113,7 @@ def stretched(motion: Motion, frames: int) -> Motion:
     """The whole motion, slower or faster, in another number of frames: slerp between frames, linear for the root."""
     if frames == len(motion):
         return motion
-    where = torch.linspace(0, len(motion) - 1, frames)
-    low = where.long().clamp(max=max(len(motion) - 2, 0))
-    high = (low + 1).clamp(max=len(motion) - 1)
-    t = (where - low)[:, None]
-    return replace(
-        motion,
-        rotations=rotations.slerp(motion.rotations[low], motion.rotations[high], t),
-        root=torch.lerp(motion.root[low], motion.root[high], t),
-    )
+    return between_frames(motion, torch.linspace(0, len(motion) - 1, frames))
 
 
 def compose_body(upper: Motion, lower: Motion, arms: Arms = "both") -> Motion:
@@ -155,7 +144,7 @@ def bent(motion: Motion, turn: float, sharp: bool) -> Motion:
         turn: radians.
         sharp: in the middle of the way, as around a corner; otherwise all along it.
     """
-    codec = get_codec("native")
+    codec = NativeCodec()
     features = codec.encode(motion)
     way = float(bend.steps(features[:-1], codec).sum())
     width = min(abs(turn) * corner_radius(motion), way) if sharp else way

@@ -36,23 +36,18 @@ def _constants() -> dict[str, tuple[str, Tensor]]:
         "spine3": ("Chest", _Y, _Z, None),
         "neck": ("Neck", _Y, _Z, turn("x", -3.0)),
         "head": ("Head", _Y, _Z, turn("x", -8.0)),
-        "left_collar": ("Shoulder_L", _X, _Y, turn("y", -18.0)),
-        "right_collar": ("Shoulder_R", _X, -_Y, turn("y", 17.0)),
-        "left_shoulder": ("UpperArm_L", _X, _Y, None),
-        "right_shoulder": ("UpperArm_R", _X, -_Y, None),
-        "left_elbow": ("LowerArm_L", _X, _Y, None),
-        "right_elbow": ("LowerArm_R", _X, -_Y, None),
-        "left_wrist": ("Hand_L", _X, _Y, None),
-        "right_wrist": ("Hand_R", _X, -_Y, None),
-        "left_hip": ("UpperLeg_L", -_Y, _X, None),
-        "right_hip": ("UpperLeg_R", _Y, _X, None),
-        "left_knee": ("LowerLeg_L", -_Y, _X, None),
-        "right_knee": ("LowerLeg_R", _Y, _X, None),
-        "left_ankle": ("Foot_L", toe, _X, turn("x", -13.5)),
-        "right_ankle": ("Foot_R", -toe, _X, turn("x", -13.5)),
-        "left_foot": ("Toes_L", _Z, _X, turn("x", -23.0)),
-        "right_foot": ("Toes_R", -_Z, _X, turn("x", -23.0)),
     }
+    for side, end, sign, sag in (("left", "L", 1.0, -18.0), ("right", "R", -1.0, 17.0)):
+        table |= {
+            f"{side}_collar": (f"Shoulder_{end}", _X, sign * _Y, turn("y", sag)),
+            f"{side}_shoulder": (f"UpperArm_{end}", _X, sign * _Y, None),
+            f"{side}_elbow": (f"LowerArm_{end}", _X, sign * _Y, None),
+            f"{side}_wrist": (f"Hand_{end}", _X, sign * _Y, None),
+            f"{side}_hip": (f"UpperLeg_{end}", -sign * _Y, _X, None),
+            f"{side}_knee": (f"LowerLeg_{end}", -sign * _Y, _X, None),
+            f"{side}_ankle": (f"Foot_{end}", sign * toe, _X, turn("x", -13.5)),
+            f"{side}_foot": (f"Toes_{end}", sign * _Z, _X, turn("x", -23.0)),
+        }
     return {
         joint: (source, _undo(x, y) if extra is None else rotations.mul(_undo(x, y), extra))
         for joint, (source, x, y, extra) in table.items()

@@ -9,7 +9,7 @@ import shutil
 import sys
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, replace
 from hashlib import sha256
 from itertools import groupby, pairwise
 from pathlib import Path
@@ -63,10 +63,10 @@ class BuildReport:
     clips: int
     compositions: int
     seconds: float
-    rejected: dict[str, str] = field(default_factory=dict)
-    trimmed: dict[str, str] = field(default_factory=dict)
-    spans: dict[str, str] = field(default_factory=dict)
-    mended: dict[str, str] = field(default_factory=dict)
+    rejected: dict[str, str]
+    trimmed: dict[str, str]
+    spans: dict[str, str]
+    mended: dict[str, str]
 
 
 def cut(frames: int, longest: int = MAX_FRAMES) -> list[tuple[int, int]]:
@@ -312,7 +312,9 @@ def _upright(
         if take.reason:
             trimmed[ref.name] = take.reason
         found.append((ref, [(run.first_frame, run.rotations, run.root) for run in take.runs]))
-    if found and found[0][0].levelled:
+    if not found:
+        return
+    if found[0][0].levelled:
         leaning = posture.leanings([(local, root) for _, runs in found for _, local, root in runs])
         if leaning is not None:
             found = [
@@ -320,7 +322,7 @@ def _upright(
                 for ref, runs in found
             ]
     own = [min(posture.floor_of(local, root) for _, local, root in runs) for _, runs in found]
-    for (ref, runs), floor in zip(found, posture.floors(own, [ref.subject for ref, _ in found]), strict=True):
+    for (ref, runs), floor in zip(found, posture.floors(own), strict=True):
         yield ref, [(first, posture.on_floor(local, root, floor)) for first, local, root in runs]
 
 

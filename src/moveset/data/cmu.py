@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from moveset.data import glitches
-from moveset.data.hml22_calibration import FPS, assemble, chain, turn
+from moveset.data.hml22_calibration import FPS, assemble, turn
 from moveset.data.listing import read_listing
 from moveset.data.resample import resampled
 from moveset.data.takes import ImportedRun, ImportedTake, RejectedTake, TakeRef
@@ -154,7 +154,7 @@ def _from_amc(ref: TakeRef, skeleton: Path) -> tuple[Tensor, Tensor]:
         thigh = asf.vectors[where[s + "femur"]]
         splay = rotations.between(thigh.new_tensor((0.0, -1.0, 0.0)), thigh)
         constant |= {f"{side}_hip": splay, f"{side}_knee": splay, f"{side}_shoulder": turn("x", -30.0)}
-        constant |= {f"{side}_ankle": chain(splay, flat), f"{side}_foot": chain(splay, flat)}
+        constant |= {f"{side}_{part}": rotations.mul(splay, flat) for part in ("ankle", "foot")}
     ours = {joint: turned[:, where[bone]] for joint, bone in source.items()}
     hips = ends[:, [where["lhipjoint"], where["rhipjoint"]]].mean(dim=1)
     leg = sum(asf.length(bone) for bone in ("lfemur", "ltibia", "rfemur", "rtibia")) / 2
@@ -176,7 +176,7 @@ def _from_bvh(ref: TakeRef) -> tuple[Tensor, Tensor]:
         sag = turn("z", -8.7 if out > 0 else 8.5)
         constant |= {f"{side}_hip": turn("x", 5.0), f"{side}_knee": turn("x", 5.0), f"{side}_ankle": turn("x", -2.6)}
         constant |= {f"{side}_foot": turn("x", -2.6), f"{side}_elbow": sag, f"{side}_wrist": sag}
-        constant[f"{side}_shoulder"] = chain(sag, turn("x", -30.0))
+        constant[f"{side}_shoulder"] = rotations.mul(sag, turn("x", -30.0))
     ours = {joint: turned[:, where[bone]] for joint, bone in source.items()}
     hips = placed[:, [where["lThigh"], where["rThigh"]]].mean(dim=1) * _BVH_METRES
     bones = ("lShin", "lFoot", "rShin", "rFoot")

@@ -9,9 +9,10 @@ same clips give the same recipes.
 import math
 import random
 import re
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property, partial
 
 import torch
 from torch import Tensor
@@ -23,7 +24,6 @@ from moveset.data.descriptions import without_person
 from moveset.data.english import inflect
 from moveset.data.passages import STRAIGHT, find_gait, find_rises
 from moveset.data.records import ClipRecord, Kind, Part, Recipe
-from moveset.data.splits import Split
 from moveset.data.verbs import LOCOMOTION, STANDING
 from moveset.motion import rotations
 from moveset.motion.clip import Motion
@@ -81,12 +81,35 @@ _SUBJECTS = ("a person", "a person", "someone", "a man", "the person", "a woman"
 
 @dataclass(frozen=True, eq=False)
 class _Clip:
-    """A stored clip with sentences, possibly to be used mirrored."""
+    """A stored clip, possibly to be used mirrored."""
 
+    writer: CorpusWriter
     number: int
-    record: ClipRecord
-    sentences: tuple[str, ...]
     mirrored: bool
+
+    @property
+    def record(self) -> ClipRecord:
+        return self.writer.records[self.number]
+
+    @cached_property
+    def sentences(self) -> tuple[str, ...]:
+        sentences = self.writer.sentences(self.record)
+        return tuple(mirror_text(s) for s in sentences) if self.mirrored else sentences
+
+    @cached_property
+    def motion(self) -> Motion:
+        motion = self.writer.motion(self.record)
+        return motion.mirrored() if self.mirrored else motion
+
+    @cached_property
+    def poses(self) -> Tensor:
+        """(F - 1, D) poses and velocities in the body's own heading, metres and 0.2 m/s, to compare places to cut."""
+        motion = self.motion
+        facing = rotations.inv(rotations.heading(motion.rotations[:, 0]))[:, None]
+        joints = motion.joints[:, [*motion.skeleton.feet, 0, 15, 20, 21]]
+        place = rotations.rotate(facing, joints - motion.root[:, None] * torch.tensor((1.0, 0.0, 1.0)))
+        speed = rotations.rotate(facing[:-1], joints[1:] - joints[:-1]) * motion.fps * 0.2
+        return torch.cat((place[:-1], speed), dim=1).flatten(1)
 
     def short(self) -> list[str]:
         """Sentences that can be halves of one: short, and not about one thing after another."""
@@ -103,19 +126,17 @@ class _Made:
 
 
 class _Pool:
-    """The clips of one split; ``records`` are those that have sentences."""
+    """The clips of training; ``records`` are those that have sentences."""
 
-    def __init__(self, writer: CorpusWriter, split: Split) -> None:
+    def __init__(self, writer: CorpusWriter) -> None:
         self._writer = writer
-        self._motions: dict[tuple[int, bool], Motion] = {}
-        self._poses: dict[tuple[int, bool], Tensor] = {}
-        takes = [(k, r) for k, r in enumerate(writer.records) if r.kind == "take" and r.split == split]
+        # One object a clip, for what is computed of it is kept there.
+        self._clip = cache(partial(_Clip, writer))
+        takes = [(k, r) for k, r in enumerate(writer.records) if r.kind == "take" and r.split == "train"]
         self._takes = [(k, r) for k, r in takes if r.frames >= _SHORTEST]
         self.records = [(k, r) for k, r in self._takes if r.captions]
         #: Rare things are drawn more often than their number of clips.
-        counts: dict[tuple[str, ...], int] = {}
-        for _, record in self.records:
-            counts[record.contents] = counts.get(record.contents, 0) + 1
+        counts = Counter(record.contents for _, record in self.records)
         self.weights = [record.weight * counts[record.contents] ** -0.5 for _, record in self.records]
 
     @cached_property
@@ -123,46 +144,24 @@ class _Pool:
         """Clips of nothing but a gait, and the frames of each that can be repeated."""
         found = []
         for number, record in self.records:
-            clip = _Clip(number, record, self._writer.sentences(record), False)
+            clip = self._clip(number, False)
             if len(record.contents) == 1 and record.contents[0] in LOCOMOTION and _ahead(clip):
-                gait = find_gait(self.motion(clip), self.poses(clip), _BLEND)
+                gait = find_gait(clip.motion, clip.poses, _BLEND)
                 found += [(clip, *gait)] if gait else []
         return found
 
     @cached_property
     def rises(self) -> list[tuple[_Clip, int, int]]:
         """Clips, told or not, in which somebody gets up from rest, and the frames of each from there until upright."""
-        found = [(k, r, span) for k, r in self._takes for span in find_rises(self._writer.motion(r))]
-        return [(_Clip(k, r, (), mirrored), *span) for k, r, span in found for mirrored in (False, True)]
+        found = [(k, span) for k, r in self._takes for span in find_rises(self._writer.motion(r))]
+        return [(self._clip(k, mirrored), *span) for k, span in found for mirrored in (False, True)]
 
     def pick(self, chance: random.Random, wanted: Callable[[ClipRecord], bool] = lambda record: True) -> _Clip | None:
         """A clip of a wanted kind; None if none was found."""
         for number, record in chance.choices(self.records, self.weights, k=40) if self.records else ():
             if wanted(record):
-                mirrored = chance.random() < 0.5
-                sentences = self._writer.sentences(record)
-                told = tuple(mirror_text(s) for s in sentences) if mirrored else sentences
-                return _Clip(number, record, told, mirrored)
+                return self._clip(number, chance.random() < 0.5)
         return None
-
-    def motion(self, clip: _Clip) -> Motion:
-        key = (clip.number, clip.mirrored)
-        if key not in self._motions:
-            motion = self._writer.motion(clip.record)
-            self._motions[key] = motion.mirrored() if clip.mirrored else motion
-        return self._motions[key]
-
-    def poses(self, clip: _Clip) -> Tensor:
-        """(F - 1, D) poses and velocities in the body's own heading, metres and 0.2 m/s, to compare places to cut."""
-        key = (clip.number, clip.mirrored)
-        if key not in self._poses:
-            motion = self.motion(clip)
-            facing = rotations.inv(rotations.heading(motion.rotations[:, 0]))[:, None]
-            joints = motion.joints[:, [*motion.skeleton.feet, 0, 15, 20, 21]]
-            place = rotations.rotate(facing, joints - motion.root[:, None] * torch.tensor((1.0, 0.0, 1.0)))
-            speed = rotations.rotate(facing[:-1], joints[1:] - joints[:-1]) * motion.fps * 0.2
-            self._poses[key] = torch.cat((place[:-1], speed), dim=1).flatten(1)
-        return self._poses[key]
 
 
 def add_compositions(writer: CorpusWriter, train: int = 3000, seed: int = 0, *, progress: bool = False) -> int:
@@ -172,7 +171,7 @@ def add_compositions(writer: CorpusWriter, train: int = 3000, seed: int = 0, *, 
     """
     from tqdm import tqdm
 
-    pool, chance = _Pool(writer, "train"), random.Random(f"compositions, seed {seed}")
+    pool, chance = _Pool(writer), random.Random(f"compositions, seed {seed}")
     ways = [way for way, share in _WAYS.items() for _ in range(share)]
     seen: set[Recipe] = set()
     with tqdm(total=train, desc="compositions", unit="", disable=not progress) as bar:
@@ -208,9 +207,7 @@ def _add(writer: CorpusWriter, name: str, made: _Made) -> None:
     writer.add_clip(record, made.captions)
 
 
-def _joined(
-    pool: _Pool, a: _Clip, b: _Clip, span: tuple[int, int] | None = None, since: int = 0
-) -> tuple[Recipe, int] | None:
+def _joined(a: _Clip, b: _Clip, span: tuple[int, int] | None = None, since: int = 0) -> tuple[Recipe, int] | None:
     """``b`` after ``a`` where they are most alike, if they are alike enough.
 
     Args:
@@ -226,7 +223,7 @@ def _joined(
     half = _BLEND // 2
     rows = torch.tensor(stops).sub(half).clamp(0, a.record.frames - 2)
     columns = torch.tensor(starts).add(half).clamp(0, frames_b - 2)
-    apart = torch.cdist(pool.poses(a)[rows], pool.poses(b)[columns])
+    apart = torch.cdist(a.poses[rows], b.poses[columns])
     best = int(apart.argmin())
     stop, start = stops[best // len(columns)], starts[best % len(columns)]
     if float(apart.flatten()[best]) > _ALIKE or not 1 <= _BLEND < min(stop - begin, frames_b - start):
@@ -248,27 +245,27 @@ def _then(pool: _Pool, chance: random.Random) -> _Made | None:
         return None
     left = MAX_FRAMES - round(0.7 * a.record.frames)
     b = pool.pick(chance, lambda r: 0.7 * r.frames <= left and r.contents != a.record.contents)
-    return _told(pool, a, b, _THEN, chance)
+    return _told(a, b, _THEN, chance)
 
 
 def _stop(pool: _Pool, chance: random.Random) -> _Made | None:
     a = pool.pick(chance, lambda r: r.frames <= 160 and STANDING not in r.contents)
     b = pool.pick(chance, lambda r: r.contents == (STANDING,))
-    return _told(pool, a, b, _STOPS, chance)
+    return _told(a, b, _STOPS, chance)
 
 
 def _start(pool: _Pool, chance: random.Random) -> _Made | None:
     a = pool.pick(chance, lambda r: r.contents == (STANDING,) and r.frames <= 80)
     b = pool.pick(chance, lambda r: r.frames <= 160 and STANDING not in r.contents)
-    return _told(pool, a, b, _STARTS, chance)
+    return _told(a, b, _STARTS, chance)
 
 
-def _told(pool: _Pool, a: _Clip | None, b: _Clip | None, ways: Sequence[str], chance: random.Random) -> _Made | None:
+def _told(a: _Clip | None, b: _Clip | None, ways: Sequence[str], chance: random.Random) -> _Made | None:
     """``a`` and ``b`` joined, told by halves of sentences."""
     if a is None or b is None:
         return None
     first, second = a.short(), [told for s in b.short() if (told := without_person(s))]
-    if not first or not second or (found := _joined(pool, a, b)) is None:
+    if not first or not second or (found := _joined(a, b)) is None:
         return None
     said = []
     for way in chance.sample(ways, 3):
@@ -283,9 +280,9 @@ def _body(pool: _Pool, chance: random.Random) -> _Made | None:
     if lower is None or upper is None or not (arms := [told for s in upper.short() if (told := without_person(s))]):
         return None
     frames = min(lower.record.frames, upper.record.frames, MAX_FRAMES)
-    legs = pool.motion(lower)[:frames]
+    legs = lower.motion[:frames]
     # The arms' own legs must stand upright: what a body does lying down or bent over is no business of the arms.
-    if frames < 32 or legs_differ(pool.motion(upper)[:frames], legs):
+    if frames < 32 or legs_differ(upper.motion[:frames], legs):
         return None
     verb = lower.record.contents[0]
     way = inflect(verb, "ing") if verb != STANDING else "standing"
@@ -302,7 +299,7 @@ def _bent(pool: _Pool, chance: random.Random) -> _Made | None:
     clip = pool.pick(chance, lambda r: len(r.contents) == 1 and r.contents[0] in LOCOMOTION)
     if clip is None:
         return None
-    motion, frames = pool.motion(clip), min(clip.record.frames, MAX_FRAMES)
+    motion, frames = clip.motion, min(clip.record.frames, MAX_FRAMES)
     path = motion.root[:frames, [0, 2]]
     way, reach = float(path.diff(dim=0).norm(dim=1).sum()), float((path[-1] - path[0]).norm())
     ahead = rotations.rotate(rotations.inv(rotations.heading(motion.rotations[0, 0])), motion.root[-1] - motion.root[0])
@@ -362,9 +359,9 @@ def _setting_off(pool: _Pool, chance: random.Random) -> _Made | None:
         return None
     gait, start, stop = chance.choice(pool.gaits)
     told = [sentence for s in _ahead(gait) if (sentence := without_person(s))]
-    path = pool.motion(gait).root[:, [0, 2]]
+    path = gait.motion.root[:, [0, 2]]
     leaves = int(((path - path[0]).norm(dim=1) > _LEFT).int().argmax())
-    if not told or (found := _joined(pool, still, gait, since=max(0, leaves - _SHORTEST))) is None:
+    if not told or (found := _joined(still, gait, since=max(0, leaves - _SHORTEST))) is None:
         return None
     standing, going = found[0].parts
     once, longer = stop - going.start, stop - start - _BLEND
@@ -384,7 +381,7 @@ def _rising(pool: _Pool, chance: random.Random) -> _Made | None:
         return None
     clip, start, stop = chance.choice(pool.rises)
     still = pool.pick(chance, lambda r: r.contents == (STANDING,))
-    if still is None or (found := _joined(pool, clip, still, (start, stop))) is None:
+    if still is None or (found := _joined(clip, still, (start, stop))) is None:
         return None
     said = (way.format(s=chance.choice(_SUBJECTS)) for way in chance.sample(_UP, 3))
     return _Made("rising", *found, ("rise", STANDING), tuple(dict.fromkeys(said)))

@@ -10,7 +10,7 @@ stored as recipes and made when asked for; mirrored clips are derived.
 import hashlib
 import json
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cached_property, reduce
 from itertools import accumulate
 from pathlib import Path
@@ -33,10 +33,10 @@ VERSION = 2
 _ENTRY = "moveset corpus"
 _REMEDY = "build the corpus again"
 _MAX_BYTES = 16 * 2**30
-_MAX_HEADER = 100 * 2**20
 _SKELETONS = {"hml22": HML22, "kit21": KIT21}
 
 
+@dataclass(eq=False, repr=False)
 class Corpus:
     """Clips with captions, read from one file. Open one with ``Corpus.open``.
 
@@ -44,22 +44,12 @@ class Corpus:
     mirror image with left and right exchanged in motion, sentences and labels alike.
     """
 
-    def __init__(
-        self,
-        records: tuple[ClipRecord, ...],
-        runs: tuple[Run, ...],
-        strings: tuple[str, ...],
-        skeleton: Skeleton,
-        packed: Tensor,
-        root: Tensor,
-    ) -> None:
-        self.records = records
-        self.runs = runs
-        self.strings = strings
-        self.skeleton = skeleton
-        self._packed = packed
-        self._root = root
-        self._starts = tuple(accumulate((run.frames for run in runs), initial=0))
+    records: tuple[ClipRecord, ...]
+    runs: tuple[Run, ...]
+    strings: tuple[str, ...]
+    skeleton: Skeleton
+    _packed: Tensor
+    _root: Tensor
 
     @classmethod
     def open(cls, path: str | Path) -> "Corpus":
@@ -69,8 +59,7 @@ class Corpus:
             InputError: the file is missing.
             FormatError: it is not a corpus, of another version, or damaged (a checksum covers every byte).
         """
-        index = _checked_index(Path(path))
-        tensors = _tensors(Path(path), index)
+        index, tensors = _read(Path(path))
         try:
             skeleton = _SKELETONS[index["skeleton"]]
             strings = tuple(str(s) for s in index["strings"])
@@ -118,7 +107,10 @@ class Corpus:
         record = self._record(i)
         if record.recipe is None:
             assert record.run is not None
-            motion = self._frames(record.run, record.first_frame, record.frames, record.fps)
+            start = self._starts[record.run] + record.first_frame - self.runs[record.run].first_frame
+            span = slice(start, start + record.frames)
+            turned, root = unpack(self._packed[span]), self._root[span].clone()
+            motion = Motion(turned, root, record.fps, self.skeleton).canonical()
         else:
             motion = compose(record.kind, record.recipe, [self._part(p) for p in record.recipe.parts])
         return motion.mirrored() if mirrored else motion
@@ -158,10 +150,9 @@ class Corpus:
         fps = {record.run: record.fps for record in self.records if record.run is not None}
         return sum(run.frames / fps[k] for k, run in enumerate(self.runs))
 
-    def _frames(self, run: int, first: int, count: int, fps: float) -> Motion:
-        start = self._starts[run] + first - self.runs[run].first_frame
-        span = slice(start, start + count)
-        return Motion(unpack(self._packed[span]), self._root[span].clone(), fps, self.skeleton).canonical()
+    @cached_property
+    def _starts(self) -> tuple[int, ...]:
+        return tuple(accumulate((run.frames for run in self.runs), initial=0))
 
     def _record(self, i: int) -> ClipRecord:
         if not 0 <= i < len(self.records):
@@ -184,36 +175,30 @@ def compose(kind: str, recipe: Recipe, parts: Sequence[Motion]) -> Motion:
     return compose_body(*parts, recipe.arms)
 
 
-def _checked_index(path: Path) -> dict[str, Any]:
+def _read(path: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:
+    """The index and the tensors of a file, which match their checksum."""
+    from safetensors import SafetensorError, safe_open
+
     if not path.is_file():
         raise InputError(f"there is no corpus at {path}; make one with 'moveset data build'")
-    size = path.stat().st_size
-    with path.open("rb") as file:
-        length = int.from_bytes(file.read(8), "little")
-        if size > _MAX_BYTES or not 2 <= length <= min(_MAX_HEADER, size - 8):
-            raise FormatError(f"{path} is not a corpus: its header claims {length} of {size} bytes; build it again")
-        header = json_object(file.read(length), path, _REMEDY)
-    metadata = header.get("__metadata__")
-    if not isinstance(metadata, dict) or not isinstance(metadata.get(_ENTRY), str):
-        raise FormatError(f"{path} is not a moveset corpus; make one with 'moveset data build'")
-    index = json_object(metadata[_ENTRY], path, _REMEDY)
-    if index.get("version") != VERSION:
-        raise FormatError(f"{path} is a corpus of version {index.get('version')}, not {VERSION}; build it again")
-    return index
-
-
-def _tensors(path: Path, index: dict[str, Any]) -> dict[str, Tensor]:
-    from safetensors import SafetensorError
-    from safetensors.torch import load_file
-
+    if path.stat().st_size > _MAX_BYTES:
+        raise FormatError(f"{path} is not a corpus: it is larger than {_MAX_BYTES >> 30} GB; build it again")
     try:
-        tensors = load_file(path)
+        with safe_open(path, framework="pt") as file:
+            entry = (file.metadata() or {}).get(_ENTRY)
+            if entry is None:
+                raise FormatError(f"{path} is not a moveset corpus; make one with 'moveset data build'")
+            index = json_object(entry, path, _REMEDY)
+            if index.get("version") != VERSION:
+                version = index.get("version")
+                raise FormatError(f"{path} is a corpus of version {version}, not {VERSION}; build it again")
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
     except (SafetensorError, ValueError) as error:
-        raise FormatError(f"{path} is damaged ({error}); build the corpus again") from None
+        raise FormatError(f"{path} is not a corpus, or damaged ({error}); build the corpus again") from None
     digest = index.pop("sha256", None)
     if set(tensors) != {"rotations", "root", "offsets"} or _digest(tensors, index) != digest:
         raise FormatError(f"{path} is damaged: its contents do not match their checksum; build the corpus again")
-    return tensors
+    return index, tensors
 
 
 def _digest(tensors: dict[str, Tensor], index: dict[str, Any]) -> str:

@@ -269,13 +269,12 @@ class FolderDataset:
     def __init__(self, data: HumanML3D) -> None:
         self.data, self.name = data, data.folder.name
         self.codec = self.published = data.layout.codec
-        splits: tuple[Split, ...] = ("train", "val", "test")
-        items = {split: data.items(split) for split in splits}
-        self.items = [item for split in splits for item in items[split]]
-        self._splits, start = {}, 0
-        for split in splits:
-            self._splits[split] = tuple(range(start, start + len(items[split])))
-            start += len(items[split])
+        self.items: list[Item] = []
+        self._splits: dict[str, tuple[int, ...]] = {}
+        for split in ("train", "val", "test"):
+            start = len(self.items)
+            self.items += data.items(split)
+            self._splits[split] = tuple(range(start, len(self.items)))
 
     def __len__(self) -> int:
         return len(self.items)

@@ -81,7 +81,7 @@ def described(description: str) -> tuple[str, ...]:
     if _NOTHING.search(description) or len(text) < _SHORT or re.search(r"\b[ab]\b.*\b[ab]\b", text):
         return ()
     if animal:
-        return said_otherwise(f"a person acts like {article('a', text)} {text}")
+        return said_otherwise(f"a person acts like {article(text)} {text}")
     topic, _, rest = text.rpartition(" - ")
     parts = [_inflected(part.strip()) for part in re.split(r"[,;] ", rest)]
     if parts[0] is None:

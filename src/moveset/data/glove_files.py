@@ -71,29 +71,25 @@ def read_glove_text(path: str | Path) -> tuple[tuple[str, ...], Tensor]:
         FormatError: it is no such file, or has lines or words without end.
     """
     path = Path(path)
-    words: list[str] = []
-    vectors: list[Tensor] = []
+    vectors: dict[str, Tensor] = {}  # of words that come twice the first
     width = 0
     try:
         with path.open("rb") as file:
             for number, line in enumerate(iter(lambda: file.readline(_MAX_LINE), b""), start=1):
                 word, *numbers = line.decode().rstrip().split(" ")
                 width = width or len(numbers)
-                if not 1 <= len(numbers) <= MAX_WIDTH or len(numbers) != width or len(words) >= MAX_WORDS:
+                if not 1 <= len(numbers) <= MAX_WIDTH or len(numbers) != width or number > MAX_WORDS:
                     raise ValueError(f"line {number} has {len(numbers)} numbers, the first {width}")
-                words.append(word)
-                vectors.append(torch.tensor([float(number) for number in numbers]))
+                vectors.setdefault(word, torch.tensor([float(value) for value in numbers]))
     except OSError as error:
         raise InputError(f"cannot read {path}: {error.strerror or error}; check the path") from None
     except ValueError as error:
         raise FormatError(
             f"{path} is no GloVe text file ({str(error)[:80]}); give a word and its numbers a line"
         ) from None
-    if not words:
+    if not vectors:
         raise FormatError(f"{path} has no words; give a GloVe text file")
-    table = torch.stack(vectors)
+    table = torch.stack(list(vectors.values()))
     if not torch.isfinite(table).all():
         raise FormatError(f"{path} holds numbers that are not finite; restore the original")
-    first = list(dict.fromkeys(words))
-    rows = {word: row for row, word in reversed(list(enumerate(words)))}
-    return tuple(first), table[torch.tensor([rows[word] for word in first])]
+    return tuple(vectors), table

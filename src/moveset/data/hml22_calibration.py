@@ -25,20 +25,12 @@ def turn(axis: str, degrees: float) -> Tensor:
     return rotations.about(axis, torch.tensor(degrees, dtype=torch.float64))
 
 
-def chain(*turns: Tensor) -> Tensor:
-    """Product of constant rotations, first one leftmost."""
-    out = turns[0]
-    for q in turns[1:]:
-        out = rotations.mul(out, q)
-    return out
-
-
 def assemble(turned: Mapping[str, Tensor], hip_centre: Tensor, leg: float) -> tuple[Tensor, Tensor]:
     """Local rotations (F, J, 4) and root path (F, 3) on ``hml22``.
 
     Args:
-        turned: joint name to world rotation (F, 4), already multiplied by its constant. "spine1" and "neck" may be
-            missing: halfway between pelvis and spine2, and between spine3 and head.
+        turned: joint name to world rotation (F, 4), already multiplied by its constant. Without "spine1", which is
+            halfway between pelvis and spine2; "neck" may be missing, and is halfway between spine3 and head.
         hip_centre: (F, 3) midpoint of the source's hip joints, metres.
         leg: the source's length of thigh and shin, metres; the root path is scaled by the ratio of leg lengths.
 
@@ -46,11 +38,9 @@ def assemble(turned: Mapping[str, Tensor], hip_centre: Tensor, leg: float) -> tu
         Rotations whose signs are continuous in time, and the root placed so that the hip centres coincide: the
         sources' own root joints sit 6 to 11 cm from where hml22 has its pelvis.
     """
-    turned = dict(turned)
-    if "spine1" not in turned:
-        turned["spine1"] = rotations.slerp(turned["pelvis"], turned["spine2"], 0.5)
-    if "neck" not in turned:
-        turned["neck"] = rotations.slerp(turned["spine3"], turned["head"], 0.5)
+    spine1 = rotations.slerp(turned["pelvis"], turned["spine2"], 0.5)
+    neck = rotations.slerp(turned["spine3"], turned["head"], 0.5)
+    turned = {"neck": neck, **turned, "spine1": spine1}
     local = global_to_local(torch.stack([turned[joint] for joint in HML22.joints], dim=1), HML22)
     root = hip_centre * (_LEG / leg) - rotations.rotate(turned["pelvis"], HIPS)
     return rotations.unroll(local), root

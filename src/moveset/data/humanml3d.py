@@ -15,6 +15,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
+from moveset.data.splits import Split
 from moveset.errors import FormatError, InputError
 from moveset.io.numpy_file import array_shape, read_array
 
@@ -98,20 +99,17 @@ def parse_caption(line: str) -> Caption:
     return Caption(fields[0].strip(), tuple(fields[1].split()), start, end)
 
 
+@dataclass(eq=False, repr=False)
 class HumanML3D:
     """A HumanML3D or KIT-ML folder. Open one with ``HumanML3D.open``; nothing but names is read until it is needed."""
 
-    def __init__(self, folder: Path, layout: Layout, splits: Mapping[str, tuple[str, ...]]) -> None:
-        self.folder = folder
-        self.layout = layout
-        self.splits = splits
+    folder: Path
+    layout: Layout
+    splits: Mapping[str, tuple[str, ...]]
 
     @classmethod
-    def open(cls, folder: str | Path, layout: Layout | None = None) -> "HumanML3D":
-        """Find out what a folder holds.
-
-        Args:
-            layout: ``HUMANML3D`` or ``KIT``; None tells them apart by the number of features.
+    def open(cls, folder: str | Path) -> "HumanML3D":
+        """Find out what a folder holds; the two sets are told apart by the number of features.
 
         Raises:
             InputError: parts of the data set are missing.
@@ -124,9 +122,7 @@ class HumanML3D:
         present = {p.stem for p in (folder / "new_joint_vecs").glob("*.npy")}
         if not present:
             raise InputError(f"{folder}/new_joint_vecs holds no .npy files; unpack the data set completely")
-        if layout is None:
-            layout = _layout_of(folder, min(present))
-        splits = {}
+        layout, splits = _layout_of(folder, min(present)), {}
         for split in ("train", "val", "test"):
             listed = dict.fromkeys(_lines(folder / f"{split}.txt"))
             splits[split] = tuple(name for name in listed if name in present)
@@ -162,7 +158,14 @@ class HumanML3D:
             InputError: there is no such motion.
             FormatError: the file is damaged, of another shape, or holds numbers that are not finite.
         """
-        return self._checked(self.folder / "new_joint_vecs" / f"{name}.npy", (self.layout.features,))
+        path = self.folder / "new_joint_vecs" / f"{name}.npy"
+        values = read_array(path)
+        if values.ndim != 2 or values.shape[1] != self.layout.features or len(values) < 1:
+            shape = ("F", self.layout.features)
+            raise FormatError(f"{path} has the shape {tuple(values.shape)}, not {shape}; restore the original")
+        if not torch.isfinite(values).all():
+            raise FormatError(f"{path} holds numbers that are not finite; leave this motion out of the split files")
+        return values
 
     def captions(self, name: str) -> tuple[Caption, ...]:
         """Sentences of a motion.
@@ -180,18 +183,16 @@ class HumanML3D:
         except FormatError as error:
             raise FormatError(f"{path}: {error}") from None
 
-    def items(self, split: str) -> tuple[Item, ...]:
+    def items(self, split: Split) -> tuple[Item, ...]:
         """What may be drawn from a split: whole motions and the parts that have sentences of their own.
 
         Only those with 40 (KIT-ML: 24) to 199 frames; a motion that is left out takes its parts with it, as in the
         sets' own loaders.
 
         Raises:
-            InputError: an unknown split, or files are missing.
+            InputError: files are missing.
             FormatError: a file is damaged.
         """
-        if split not in self.splits:
-            raise InputError(f"there is no split {split!r}; use 'train', 'val' or 'test'")
         items = []
         for name in self.splits[split]:
             frames = (array_shape(self.folder / "new_joint_vecs" / f"{name}.npy") or (0,))[0]
@@ -230,14 +231,6 @@ class HumanML3D:
             raise FormatError(
                 f"{self.folder / name} holds {tuple(values.shape)} numbers, not {self.layout.features} finite ones"
             )
-        return values
-
-    def _checked(self, path: Path, shape: tuple[int, ...]) -> Tensor:
-        values = read_array(path)
-        if values.ndim != len(shape) + 1 or tuple(values.shape[1:]) != shape or len(values) < 1:
-            raise FormatError(f"{path} has the shape {tuple(values.shape)}, not {('F', *shape)}; restore the original")
-        if not torch.isfinite(values).all():
-            raise FormatError(f"{path} holds numbers that are not finite; leave this motion out of the split files")
         return values
 
 

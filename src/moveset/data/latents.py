@@ -84,7 +84,6 @@ class LatentSet:
             tensors = _encode(_entries(dataset, dataset.split(split), store, windows), store, vae, batch, device)
             with atomic_write(path) as file:
                 file.write(save(tensors, {_SOURCE: made_of}))
-            return cls(dataset, split, load_file(path), store.sides)
         with safe_open(path, "pt") as file:
             found = (file.metadata() or {}).get(_SOURCE)
         if found != made_of:

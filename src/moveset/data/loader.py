@@ -1,21 +1,13 @@
 """Batches of consecutive steps, made ahead in other processes so that a fast device need not wait for them."""
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import torch
-from torch.utils.data import DataLoader, Dataset
+from torch.utils.data import DataLoader
 
 
-class _Made(Dataset[Any]):
-    def __init__(self, make: Callable[[int], Any]) -> None:
-        self.make = make
-
-    def __getitem__(self, number: int) -> Any:
-        return self.make(number)
-
-
-def in_order(make: Callable[[int], Any], numbers: Iterable[int], workers: int) -> Iterator[Any]:
+def in_order(make: Callable[[int], Any], numbers: Sequence[int], workers: int) -> Iterator[Any]:
     """``make(number)`` of each number, made ahead by ``workers`` processes; with 0 it is made when it is asked for.
 
     They are forked, so that what is read exists once; where there is no fork, it has to be small.
@@ -25,9 +17,9 @@ def in_order(make: Callable[[int], Any], numbers: Iterable[int], workers: int) -
     context = "fork" if "fork" in torch.multiprocessing.get_all_start_methods() else None
     return iter(
         DataLoader(
-            _Made(make),
+            numbers,
             batch_size=None,
-            sampler=numbers,
+            collate_fn=make,
             num_workers=workers,
             multiprocessing_context=context,
             # Otherwise the loader would draw from torch's own generator, and dropout would be another.

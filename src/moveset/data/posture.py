@@ -20,10 +20,9 @@ from moveset.motion.skeleton import HML22
 
 _PELVIS, _CHEST, _NECK, _HEAD = (HML22.index(name) for name in ("pelvis", "spine3", "neck", "head"))
 _FEET = list(HML22.feet)
-_SOLES = {"ankle": [HML22.index("left_ankle"), HML22.index("right_ankle")], "toe": [10, 11]}
+_ANKLES = _FEET[::2]
 _OTHERS = [joint for joint in range(len(HML22)) if joint not in _FEET]
 _KNEES = [HML22.index("left_knee"), HML22.index("right_knee")]
-_LEANING = ("pelvis", "head", "ankle")
 # Somebody who stands looks down a little: degrees.
 _USUAL = {"pelvis": 0.0, "head": 6.0, "ankle": 0.0}
 _LEAST = 40  # frames of standing that say how a performer's markers sit
@@ -53,7 +52,7 @@ def on_still_feet(turned: Tensor, joints: Tensor) -> Tensor:
 
 def standing(turned: Tensor, joints: Tensor) -> Tensor:
     """(F,) bool: ``on_still_feet``, with straight legs."""
-    shin = joints[:, _SOLES["ankle"]] - joints[:, _KNEES]
+    shin = joints[:, _ANKLES] - joints[:, _KNEES]
     thigh = joints[:, _KNEES] - joints[:, [1, 2]]
     straight = (torch.cosine_similarity(shin, thigh, dim=-1) > math.cos(math.radians(20.0))).all(dim=1)
     below = (thigh[..., 1] < -0.9 * thigh.norm(dim=-1)).all(dim=1)
@@ -63,7 +62,7 @@ def standing(turned: Tensor, joints: Tensor) -> Tensor:
 def lean(turned: Tensor) -> Tensor:
     """(F, 3) forward pitch of pelvis, head and (the mean of both) feet in degrees."""
     ahead = rotations.rotate(turned, turned.new_tensor((0.0, 0.0, 1.0)))[..., 1].clamp(-1.0, 1.0).asin()
-    feet = ahead[:, _SOLES["ankle"]].mean(dim=1)
+    feet = ahead[:, _ANKLES].mean(dim=1)
     return torch.rad2deg(-torch.stack((ahead[:, _PELVIS], ahead[:, _HEAD], feet), dim=1))
 
 
@@ -77,10 +76,10 @@ def leanings(takes: Sequence[tuple[Tensor, Tensor]]) -> dict[str, float] | None:
     for local, root in takes:
         turned, joints = fk(local, root, HML22)
         found.append(lean(turned)[standing(turned, joints)])
-    pitch = torch.cat(found) if found else torch.zeros(0, 3)
+    pitch = torch.cat(found)
     if len(pitch) < _LEAST:
         return None
-    return {name: float(pitch[:, k].median()) - _USUAL[name] for k, name in enumerate(_LEANING)}
+    return {name: float(pitch[:, k].median()) - usual for k, (name, usual) in enumerate(_USUAL.items())}
 
 
 def upright(local: Tensor, root: Tensor, degrees: dict[str, float]) -> tuple[Tensor, Tensor]:
@@ -88,7 +87,7 @@ def upright(local: Tensor, root: Tensor, degrees: dict[str, float]) -> tuple[Ten
     turned, _ = fk(local, root, HML22)
     turned = turned.clone()
     moved = rotations.rotate(turned[:, 0], HIPS.to(turned))
-    for joints, name in (([_PELVIS], "pelvis"), ([_HEAD], "head"), ([*_SOLES["ankle"], *_SOLES["toe"]], "ankle")):
+    for joints, name in (([_PELVIS], "pelvis"), ([_HEAD], "head"), (_FEET, "ankle")):
         turned[:, joints] = rotations.mul(turned[:, joints], turn("x", -degrees[name]).to(turned))
     # The neck is halfway between chest and head.
     turned[:, _NECK] = rotations.mul(turned[:, _NECK], turn("x", -0.5 * degrees["head"]).to(turned))
@@ -119,20 +118,13 @@ def on_floor(local: Tensor, root: Tensor, floor: float) -> Motion:
     return Motion(rotations.normalize(local).float(), (root - down).float(), FPS, HML22).canonical()
 
 
-def floors(takes: Sequence[float], where: Sequence[str]) -> list[float]:
-    """The floor of each take: its own, or that of its performer's lower takes if those are far below.
+def floors(takes: Sequence[float]) -> list[float]:
+    """The floor of each take of a performer: its own, or that of the lower takes if those are far below.
 
     Whoever sits on a stool or climbs all the time never touches the floor, but nobody is under it.
 
     Args:
-        takes: ``floor_of`` each take.
-        where: whose take each is.
+        takes: ``floor_of`` each take, of one at least.
     """
-    by_performer: dict[str, list[float]] = {}
-    for floor, performer in zip(takes, where, strict=True):
-        by_performer.setdefault(performer, []).append(floor)
-    usual = {name: float(torch.quantile(torch.tensor(found), _LOWER)) for name, found in by_performer.items()}
-    return [
-        usual[performer] if floor > usual[performer] + _FLOOR_SPREAD else floor
-        for floor, performer in zip(takes, where, strict=True)
-    ]
+    usual = float(torch.quantile(torch.tensor(takes), _LOWER))
+    return [usual if floor > usual + _FLOOR_SPREAD else floor for floor in takes]

@@ -71,17 +71,16 @@ def _unpack(archive: Path, to: Path) -> None:
     try:
         with tarfile.open(archive, "r:xz") as tar:
             tar.extractall(partial, members=_bounded(tar, archive), filter="data")
+        for folder in _ARCHIVES[archive.name]:
+            if (partial / folder).is_dir() and not (to / folder).is_dir():
+                os.replace(partial / folder, to / folder)
     except (tarfile.TarError, lzma.LZMAError, EOFError) as error:
-        shutil.rmtree(partial, ignore_errors=True)
         raise FormatError(f"{archive} cannot be unpacked ({error}); copy or download it again") from error
     except OSError as error:
-        shutil.rmtree(partial, ignore_errors=True)
         remedy = "make room, or choose another disk"
         raise MovesetError(f"{archive} cannot be unpacked to {to}: {error.strerror or error}; {remedy}") from error
-    for folder in _ARCHIVES[archive.name]:
-        if (partial / folder).is_dir() and not (to / folder).is_dir():
-            os.replace(partial / folder, to / folder)
-    shutil.rmtree(partial, ignore_errors=True)
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
 
 
 def _bounded(tar: tarfile.TarFile, archive: Path) -> Iterator[tarfile.TarInfo]:

@@ -148,27 +148,22 @@ class ClipSet:
         numbers = torch.rand(size, 6, generator=generator).tolist()
         return [(self.rows[row], chance) for row, chance in zip(chosen, numbers, strict=True)]
 
-    def say(self, clip: Row, start: int, frames: int, chance: Sequence[float]) -> str:
-        """A sentence for these frames, chosen by two numbers in [0, 1)."""
-        options = clip.whole if self._of_all(clip, chance) else clip.said[_part(clip, start, frames)]
-        return options[int(chance[1] * len(options))]
-
-    def said_from(self, clip: Row, start: int, frames: int, chance: Sequence[float]) -> int:
-        """First frame of what the sentence is said to that the same numbers choose."""
-        return 0 if self._of_all(clip, chance) else (0, *clip.ends)[_part(clip, start, frames)]
-
-    def sides(self, clip: Row, start: int, frames: int, chance: Sequence[float]) -> Tensor:
-        """(3,) sides favoured by what the sentence is said to that the same numbers choose."""
-        return clip.sides[-1 if self._of_all(clip, chance) else _part(clip, start, frames)]
+    def say(self, clip: Row, start: int, frames: int, chance: Sequence[float]) -> tuple[str, int, Tensor]:
+        """A sentence for these frames, chosen by two numbers in [0, 1), and of what it is said to: the part that fills
+        more of them, or all of the clip, the first frame and the sides (3,) that it favours."""
+        if clip.whole and chance[0] < self.cutting.whole_caption:
+            options, since, sides = clip.whole, 0, clip.sides[-1]
+        else:
+            middle = start + frames // 2
+            part = next((k for k, end in enumerate(clip.ends) if middle < end), len(clip.ends) - 1)
+            options, since, sides = clip.said[part], (0, *clip.ends)[part], clip.sides[part]
+        return options[int(chance[1] * len(options))], since, sides
 
     def turned(self, clip: Row, start: int, stop: int) -> float:
         """Radians by which the heading changes from one frame to a later one; 0 where that one is none."""
         column, mean, std = self._yaw
         steps = clip.cut(start, stop)[:, column]
         return float(steps.sum(dtype=np.float64)) * std + len(steps) * mean
-
-    def _of_all(self, clip: Row, chance: Sequence[float]) -> bool:
-        return bool(clip.whole) and chance[0] < self.cutting.whole_caption
 
 
 class SegmentSet(ClipSet):
@@ -203,12 +198,11 @@ class SegmentSet(ClipSet):
             first[k, : len(head)] = torch.from_numpy(head)
             if number:
                 previous[k] = torch.from_numpy(clip.cut(start - n, start))
-            told = self.said_from(clip, start, len(piece), chance[3:])
-            begun[k] = told < start
-            turned[k] = self.turned(clip, told, start)
-            sides[k] = self.sides(clip, start, len(piece), chance[3:])
-            captions.append(self.say(clip, start, len(piece), chance[3:]))
-            before.append(self.say(clip, max(start - n, 0), n, chance[3:]) if number else captions[-1])
+            told, since, sides[k] = self.say(clip, start, len(piece), chance[3:])
+            begun[k] = since < start
+            turned[k] = self.turned(clip, since, start)
+            captions.append(told)
+            before.append(self.say(clip, max(start - n, 0), n, chance[3:])[0] if number else told)
         return SegmentBatch(clean, valid, previous, first, index, begun, turned, sides, captions, before)
 
     def _place(self, clip: Row, chance: Sequence[float]) -> tuple[int, int, int, int]:
@@ -240,12 +234,6 @@ class SegmentSet(ClipSet):
     def _movement(self, clip: Row, start: int) -> float:
         """How much joints move in a segment: mean size of their velocities, normalised."""
         return float(np.abs(clip.cut(start, start + self.frames)[:, self._moving]).mean())
-
-
-def _part(clip: Row, start: int, frames: int) -> int:
-    """The part of a clip that fills more of these frames."""
-    middle = start + frames // 2
-    return next((k for k, end in enumerate(clip.ends) if middle < end), len(clip.ends) - 1)
 
 
 def _row(dataset: Dataset, item: int, store: FeatureStore, codec: FeatureCodec) -> Row:

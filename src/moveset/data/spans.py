@@ -3,13 +3,10 @@
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from moveset.data.listing import read_listing
 from moveset.data.splits import Split
-
-#: "drop": the official split has it in training, though it shares seconds with a test or validation span.
-Use = Literal["train", "val", "test", "drop"]
 
 
 @dataclass(frozen=True)
@@ -19,20 +16,16 @@ class Span:
     Args:
         name: of the clip in its data set.
         start, end: seconds from the beginning of the capture.
-        use: the side it is on.
+        split: the side it is on; None for one that the official split has in training, though it shares seconds with a
+            test or validation span.
         sentences: as typed.
     """
 
     name: str
     start: float
     end: float
-    use: Use
+    split: Split | None
     sentences: tuple[str, ...]
-
-    @property
-    def split(self) -> Split | None:
-        """The side; None for one that is dropped."""
-        return None if self.use == "drop" else self.use
 
 
 def read_spans(path: Path) -> dict[str, list[Span]]:
@@ -53,7 +46,7 @@ def _listed(number: int, clip: dict[str, Any]) -> tuple[str, Span]:
     sentences = clip["sentences"]
     if not isinstance(sentences, list) or not all(isinstance(sentence, str) for sentence in sentences):
         raise TypeError("its sentences are no list of texts")
-    span = Span(str(clip["id"]), float(clip["start"]), float(clip["end"]), clip["use"], tuple(sentences))
-    if not 0 <= span.start < span.end < math.inf or span.use not in ("train", "val", "test", "drop"):
-        raise ValueError(f"{span.start} to {span.end} s for {span.use!r}")
-    return str(clip["trial"]), span
+    start, end, use = float(clip["start"]), float(clip["end"]), clip["use"]
+    if not 0 <= start < end < math.inf or use not in ("train", "val", "test", "drop"):
+        raise ValueError(f"{start} to {end} s for {use!r}")
+    return str(clip["trial"]), Span(str(clip["id"]), start, end, None if use == "drop" else use, tuple(sentences))

@@ -19,18 +19,14 @@ from torch import Tensor
 
 
 @cache
-def _dct(n: int) -> Tensor:
+def dct_matrix(n: int, device: torch.device | str = "cpu", dtype: torch.dtype = torch.float32) -> Tensor:
+    """The orthonormal DCT-II (n, n): frequencies by frames."""
     with torch.inference_mode(False):
         frequency = torch.arange(n, dtype=torch.float64)[:, None]
         frame = torch.arange(n, dtype=torch.float64)[None]
         matrix = torch.cos(math.pi / n * (frame + 0.5) * frequency) * (2.0 / n) ** 0.5
         matrix[0] /= 2**0.5
-        return matrix
-
-
-def dct_matrix(n: int, device: torch.device | str = "cpu", dtype: torch.dtype = torch.float32) -> Tensor:
-    """The orthonormal DCT-II (n, n): frequencies by frames."""
-    return _dct(n).to(device, dtype)
+        return matrix.to(device, dtype)
 
 
 def temporal_spectrum(segments_BnD: Tensor, least: float = 0.01) -> Tensor:

@@ -19,6 +19,7 @@ from safetensors.torch import save as save_safetensors
 from torch import Tensor
 
 from moveset.errors import FormatError, InputError
+from moveset.io.limits import system_errors
 from moveset.io.manifest import VerifiedFolder, json_bytes, json_object, write_whole
 from moveset.io.quantization import halved
 from moveset.models.evaluator import FRAMES_PER_TOKEN, MatchingEvaluator
@@ -125,10 +126,8 @@ class Evaluator:
             blobs["words.safetensors"] = save_safetensors(
                 {"vectors": self.words.vectors.contiguous(), "vocabulary": names}
             )
-        try:
+        with system_errors(f"write the folder {path}", "choose another", InputError):
             write_whole(Path(path), blobs)
-        except OSError as error:
-            raise InputError(f"the folder {path} cannot be written: {error.strerror}; choose another") from error
         return Path(path)
 
     @torch.inference_mode()

@@ -64,25 +64,16 @@ class Official:
     sources: Mapping[str, Path]
 
 
-def import_official(
-    folder: str | Path,
-    glove: str | Path,
-    dataset: str | None = None,
-    *,
-    statistics: str | Path | None = None,
-    bias: float | None = None,
-) -> Evaluator:
+def import_official(found: Official, glove: str | Path) -> Evaluator:
     """The authors' evaluator as one of ours, to be saved as a folder.
 
     Args:
         glove: the folder with their ``our_vab`` files, or a text file of GloVe (see ``data.glove_files``).
-        dataset, statistics, bias: as for ``read_official``.
 
     Raises:
-        InputError: files are missing, or it is not clear which are meant.
-        FormatError: a file that is damaged, foreign or does not fit the others.
+        InputError: files are missing.
+        FormatError: a file that is damaged, or does not fit the evaluator.
     """
-    found = read_official(folder, dataset, statistics=statistics, bias=bias)
     words = GloveWords(*read_glove(glove))
     card = EvaluatorCard(
         name=f"{'kit' if found.layout is KIT else 't2m'}-official",

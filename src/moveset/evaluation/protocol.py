@@ -111,9 +111,7 @@ class Session:
 
     def real(self, draws: Sequence[Sample]) -> Tensor:
         """(M, E) of the real motions of a repeat; read once where crops do not change."""
-        if any(draw.item.cropped for draw in draws):
-            return self.evaluator.embed_motions(real_features(draws, self.items.codec))
-        if self._real is None:
+        if self._real is None or any(draw.item.cropped for draw in draws):
             self._real = self.evaluator.embed_motions(real_features(draws, self.items.codec))
         return self._real
 
@@ -235,7 +233,7 @@ def encoded(clips: Sequence[Tensor], codec: HmlCodec) -> list[Tensor]:
 def physical(clips: Sequence[Tensor], codec: HmlCodec, segment: float = 0.0) -> dict[str, float]:
     """Means over clips of joints (F, J, 3), and jerk at seams (m/s³) where segments have so many seconds."""
     found = [measure(joints, codec.fps, skeleton=codec.skeleton) for joints in clips]
-    out = {name: float(torch.stack([getattr(one, name) for one in found]).double().mean()) for name in PHYSICAL}
+    out = {name: float(torch.stack([one[name] for one in found]).double().mean()) for name in PHYSICAL}
     frames = round(segment * codec.fps)
     # A seam needs two frames on both sides, to be a place among others.
     near = [

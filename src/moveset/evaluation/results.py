@@ -22,7 +22,7 @@ import moveset
 from moveset.errors import FormatError, InputError
 from moveset.evaluation.intervals import Interval
 from moveset.evaluation.protocol import Session
-from moveset.io.limits import read_limited, write_text
+from moveset.io.limits import read_limited, system_errors, write_text
 from moveset.io.manifest import json_object
 
 #: What a repeat counts besides what it measures.
@@ -49,13 +49,9 @@ class Results:
         key = hashlib.sha256(json.dumps(depends, sort_keys=True).encode()).hexdigest()[:12]
         self.path, self._folder = out / f"{self.name}.json", out / "repeats" / f"{self.name}-{key}"
         self._refuse_another_question()
-        try:
+        with system_errors(f"write to {str(out)!r}", "choose another --out", InputError):
             self._folder.mkdir(parents=True, exist_ok=True)
             write_text(self._folder / "about.json", _json(depends))
-        except OSError as error:
-            raise InputError(
-                f"cannot write to {str(out)!r}: {error.strerror or error}; choose another --out"
-            ) from error
 
     @property
     def repeats(self) -> int:

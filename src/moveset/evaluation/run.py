@@ -1,9 +1,7 @@
 """What is to be evaluated, in plain values that another process can be handed; opening it; and sharing out the work."""
 
 import multiprocessing
-import os
 import sys
-import traceback
 from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
@@ -14,7 +12,7 @@ import torch
 
 from moveset.data.dataset import open_dataset
 from moveset.data.splits import Split
-from moveset.errors import InputError, MovesetError
+from moveset.errors import InputError, MovesetError, fail
 from moveset.evaluation.evaluator import DEFAULT_EVALUATOR, Evaluator
 from moveset.evaluation.generators import Generated, Given, Reconstruction, Source
 from moveset.evaluation.nearest import NearestClip
@@ -293,9 +291,6 @@ def _help(config: EvaluationConfig, out: Path, rank: int, world: int) -> None:
         session = open_session(config)
         work(session, Results(session, out, config.name), rank, world, lambda done, count, stage: None)
     except MovesetError as error:
-        if os.environ.get("MOVESET_DEBUG"):
-            traceback.print_exc()
-        print(f"moveset: {error}", file=sys.stderr)
-        sys.exit(error.exit_code)
+        sys.exit(fail(str(error), error.exit_code))
     except KeyboardInterrupt:
         sys.exit(130)

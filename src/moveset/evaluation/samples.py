@@ -118,16 +118,14 @@ class TestSet:
         return len(self.items)
 
     @cached_property
-    def labels(self) -> list[tuple[str, ...]] | None:
+    def labels(self) -> list[Hashable] | None:
         """One an item, or None where not all have one."""
-        found = [item.label for item in self.items if item.label is not None]
-        return found if len(found) == len(self.items) else None
+        return of_all([item.label for item in self.items])
 
     @cached_property
     def takes(self) -> list[Hashable] | None:
         """One an item, or None where not all have one."""
-        found = [item.take for item in self.items if item.take is not None]
-        return found if len(found) == len(self.items) else None
+        return of_all([item.take for item in self.items])
 
     @cached_property
     def texts(self) -> int:
@@ -144,6 +142,11 @@ class TestSet:
 
     def draw(self, generator: torch.Generator) -> list[Sample]:
         return [_draw(item, generator) for item in self.items]
+
+
+def of_all(found: list[Hashable | None]) -> list[Hashable] | None:
+    """What each of some items has; None where one lacks it."""
+    return None if None in found else found
 
 
 def text_of(caption: Caption | str) -> str:

@@ -17,7 +17,7 @@ from torch import Tensor
 from moveset.errors import InputError
 from moveset.evaluation.evaluator import Evaluator
 from moveset.evaluation.metrics import GROUP, frechet_distance, group, matching_score, r_precision
-from moveset.evaluation.samples import Item
+from moveset.evaluation.samples import Item, of_all
 from moveset.motion.features import get_codec
 from moveset.motion.hml import HmlCodec
 
@@ -62,7 +62,7 @@ class SanityReport:
         return all(check.passed for check in self.checks)
 
     def to_json(self) -> dict[str, object]:
-        return {**asdict(self), "checks": [asdict(check) for check in self.checks], "passed": self.passed}
+        return {**asdict(self), "passed": self.passed}
 
     def to_markdown(self) -> str:
         """A table with a line of counts above and the verdict below."""
@@ -93,10 +93,8 @@ def sanity(evaluator: Evaluator, items: Sequence[Item], generator: torch.Generat
     """
     if silent := sum(not item.captions for item in items):
         raise InputError(f"{silent} of {len(items)} items have no sentence; leave them out")
-    labels = [item.label for item in items]
-    known = None if any(label is None for label in labels) else labels
-    takes = [item.take for item in items]
-    groups = group(known, len(items), generator, takes=None if None in takes else takes)
+    labels, takes = of_all([item.label for item in items]), of_all([item.take for item in items])
+    groups = group(labels, len(items), generator, takes=takes)
     captions = [item.captions[int(torch.randint(len(item.captions), (1,), generator=generator))] for item in items]
     features = [item.features() for item in items]
     text, motion = evaluator.embed_texts(captions), evaluator.embed_motions(features)
@@ -104,7 +102,7 @@ def sanity(evaluator: Evaluator, items: Sequence[Item], generator: torch.Generat
         evaluator=evaluator.card.name,
         items=len(items),
         texts=len(set(captions)),
-        labels=None if known is None else len(set(known)),
+        labels=None if labels is None else len(set(labels)),
         groups=len(groups),
         checks=(
             *_texts(text, motion, groups, generator),

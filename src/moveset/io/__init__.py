@@ -179,9 +179,7 @@ def save(motion: "Motion", path: str | Path, *, metadata: Metadata | None = None
         from moveset.io.joint_arrays import still_notes
 
         notes |= still_notes(motion)
-    # Where there are none, those of another motion that was here before must not be taken for its own.
-    if _has_beside(path) and (notes or _beside(path).exists()):
-        save_beside(notes, path)
+    save_beside(notes, path)
     return path
 
 
@@ -196,13 +194,16 @@ def rate_of(fps: float, path: str | Path) -> float:
 
 
 def save_beside(metadata: Metadata, path: Path) -> None:
-    """Write metadata into the file beside a motion that has no place for it.
+    """Write metadata into the file beside a motion, where its format has no place for it.
 
     Raises:
         InputError: the folder cannot be written to.
     """
     from moveset.io.limits import atomic_write
 
+    # Where there are none, those of another motion that was here before must not be taken for its own.
+    if not _has_beside(path) or not (metadata or _beside(path).exists()):
+        return
     with atomic_write(_beside(path)) as file:
         # Halves of letters, as a GLB or a command line may bring them, have no UTF-8; JSON spells them as escapes.
         file.write((json.dumps(metadata, ensure_ascii=False, indent=1) + "\n").encode("utf-8", "backslashreplace"))

@@ -56,10 +56,8 @@ def read_npz(path: str | Path, *, fps: float | None = None) -> Motion:
         InputError: the file cannot be read.
         FormatError: damaged, arrays missing, of the wrong type or shape, not finite, or over the limits.
     """
-    with Npz(path) as npz:
-        if "rotations" in npz.names:
-            return _native(npz)
-        return amass_motion(npz, fps)
+    npz = Npz(path)
+    return _native(npz) if "rotations" in npz.names else amass_motion(npz, fps)
 
 
 def npz_metadata(path: str | Path) -> dict[str, Any]:
@@ -68,17 +66,17 @@ def npz_metadata(path: str | Path) -> dict[str, Any]:
     Raises:
         InputError, FormatError: as ``read_npz``.
     """
-    with Npz(path) as npz:
-        if "metadata" not in npz.names:
-            return {}
-        try:
-            found = json.loads(str(npz.array("metadata", "U", ())))
-        except (ValueError, RecursionError) as error:
-            raise FormatError(f"{path}: its metadata is not JSON; it is damaged") from error
-        return found if isinstance(found, dict) else {}
+    npz = Npz(path)
+    if "metadata" not in npz.names:
+        return {}
+    try:
+        found = json.loads(str(npz.array("metadata", "U", ())))
+    except (ValueError, RecursionError) as error:
+        raise FormatError(f"{path}: its metadata is not JSON; it is damaged") from error
+    return found if isinstance(found, dict) else {}
 
 
-def _native(npz: "Npz") -> Motion:
+def _native(npz: Npz) -> Motion:
     turns = npz.array("rotations", "f", (None, None, 4))
     frames, joints = turns.shape[:2]
     if not 1 <= frames <= MAX_FRAMES or not 1 <= joints <= MAX_JOINTS or frames * joints > MAX_POSES:

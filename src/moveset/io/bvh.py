@@ -15,6 +15,7 @@ from moveset.io.bvh_parser import MAX_NAME, BvhFile
 from moveset.io.limits import MAX_DEPTH, MAX_FRAMES, MAX_JOINTS, MAX_POSES, atomic_write
 from moveset.motion import rotations
 from moveset.motion.clip import Motion
+from moveset.motion.retarget import retarget
 from moveset.motion.skeleton import HML22, Skeleton
 from moveset.motion.units import bone_reach, likely_unit
 
@@ -134,14 +135,9 @@ def bvh_motion(bvh: BvhFile, *, scale: float = CENTIMETRES) -> Motion:
     warn_of_stretch(frames.joints, frames.stretch * scale, bone_reach(frames.parents, frames.offsets) * scale)
     turned = rotations.normalize(frames.rotations).float()
     root, offsets = (frames.root * scale).float(), (frames.offsets * scale).float()
-    if set(frames.joints) == set(HML22.joints):
-        order = [frames.joints.index(name) for name in HML22.joints]
-        parents = [frames.joints[frames.parents[j]] for j in order[1:]]
-        same_tree = order[0] == 0 and parents == [HML22.joints[p] for p in HML22.parents[1:]]
-        if same_tree and torch.allclose(offsets[order], HML22.offsets, atol=1e-4):
-            return Motion(turned[:, order], root, bvh.fps, HML22)
-    skeleton = Skeleton("bvh", frames.joints, frames.parents, offsets)
-    return Motion(turned, root, bvh.fps, skeleton)
+    motion = Motion(turned, root, bvh.fps, Skeleton("bvh", frames.joints, frames.parents, offsets))
+    # Files list joints depth first.
+    return motion if HML22.order_in(motion.skeleton) is None else retarget(motion, HML22)
 
 
 def warn_of_stretch(joints: Sequence[str], stretch: Tensor, reach: float) -> None:

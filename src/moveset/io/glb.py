@@ -1,7 +1,6 @@
 """glTF 2.0 files, read strictly: GLB and .gltf with what lies in it or beside it; the JSON tree and its accessors."""
 
 import base64
-import binascii
 import json
 import re
 import struct
@@ -17,8 +16,8 @@ from moveset.io.limits import MAX_FRAMES, MAX_POSES, read_limited
 MAX_JSON = 16 * 2**20
 MAX_NODES = 20_000
 _MAX_TEXT = 128 * 2**20  # of a .gltf with its buffers in it
-_COMPONENTS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
-_WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
+COMPONENTS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 _DATA = re.compile(rb'"data:[^"\\]*"')
 _EMBEDDED = re.compile(r"data:[\w.+/-]*;base64,")
 _PLAIN_NAME = re.compile(r"[^\\/:\0]+")
@@ -117,7 +116,7 @@ class Glb:
         accessor = self.entry("accessors", index)
         if accessor.get("type") != kind:
             self.fail(f"an accessor is not a plain {kind}; export the file again")
-        dtype, width = self._component(accessor), _WIDTHS[kind]
+        dtype, width = self._component(accessor), WIDTHS[kind]
         count = self.index(accessor.get("count"), 3 * MAX_FRAMES + 1, "frames allowed")
         if count * width > 4 * MAX_POSES:
             self.fail(f"an accessor of {count * width} numbers exceeds the limit of {4 * MAX_POSES}; split the file")
@@ -135,9 +134,9 @@ class Glb:
 
     def _component(self, owner: dict[str, Any]) -> np.dtype:
         code = owner.get("componentType")
-        if type(code) is not int or code not in _COMPONENTS:
+        if type(code) is not int or code not in COMPONENTS:
             self.fail(f"componentType {str(code)[:32]} does not exist; it is damaged")
-        return np.dtype(_COMPONENTS[code])
+        return np.dtype(COMPONENTS[code])
 
     def _values(self, owner: dict[str, Any], count: int, width: int, dtype: np.dtype) -> np.ndarray:
         """(count, width) numbers of a view of a buffer, from the owner's offset on."""
@@ -188,7 +187,7 @@ class Glb:
             if match is None:
                 raise ValueError("no base64")
             return base64.b64decode(uri[match.end() :], validate=True)
-        except (ValueError, binascii.Error) as error:
+        except ValueError as error:
             raise FormatError(f"{self.path}: a buffer in it is not base64; it is damaged") from error
 
     def _beside(self, uri: str) -> bytes:

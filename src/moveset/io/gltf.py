@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from moveset.io.body_mesh import Mesh, body_meshes
+from moveset.io.glb import COMPONENTS, WIDTHS
 from moveset.io.limits import atomic_write
 from moveset.motion import rotations
 from moveset.motion.clip import Motion
 from moveset.motion.retarget import retarget
-from moveset.motion.rigs import RIGS
 from moveset.motion.skeleton import Skeleton
 
 if TYPE_CHECKING:
@@ -32,8 +32,8 @@ _COLOURS = {
     "right": (0.05, 0.24, 0.50),
     "face": (0.04, 0.05, 0.07),
 }
-_FLOAT, _BYTE, _SHORT = 5126, 5121, 5123
-_WIDTHS = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}
+_FLOAT = 5126
+_CODES = {np.dtype(kind): code for code, kind in COMPONENTS.items()}
 _VERTICES, _INDICES = 34962, 34963
 
 
@@ -46,57 +46,42 @@ class _Builder:
         self.data = bytearray()
         self.size = 0
 
-    def view(self, values: np.ndarray, target: int | None = None) -> int:
-        self.data += b"\0" * (-len(self.data) % 4)
-        raw = np.ascontiguousarray(values).tobytes()
-        view: dict[str, Any] = {"buffer": 0, "byteOffset": len(self.data), "byteLength": len(raw)}
-        self.views.append(view | ({"target": target} if target else {}))
-        self.data += raw
-        self.size = len(self.data)
-        return len(self.views) - 1
-
-    def track(self, count: int, kind: str, **more: list[float]) -> int:
+    def track(self, count: int, kind: str, **more: object) -> int:
         """Add one float32 accessor whose bytes follow all that are given, to be written by whoever has them."""
-        self.size += -self.size % 4
-        size = 4 * _WIDTHS[kind] * count
-        self.views.append({"buffer": 0, "byteOffset": self.size, "byteLength": size})
-        self.size += size
-        accessor = {"bufferView": len(self.views) - 1, "componentType": _FLOAT, "count": count, "type": kind}
-        self.accessors.append(accessor | more)
-        return len(self.accessors) - 1
+        begin = self.size + -self.size % 4
+        self.size = begin + 4 * WIDTHS[kind] * count
+        return self._add({"byteOffset": begin, "byteLength": self.size - begin}, _FLOAT, count, kind, more)
 
-    def accessor(
-        self,
-        values: np.ndarray,
-        kind: str,
-        component: int = _FLOAT,
-        *,
-        target: int | None = None,
-        bounds: bool = False,
-        normalized: bool = False,
-    ) -> int:
+    def accessor(self, values: np.ndarray, kind: str, target: int | None = None, **more: object) -> int:
         """Add one accessor in a view of its own; ``values`` has the bytes' own type."""
-        accessor: dict[str, Any] = {"bufferView": self.view(values, target), "componentType": component}
-        accessor |= {"count": len(values), "type": kind} | ({"normalized": True} if normalized else {})
-        if bounds:
-            rows = values.reshape(len(values), -1)
-            accessor |= {"min": rows.min(axis=0).tolist(), "max": rows.max(axis=0).tolist()}
-        self.accessors.append(accessor)
+        self.data += b"\0" * (-len(self.data) % 4)
+        view = {"byteOffset": len(self.data), "byteLength": values.nbytes} | ({"target": target} if target else {})
+        self.data += np.ascontiguousarray(values).tobytes()
+        self.size = len(self.data)
+        return self._add(view, _CODES[values.dtype], len(values), kind, more)
+
+    def _add(self, view: dict[str, int], component: int, count: int, kind: str, more: Mapping[str, object]) -> int:
+        self.views.append({"buffer": 0, **view})
+        accessor = {"bufferView": len(self.views) - 1, "componentType": component, "count": count, "type": kind}
+        self.accessors.append({**accessor, **more})
         return len(self.accessors) - 1
 
 
-def write_glb(motion: Motion, path: str | Path, *, metadata: Mapping[str, object] | None = None) -> None:
+def write_glb(
+    motion: Motion, path: str | Path, *, metadata: Mapping[str, object] | None = None, body: bool = True
+) -> None:
     """Write a motion as a GLB file: joints by name, a body skinned to them, one animation in seconds.
 
     At rest the joints' axes are the world's and the body stands on the floor. Every joint has a linear rotation
     channel, the root one of translation. ``metadata``, the frame rate and the skeleton's name go into
-    ``asset.extras.moveset``.
+    ``asset.extras.moveset``. Without a body it is a VRM animation.
 
     Raises:
         InputError: the path cannot be written to.
     """
+    head = glb_head(motion.skeleton, motion.fps, len(motion), metadata or {}, body=body)
     with atomic_write(path) as file:
-        file.write(glb_head(motion.skeleton, motion.fps, len(motion), metadata or {}))
+        file.write(head)
         file.write(_tracks(motion))
 
 
@@ -119,12 +104,7 @@ def write_vrma(motion: Motion, path: str | Path, *, metadata: Mapping[str, objec
     Raises:
         InputError: the path cannot be written to, or the skeleton cannot be retargeted to VRM's bones.
     """
-    vrm = RIGS["vrm"]
-    motion = retarget(motion, vrm)
-    head = glb_head(motion.skeleton, motion.fps, len(motion), metadata or {}, body=False)
-    with atomic_write(path) as file:
-        file.write(head)
-        file.write(_tracks(motion))
+    write_glb(retarget(motion, "vrm"), path, metadata=metadata, body=False)
 
 
 def _tracks(motion: Motion) -> bytes:
@@ -209,41 +189,30 @@ def _skinned(out: _Builder, skeleton: Skeleton, rest: np.ndarray, stand: np.ndar
         "skeleton": 0,
         "inverseBindMatrices": out.accessor(bind, "MAT4"),
     }
-    materials, primitives = [], []
-    for tone, mesh in body_meshes(skeleton).items():
-        materials.append(
-            {
-                "name": tone,
-                "pbrMetallicRoughness": {
-                    "baseColorFactor": [*_COLOURS[tone], 1.0],
-                    "metallicFactor": 0.0,
-                    "roughnessFactor": 0.75,
-                },
-            }
-        )
-        primitives.append(_primitive(out, mesh, stand) | {"material": len(materials) - 1})
+    meshes = body_meshes(skeleton)
+    materials = []
+    for tone in meshes:
+        paint = {"baseColorFactor": [*_COLOURS[tone], 1.0], "metallicFactor": 0.0, "roughnessFactor": 0.75}
+        materials.append({"name": tone, "pbrMetallicRoughness": paint})
+    primitives = [_primitive(out, mesh, stand) | {"material": k} for k, mesh in enumerate(meshes.values())]
     return {"meshes": [{"name": "Body", "primitives": primitives}], "skins": [skin], "materials": materials}
 
 
 def _primitive(out: _Builder, mesh: Mesh, stand: np.ndarray) -> dict[str, Any]:
-    many = int(mesh.joints.max()) > 255
-    owner = np.zeros((len(mesh.joints), 4), dtype=np.uint16 if many else np.uint8)
+    owner = np.zeros((len(mesh.joints), 4), dtype=np.uint16 if mesh.joints.max() > 255 else np.uint8)
     owner[:, 0] = mesh.joints
     weight = np.tile(np.array((255, 0, 0, 0), dtype=np.uint8), (len(mesh.joints), 1))
-    wide = len(mesh.positions) > 65_535
+    index = np.uint32 if len(mesh.positions) > 65_535 else np.uint16
+    places = mesh.positions + stand
+    box = {"min": places.min(axis=0).tolist(), "max": places.max(axis=0).tolist()}
     return {
         "attributes": {
-            "POSITION": out.accessor(mesh.positions + stand, "VEC3", target=_VERTICES, bounds=True),
-            "NORMAL": out.accessor(mesh.normals, "VEC3", target=_VERTICES),
-            "JOINTS_0": out.accessor(owner, "VEC4", _SHORT if many else _BYTE, target=_VERTICES),
-            "WEIGHTS_0": out.accessor(weight, "VEC4", _BYTE, target=_VERTICES, normalized=True),
+            "POSITION": out.accessor(places, "VEC3", _VERTICES, **box),
+            "NORMAL": out.accessor(mesh.normals, "VEC3", _VERTICES),
+            "JOINTS_0": out.accessor(owner, "VEC4", _VERTICES),
+            "WEIGHTS_0": out.accessor(weight, "VEC4", _VERTICES, normalized=True),
         },
-        "indices": out.accessor(
-            mesh.triangles.ravel().astype(np.uint32 if wide else np.uint16),
-            "SCALAR",
-            5125 if wide else _SHORT,
-            target=_INDICES,
-        ),
+        "indices": out.accessor(mesh.triangles.ravel().astype(index), "SCALAR", _INDICES),
     }
 
 

@@ -31,9 +31,18 @@ class Channel:
         return self.values[1::3] if self.smooth else self.values
 
     def between(self, times: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Indices of the keys around each time and the share of the later one."""
-        low, high, t = _between(self.keys, times)
-        return low, high, t.floor() if self.interpolation == "STEP" else t
+        """Indices of the keys around each time and the share of the later one, 0 or 1 where a time is a key's own."""
+        keys = self.keys
+        if len(keys) == 1:
+            zero = torch.zeros(len(times), dtype=torch.long)
+            return zero, zero, zero.double()
+        low = (torch.searchsorted(keys, times, right=True) - 1).clamp(0, len(keys) - 2)
+        gap = keys[low + 1] - keys[low]
+        t = ((times - keys[low]) / gap).clamp(0.0, 1.0)
+        # Times are stored in float32, so a key's own time is found to that precision only.
+        close = 1e-3 + 2e-7 * times / gap
+        t = torch.where(t < close, 0.0, torch.where(t > 1.0 - close, 1.0, t))
+        return low, low + 1, t.floor() if self.interpolation == "STEP" else t
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,20 +186,6 @@ def unit_quaternions(glb: Glb, q: Tensor) -> Tensor:
     if len(q) and off.max() > 0.1:
         glb.fail("a rotation is not a unit quaternion; export the file again")
     return torch.where(off > 1e-5, rotations.normalize(q), q)
-
-
-def _between(keys: Tensor, times: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Indices of the keys around each time and the share of the later one, 0 or 1 where a time is a key's own."""
-    if len(keys) == 1:
-        zero = torch.zeros(len(times), dtype=torch.long)
-        return zero, zero, zero.double()
-    low = (torch.searchsorted(keys, times, right=True) - 1).clamp(0, len(keys) - 2)
-    gap = keys[low + 1] - keys[low]
-    t = ((times - keys[low]) / gap).clamp(0.0, 1.0)
-    # Times are stored in float32, so a key's own time is found to that precision only.
-    close = 1e-3 + 2e-7 * times / gap
-    t = torch.where(t < close, 0.0, torch.where(t > 1.0 - close, 1.0, t))
-    return low, low + 1, t
 
 
 def _spline(channel: Channel, times: Tensor) -> Tensor:

@@ -176,11 +176,8 @@ def _rig(glb: Glb, nodes: Nodes, clip: Clip, joints: list[int]) -> _Rig:
         while above != -1 and above not in inside:
             above = nodes.parents[above]
         parent[joint] = above
-    size = dict.fromkeys(joints, 1)
-    for joint in sorted(joints, key=lambda j: -nodes.depth[j]):
-        if parent[joint] != -1:
-            size[parent[joint]] += size[joint]
-    top = max((j for j in joints if parent[j] == -1), key=lambda j: size[j])
+    size = nodes.sums(joints)
+    top = max((j for j in joints if parent[j] == -1), key=size.__getitem__)
     whole = _tree(glb, nodes, joints, parent, top)
     if len(whole.joints) == 1:
         return whole
@@ -219,11 +216,8 @@ def _way_to_pelvis(nodes: Nodes, whole: _Rig, parent: dict[int, int]) -> list[in
 
 
 def _tree(glb: Glb, nodes: Nodes, joints: list[int], parent: dict[int, int], root: int) -> _Rig:
-    chosen = {root}
-    for joint in sorted(joints, key=lambda j: nodes.depth[j]):
-        if parent[joint] in chosen:
-            chosen.add(joint)
-    order = [j for j in joints if j in chosen]
+    below = {*nodes.under([root])}
+    order = [j for j in joints if j in below]
     place = {j: k for k, j in enumerate(order)}
     if order[0] != root or any(place[parent[j]] >= place[j] for j in order[1:]):
         order = sorted(order, key=lambda j: nodes.depth[j])
@@ -265,10 +259,11 @@ def _instants(glb: Glb, clip: Clip, fps: float | None) -> tuple[Tensor, float]:
     clocks = {id(channel.keys): channel.keys for channel in (*clip.turns.values(), *clip.shifts.values())}
     start = min(float(keys[0]) for keys in clocks.values())
     length = max(float(keys[-1]) for keys in clocks.values()) - start
-    rate = fps or _rate(glb, [keys - start for keys in clocks.values()])
+    stated = _stated_rate(glb)
+    rate = fps or stated or _rate([keys - start for keys in clocks.values()])
     if length * rate >= MAX_FRAMES:
         glb.fail(f"{length * rate:.0f} frames exceed the limit of {MAX_FRAMES}; split the file")
-    count = _count(length, rate, _stated_rate(glb))
+    count = _count(length, rate, stated)
     return (start + torch.arange(count, dtype=torch.float64) / rate).clamp(max=start + length), rate
 
 
@@ -284,14 +279,12 @@ def _count(length: float, rate: float, stated: float | None) -> int:
     return math.ceil(length * rate - 0.02) + 1
 
 
-def _rate(glb: Glb, clocks: list[Tensor]) -> float:
-    """The rate that the file states if it is ours, else that of the grid that its keys lie on, or a multiple of it.
+def _rate(clocks: list[Tensor]) -> float:
+    """The rate of the grid that keys lie on, or a multiple of it.
 
     Editors and optimisers leave out keys where little happens: what happens between two of them is then only in the
     curve, so keys that are sparse are not taken for frames.
     """
-    if stated := _stated_rate(glb):
-        return stated
     keys = torch.cat(clocks).unique()
     if len(keys) < 2:
         return _SPARSE

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from moveset.errors import FormatError, InputError
-from moveset.io.limits import BINARY
+from moveset.io.limits import BINARY, NO_FOLDER, system_errors
 from moveset.io.process import claim
 from moveset.motion.clip import Motion
 
@@ -32,17 +32,14 @@ class GrowingFile(ABC):
     def __init__(self, path: Path, head: bytes) -> None:
         self.path, self.part = path, part_of(path)
         self.frames, self.size = 0, len(head)
-        try:
-            self.handle = os.open(self.part, os.O_RDWR | os.O_CREAT | os.O_EXCL | BINARY, 0o666)
-        except FileExistsError as error:
-            raise InputError(
-                f"{self.part} exists: a take of this name is being written or was cut off; rescue it with "
-                "`moveset convert` of that .part, delete it, or give another name"
-            ) from error
-        except OSError as error:
-            raise InputError(
-                f"cannot write {path}: {error.strerror or error}; choose a folder that exists and can be written to"
-            ) from error
+        with system_errors(f"write {path}", NO_FOLDER, InputError):
+            try:
+                self.handle = os.open(self.part, os.O_RDWR | os.O_CREAT | os.O_EXCL | BINARY, 0o666)
+            except FileExistsError as error:
+                raise InputError(
+                    f"{self.part} exists: a take of this name is being written or was cut off; rescue it with "
+                    "`moveset convert` of that .part, delete it, or give another name"
+                ) from error
         try:
             claim(self.handle, _BUSY.format(self.part))
             self.write(0, head)
@@ -59,9 +56,18 @@ class GrowingFile(ABC):
     def append(self, motion: Motion) -> None:
         """Raises OSError on a full disk, having kept the frames that fitted."""
 
-    @abstractmethod
     def finish(self) -> None:
         """Become ``path``, or nothing if there are no frames."""
+        if not self.frames:
+            self.remove()
+            return
+        self._seal()
+        self.close()
+        os.replace(self.part, self.path)
+
+    def _seal(self) -> None:
+        """Bring the part to the last byte of the file that it becomes."""
+        self.cut()
 
     def grow(self, rows: Sequence[bytes]) -> None:
         """Append frames; those that could be written whole count, also when this raises.
@@ -103,22 +109,6 @@ class GrowingFile(ABC):
     def remove(self) -> None:
         self.close()
         self.part.unlink(missing_ok=True)
-
-
-class GrowingText(GrowingFile):
-    """A take in a text format: its part is a valid file itself between two calls."""
-
-    def finish(self) -> None:
-        if not self.frames:
-            self.remove()
-            return
-        self._seal()
-        self.close()
-        os.replace(self.part, self.path)
-
-    def _seal(self) -> None:
-        """Bring the part to the last byte of the file that it becomes."""
-        self.cut()
 
 
 def recover_text(path: Path, mend: Callable[[BinaryIO], int]) -> int:

@@ -30,7 +30,7 @@ from moveset.motion.skeleton import Skeleton
 
 _OPENS, _CLOSES = '<script type="application/json" id="moveset-page">', "</script>"
 _TAIL = f"{_CLOSES}\n</body>\n</html>\n"
-FRAMES_BEGIN = b', "data": [""\n'
+FRAMES_BEGIN, FRAMES_END = b', "data": [""\n', b"]}]}]}" + _TAIL.encode()
 _FORMAT = 1
 
 
@@ -75,11 +75,7 @@ def write_html(path: str | Path, scenes: Sequence[Scene], *, title: str = "", me
         InputError: nothing to show, motions on different skeletons side by side, more than can be read back, or a path
             that cannot be written to.
     """
-    page = _encoded(html_page(scenes, title=title, metadata=metadata))
-    _check_size(path, len(page))
-    with atomic_write(path) as file:
-        file.write(page)
-    return Path(path)
+    return _written(path, [_encoded(html_page(scenes, title=title, metadata=metadata))])
 
 
 def html_page(scenes: Sequence[Scene], *, title: str = "", metadata: Metadata | None = None) -> str:
@@ -102,15 +98,11 @@ def save_html(motion: Motion, path: str | Path, *, metadata: Metadata) -> Path:
     Raises:
         InputError: more than can be read back, or a path that cannot be written to.
     """
-    page = [open_page(motion.skeleton, motion.fps, metadata), *frame_lines(motion), close_page()]
-    _check_size(path, sum(map(len, page)))
-    with atomic_write(path) as file:
-        file.writelines(page)
-    return Path(path)
+    return _written(path, [open_page(motion.skeleton, motion.fps, metadata), *frame_lines(motion), FRAMES_END])
 
 
 def open_page(skeleton: Skeleton, fps: float, metadata: Metadata) -> bytes:
-    """A page of one motion up to its frames, which may come while it is made: ``frame_lines``, then ``close_page``."""
+    """A page of one motion up to its frames, which may come while it is made: ``frame_lines``, then ``FRAMES_END``."""
     title = title_of(metadata)
     page = for_script({"format": _FORMAT, "title": title or "Motion", "metadata": dict(metadata)})
     scene = for_script({"title": title, "note": "", "skeleton": skeleton_json(skeleton)})
@@ -124,10 +116,6 @@ def frame_lines(motion: Motion, first_frame: int = 0) -> list[bytes]:
     rows, joints = frame_rows(motion), len(motion.skeleton)
     heads = (HEADER.pack(MAGIC, VERSION, joints, 1, first_frame + k, motion.fps, 0.0, 0) for k in range(len(rows)))
     return [b',"' + base64.b64encode(head + row.tobytes()) + b'"\n' for head, row in zip(heads, rows, strict=True)]
-
-
-def close_page() -> bytes:
-    return b"]}]}]}" + _TAIL.encode()
 
 
 def title_of(metadata: Metadata) -> str:
@@ -248,12 +236,16 @@ def _encoded(page: str) -> bytes:
     return page.encode("utf-8", "replace")
 
 
-def _check_size(path: str | Path, size: int) -> None:
+def _written(path: str | Path, page: Sequence[bytes]) -> Path:
+    size = sum(map(len, page))
     if size > MAX_BYTES:
         raise InputError(
             f"{path} would have {size / 2**20:.0f} MB, more than the limit of {MAX_BYTES / 2**20:g} MB; put fewer or "
             "shorter motions on a page"
         )
+    with atomic_write(path) as file:
+        file.writelines(page)
+    return Path(path)
 
 
 def _read_page(path: str | Path) -> dict[str, Any]:

@@ -19,8 +19,22 @@ MAX_FRAMES = 100_000
 MAX_POSES = 4_000_000
 MAX_NUMBER = 1e7
 BINARY = getattr(os, "O_BINARY", 0)  # Windows would write line ends of its own
+NO_FOLDER, NO_SPACE = "choose a folder that exists and can be written to", "free some space or choose another disk"
 #: What numpy raises for the header of an array, which it parses as Python.
 HEADER_ERRORS = (ValueError, TypeError, EOFError, SyntaxError, RecursionError, MemoryError, tokenize.TokenError)
+
+
+@contextmanager
+def system_errors(doing: str, remedy: str, kind: type[MovesetError] = MovesetError) -> Iterator[None]:
+    """What the system refuses, in one sentence: "cannot write walk.bvh: No space left on device; free some space".
+
+    Raises:
+        kind: for any OSError.
+    """
+    try:
+        yield
+    except OSError as error:
+        raise kind(f"cannot {doing}: {error.strerror or error}; {remedy}") from error
 
 
 def read_limited(path: str | Path, max_bytes: int = MAX_BYTES) -> bytes:
@@ -31,17 +45,13 @@ def read_limited(path: str | Path, max_bytes: int = MAX_BYTES) -> bytes:
         FormatError: the file is larger than ``max_bytes``.
     """
     path = Path(path)
-    try:
+    with system_errors(f"read {path}", "check the path and its permissions", InputError):
         if path.exists() and not path.is_file():
             raise InputError(f"{path} is not a regular file; give the path of a file")
         with path.open("rb") as file:
             # What is asked for is set aside at once, so ask for no more than there is.
             size = os.fstat(file.fileno()).st_size
             data = file.read(size + 1) if size <= max_bytes else b""
-    except OSError as error:
-        raise InputError(
-            f"cannot read {path}: {error.strerror or error}; check the path and its permissions"
-        ) from error
     if max(size, len(data)) > max_bytes:
         raise FormatError(f"{path} is larger than the limit of {max_bytes / 2**20:g} MB; split or reduce it")
     return data
@@ -69,10 +79,8 @@ def make_folder(folder: Path, remedy: str = "choose another place") -> Path:
     Raises:
         InputError: it cannot be made.
     """
-    try:
+    with system_errors(f"make the folder {folder}", remedy, InputError):
         folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"cannot make the folder {folder}: {error.strerror or error}; {remedy}") from error
     return folder
 
 
@@ -95,23 +103,17 @@ def atomic_write(path: str | Path) -> Iterator[IO[bytes]]:
     """
     path = written_to(path)
     name = path.with_name(f".{path.name[:32]}.{secrets.token_hex(8)}.part")
-    try:
+    with system_errors(f"write {path}", NO_FOLDER, InputError):
         # Not mkstemp, whose files are private: giving them the usual permissions takes the umask, which a process can
         # only read by changing it, for all its threads.
         handle = os.open(name, os.O_RDWR | os.O_CREAT | os.O_EXCL | BINARY, 0o666)
-    except OSError as error:
-        raise InputError(
-            f"cannot write {path}: {error.strerror or error}; choose a folder that exists and can be written to"
-        ) from error
     try:
-        with os.fdopen(handle, "wb") as file:
-            yield file
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(name, path)
-    except BaseException as error:
+        with system_errors(f"write {path}", NO_SPACE):
+            with os.fdopen(handle, "wb") as file:
+                yield file
+                file.flush()
+                os.fsync(file.fileno())
+            os.replace(name, path)
+    except BaseException:
         name.unlink(missing_ok=True)
-        if isinstance(error, OSError):
-            reason = error.strerror or error
-            raise MovesetError(f"cannot write {path}: {reason}; free some space or choose another disk") from error
         raise

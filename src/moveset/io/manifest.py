@@ -18,8 +18,8 @@ from safetensors import SafetensorError
 from safetensors.torch import load as load_safetensors
 from torch import Tensor
 
-from moveset.errors import FormatError, InputError, MovesetError
-from moveset.io.limits import read_limited
+from moveset.errors import FormatError, InputError
+from moveset.io.limits import NO_SPACE, read_limited, system_errors
 
 MANIFEST = "manifest.json"
 MAX_FILE = 512 * 2**20
@@ -131,19 +131,17 @@ def write_whole(path: Path, blobs: Mapping[str, bytes]) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     folder = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))
     try:
-        write_files(folder, blobs.items())
-        folder.chmod(0o755)
-        if path.exists():
-            path.rename(folder / ".old")
-        folder.rename(path)
-        shutil.rmtree(path / ".old", ignore_errors=True)
-    except BaseException as error:
+        with system_errors(f"write {path}", NO_SPACE):
+            write_files(folder, blobs.items())
+            folder.chmod(0o755)
+            if path.exists():
+                path.rename(folder / ".old")
+            folder.rename(path)
+            shutil.rmtree(path / ".old", ignore_errors=True)
+    except BaseException:
         if (folder / ".old").exists() and not path.exists():
             (folder / ".old").rename(path)
         shutil.rmtree(folder, ignore_errors=True)
-        if isinstance(error, OSError):
-            reason = error.strerror or error
-            raise MovesetError(f"cannot write {path}: {reason}; free some space or choose another disk") from error
         raise
 
 

@@ -65,12 +65,6 @@ class Npz:
             self.fail(f"{len(members)} arrays exceed the limit of {_MEMBERS}; it is no motion")
         self.names = {m.filename.removesuffix(".npy"): m for m in members if m.filename.endswith(".npy")}
 
-    def __enter__(self) -> "Npz":
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.zip.close()
-
     def fail(self, message: str) -> NoReturn:
         raise FormatError(f"{self.path}: {message}")
 

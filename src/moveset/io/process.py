@@ -4,10 +4,11 @@ import multiprocessing
 import os
 import signal
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 from moveset.errors import InputError
 
@@ -78,19 +79,25 @@ def noted_signals() -> Iterator[list[int]]:
     Of unlike ones the second does not: Ctrl-C reaches all processes of a terminal, and their parent may end them, too.
     """
     received: list[int] = []
-    # Only the main thread may set handlers; elsewhere signals do what they always did.
-    if threading.current_thread() is not threading.main_thread():
-        yield received
-        return
 
     def note(number: int, frame: object) -> None:
         if number in received:
             raise KeyboardInterrupt
         received.append(number)
 
-    before = {number: signal.signal(number, note) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
+    with handled_signals(note):
         yield received
+
+
+@contextmanager
+def handled_signals(handler: Callable[[int, Any], None]) -> Iterator[None]:
+    """Has SIGINT and SIGTERM call a function. Only the main thread may: elsewhere they do what they always did."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = {number: signal.signal(number, handler) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield
     finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+        for number, former in before.items():
+            signal.signal(number, former)

@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from moveset.io.bvh import BvhText
-from moveset.io.growing import GrowingText, recover_text
+from moveset.io.growing import GrowingFile
 from moveset.io.limits import MAX_BYTES, MAX_LINE
 from moveset.motion.clip import Motion
 from moveset.motion.skeleton import Skeleton
@@ -15,7 +15,7 @@ _HEAD_LINES = 10_000
 _BLOCK = 2**20
 
 
-class BvhTake(GrowingText):
+class BvhTake(GrowingFile):
     """Grows ``path.part``, which is a valid BVH file itself between two calls.
 
     Raises:
@@ -44,12 +44,8 @@ class BvhTake(GrowingText):
         self.cut()
 
 
-def recover_bvh(path: Path) -> int:
-    """Cut ``path.part`` after its last whole frame and make it ``path``, as ``recover_text`` does."""
-    return recover_text(path, _mend)
-
-
-def _mend(file: BinaryIO) -> int:
+def mend_bvh(file: BinaryIO) -> int:
+    """Cut a part after its last whole frame; the number of frames, as ``recover_text`` wants it."""
     count_at = -1
     for _ in range(_HEAD_LINES):
         line = file.readline(MAX_LINE)

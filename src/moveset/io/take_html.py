@@ -7,15 +7,15 @@ from pathlib import Path
 from typing import BinaryIO
 
 from moveset.io import Metadata
-from moveset.io.growing import GrowingText, recover_text
-from moveset.io.html import FRAMES_BEGIN, close_page, frame_lines, open_page
+from moveset.io.growing import GrowingFile
+from moveset.io.html import FRAMES_BEGIN, FRAMES_END, frame_lines, open_page
 from moveset.io.limits import MAX_BYTES, read_limited
 from moveset.io.packets import HEADER
 from moveset.motion.clip import Motion
 from moveset.motion.skeleton import Skeleton
 
 
-class HtmlTake(GrowingText):
+class HtmlTake(GrowingFile):
     """Grows ``path.part``, a page that plays what has been made so far.
 
     Raises:
@@ -25,13 +25,12 @@ class HtmlTake(GrowingText):
 
     def __init__(self, path: Path, skeleton: Skeleton, fps: float, notes: Metadata) -> None:
         super().__init__(path, open_page(skeleton, fps, notes))
-        self._tail = close_page()
         # Four characters of base64 for three bytes, and what stands around them.
         self._row = 4 * -(-(HEADER.size + 4 * (3 + 4 * len(skeleton))) // 3) + 4
 
     @property
     def room(self) -> int:
-        return (MAX_BYTES - self.size - len(self._tail)) // self._row
+        return (MAX_BYTES - self.size - len(FRAMES_END)) // self._row
 
     def append(self, motion: Motion) -> None:
         try:
@@ -43,23 +42,19 @@ class HtmlTake(GrowingText):
         if not self.frames:
             return
         try:
-            self.write(self.size, self._tail)
+            self.write(self.size, FRAMES_END)
         except OSError:
             # No space even for these few bytes: the last frame's are longer.
             self.frames, self.size = self.frames - 1, self.size - self._row
-            self.write(self.size, self._tail)
+            self.write(self.size, FRAMES_END)
             raise
 
     def _seal(self) -> None:
-        self.cut(len(self._tail))
+        self.cut(len(FRAMES_END))
 
 
-def recover_html(path: Path) -> int:
-    """Close the page in ``path.part`` after its last whole frame and make it ``path``, as ``recover_text`` does."""
-    return recover_text(path, _mend)
-
-
-def _mend(file: BinaryIO) -> int:
+def mend_html(file: BinaryIO) -> int:
+    """Close the page of a part after its last whole frame; the number of frames, as ``recover_text`` wants it."""
     data = read_limited(file.name)
     begun = data.find(FRAMES_BEGIN) + len(FRAMES_BEGIN)
     frames, end = 0, begun
@@ -67,6 +62,6 @@ def _mend(file: BinaryIO) -> int:
         frames, end = frames + 1, stop + 2
     if frames:
         file.seek(end)
-        file.write(close_page())
+        file.write(FRAMES_END)
         file.truncate()
     return frames

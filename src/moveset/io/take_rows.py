@@ -68,7 +68,7 @@ class RowsTake(GrowingFile):
             self._space = os.open(_space_of(path), os.O_RDWR | os.O_CREAT | os.O_TRUNC | BINARY, 0o666)
             self._reserve(0)
         except BaseException:
-            self._discard()
+            self.remove()
             raise
 
     @property
@@ -85,7 +85,7 @@ class RowsTake(GrowingFile):
 
     def finish(self) -> None:
         if not self.frames:
-            self._discard()
+            self.remove()
             return
         self.cut()
         self._leave_space()
@@ -96,6 +96,10 @@ class RowsTake(GrowingFile):
     def close(self) -> None:
         super().close()
         self._leave_space()
+
+    def remove(self) -> None:
+        super().remove()
+        _space_of(self.path).unlink(missing_ok=True)
 
     def _leave_space(self) -> None:
         if self._space >= 0:
@@ -108,10 +112,6 @@ class RowsTake(GrowingFile):
         os.lseek(self._space, self._reserved, os.SEEK_SET)
         while self._reserved < wanted:
             self._reserved += os.write(self._space, bytes(min(wanted - self._reserved, _DISK_BLOCK)))
-
-    def _discard(self) -> None:
-        self.remove()
-        _space_of(self.path).unlink(missing_ok=True)
 
 
 def recover_rows(path: Path) -> int:

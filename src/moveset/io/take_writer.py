@@ -14,11 +14,11 @@ from pathlib import Path
 from typing import Self
 
 from moveset.errors import InputError, MovesetError
-from moveset.io import Metadata
-from moveset.io.growing import GrowingFile, part_of
-from moveset.io.limits import MAX_FRAMES, MAX_JOINTS, MAX_POSES, written_to
-from moveset.io.take_bvh import BvhTake, recover_bvh
-from moveset.io.take_html import HtmlTake, recover_html
+from moveset.io import Metadata, save_beside
+from moveset.io.growing import GrowingFile, part_of, recover_text
+from moveset.io.limits import MAX_FRAMES, MAX_JOINTS, MAX_POSES, NO_SPACE, system_errors, written_to
+from moveset.io.take_bvh import BvhTake, mend_bvh
+from moveset.io.take_html import HtmlTake, mend_html
 from moveset.io.take_rows import RowsTake, recover_rows
 from moveset.motion.clip import Motion
 from moveset.motion.retarget import retarget
@@ -43,16 +43,13 @@ def open_take(path: str | Path, skeleton: Skeleton, fps: float, *, metadata: Met
     if not 0 < fps <= 1000 or len(skeleton) > MAX_JOINTS:
         raise InputError(f"{len(skeleton)} joints at {fps:g} fps are not within {MAX_JOINTS} and (0, 1000]")
     notes = dict(metadata or {})
-    try:
+    with system_errors(f"write {path}", NO_SPACE):
         if path.suffix.lower() == ".bvh":
             store: GrowingFile = BvhTake(path, skeleton, fps)
         elif path.suffix.lower() == ".html":
             store = HtmlTake(path, skeleton, fps, notes)
         else:
             store = RowsTake(path, skeleton, fps, notes)
-    except OSError as error:
-        reason = error.strerror or error
-        raise MovesetError(f"cannot write {path}: {reason}; free some space or choose another disk") from error
     return Take(store, skeleton, fps, notes)
 
 
@@ -122,17 +119,14 @@ class Take:
         """
         if not self._closed:
             self._closed = True
+            remedy = f"free some space and recover its {self.frames} frames from {self._store.part}"
             try:
-                self._store.finish()
-            except OSError as error:
-                raise MovesetError(
-                    f"cannot finish {self.path}: {error.strerror or error}; free some space and recover its "
-                    f"{self.frames} frames from {self._store.part}"
-                ) from error
+                with system_errors(f"finish {self.path}", remedy):
+                    self._store.finish()
             finally:
                 self._store.close()
             if self.frames:
-                _note(self._notes, self.path)
+                save_beside(self._notes, self.path)
         return self.path if self.frames else None
 
     def __enter__(self) -> Self:
@@ -159,27 +153,11 @@ def recover_take(path: str | Path) -> int:
     path = _checked(path.with_suffix("") if path.suffix == ".part" else path)
     if not (part := part_of(path)).is_file():
         raise InputError(f"there is no {part}, so nothing to recover; give the path that the take was opened with")
-    try:
-        recover = {".bvh": recover_bvh, ".html": recover_html}.get(path.suffix.lower(), recover_rows)
-        frames = recover(path)
-    except OSError as error:
-        reason = error.strerror or error
-        raise MovesetError(
-            f"cannot recover {path}: {reason}; check its permissions and the space on its disk"
-        ) from error
-    _note({}, path)
+    mend = {".bvh": mend_bvh, ".html": mend_html}.get(path.suffix.lower())
+    with system_errors(f"recover {path}", "check its permissions and the space on its disk"):
+        frames = recover_text(path, mend) if mend else recover_rows(path)
+    save_beside({}, path)
     return frames
-
-
-def _note(notes: Metadata, path: Path) -> None:
-    """Remember ``notes`` with a finished take that has no place for them: a BVH.
-
-    Where there are none, and a part has none, those of the file before must not be taken for its own.
-    """
-    if path.suffix.lower() == ".bvh" and (notes or path.with_name(path.name + ".json").exists()):
-        from moveset.io import save_beside
-
-        save_beside(notes, path)
 
 
 def _checked(path: str | Path) -> Path:

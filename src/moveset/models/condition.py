@@ -42,9 +42,6 @@ class PastSegment:
         zeros = torch.zeros(len(frames), dtype=torch.long, device=frames.device)
         return cls(frames, zeros, zeros + 1)
 
-    def joined(self, other: "PastSegment") -> "PastSegment":
-        return PastSegment(**{f.name: _joined(getattr(self, f.name), getattr(other, f.name)) for f in fields(self)})
-
 
 @dataclass(frozen=True, eq=False)
 class Condition:
@@ -79,7 +76,7 @@ class Condition:
 
     def joined(self, other: "Condition") -> "Condition":
         """The rows of both, in order; both must have the same parts."""
-        return Condition(**{f.name: _joined(getattr(self, f.name), getattr(other, f.name)) for f in fields(self)})
+        return _joined(self, other)
 
 
 class Denoiser(nn.Module):
@@ -163,9 +160,11 @@ def guided(
 
 
 def _joined(one: Any, other: Any) -> Any:
-    """Two like parts of a condition as one; None where there is none."""
+    """Two like conditions, or parts of such, as one; None where there is none."""
     if one is None:
         return None
     if isinstance(one, TextEmbedding):
         return stack([one, other])
-    return one.joined(other) if isinstance(one, PastSegment) else torch.cat((one, other))
+    if isinstance(one, Condition | PastSegment):
+        return type(one)(**{f.name: _joined(getattr(one, f.name), getattr(other, f.name)) for f in fields(one)})
+    return torch.cat((one, other))

@@ -15,9 +15,8 @@ from torch.nn import functional as fn
 
 from moveset.errors import InputError
 from moveset.models.condition import Condition, Denoiser
-from moveset.models.layers import Attention
+from moveset.models.layers import Attention, sinusoids
 from moveset.models.registry import ModelConfig, register, require_range, require_sizes
-from moveset.models.sinusoids import sinusoids
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

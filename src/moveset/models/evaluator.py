@@ -159,18 +159,6 @@ class SentenceEncoder(SequenceEncoder):
         super().__init__(config.word_width, config.text_hidden, config.joint, config.hidden_dropout)
         self.speech = nn.Linear(config.speech_classes, config.word_width) if config.speech_classes else None
 
-    def read(self, words_BLW: Tensor, speech_BLP: Tensor | None, lengths_B: Tensor) -> Tensor:
-        """(B, E) of sentences.
-
-        Raises:
-            InputError: classes of speech are missing, or given to a network that has no use for them.
-        """
-        if (self.speech is None) != (speech_BLP is None):
-            raise InputError("classes of speech and an evaluator trained with them belong together; check its words")
-        if self.speech is not None and speech_BLP is not None:
-            words_BLW = words_BLW + self.speech(speech_BLP)
-        return self(words_BLW, lengths_B)
-
 
 class MatchingEvaluator(nn.Module):
     """Motions and sentences to one space; distances there are Euclidean.
@@ -204,8 +192,16 @@ class MatchingEvaluator(nn.Module):
         return self.motion(tokens_BTC, lengths_B // FRAMES_PER_TOKEN)
 
     def embed_text(self, words_BLW: Tensor, speech_BLP: Tensor | None, lengths_B: Tensor) -> Tensor:
-        """(B, E) of sentences of ``lengths_B`` words."""
-        return self.text.read(words_BLW, speech_BLP, lengths_B)
+        """(B, E) of sentences of ``lengths_B`` words.
+
+        Raises:
+            InputError: classes of speech are missing, or given to a network that has no use for them.
+        """
+        if (self.text.speech is None) != (speech_BLP is None):
+            raise InputError("classes of speech and an evaluator trained with them belong together; check its words")
+        if speech_BLP is not None:
+            words_BLW = words_BLW + self.text.speech(speech_BLP)
+        return self.text(words_BLW, lengths_B)
 
 
 def _xavier(layer: nn.Module) -> None:

@@ -28,6 +28,7 @@ import torch
 from torch import Generator, Tensor, nn
 
 from moveset.errors import InputError
+from moveset.models.layers import zeroed
 from moveset.models.registry import ModelConfig, register, require_sizes
 
 BOUNDS = ("tanh", "hardtanh")
@@ -78,9 +79,7 @@ class _Coupling(nn.Module):
         self.register_buffer("order", order_D)
         self.lstm = nn.LSTM(passed + config.text_context + config.index_context, config.hidden, batch_first=True)
         self.head = nn.Sequential(nn.Linear(config.hidden, config.hidden), nn.SiLU())
-        self.out = nn.Linear(config.hidden, 2 * (config.features - passed))
-        nn.init.zeros_(self.out.weight)
-        nn.init.zeros_(self.out.bias)
+        self.out = zeroed(nn.Linear(config.hidden, 2 * (config.features - passed)))
 
     def forward(self, x_BnD: Tensor, context_Bnc: Tensor, inverse: bool) -> tuple[Tensor, Tensor]:
         """The moved segment and the log-scales (B, n, Q); both directions see the same passed features, hence agree."""

@@ -17,7 +17,7 @@ from torch.nn import functional as fn
 
 from moveset.diffusion.schedule import Schedule, scaled_linear
 from moveset.models.condition import Condition, Denoiser
-from moveset.models.layers import time_embedding
+from moveset.models.layers import time_embedding, zeroed
 from moveset.models.registry import ModelConfig, register, require_range, require_sizes
 
 WAVES = 256  # size of the embeddings of time, length and guidance scale, numbers of the order of 0..1000
@@ -84,8 +84,7 @@ class LatentDenoiser(Denoiser):
         self.length = nn.Linear(WAVES, c.width)
         if c.guided:
             # Zero at the start: a fresh student is its teacher, whatever the guidance scale.
-            self.guidance = nn.Linear(WAVES, c.width, bias=False)
-            nn.init.zeros_(self.guidance.weight)
+            self.guidance = zeroed(nn.Linear(WAVES, c.width, bias=False))
         self.modulate = nn.Linear(c.width, 6 * c.width)
         nn.init.normal_(self.modulate.weight, std=0.02)
         nn.init.zeros_(self.modulate.bias)
@@ -98,11 +97,8 @@ class LatentDenoiser(Denoiser):
             with torch.no_grad():
                 skip.weight.copy_(torch.cat((torch.eye(c.width), torch.zeros(c.width, c.width)), dim=1))
         self.norm_out = nn.LayerNorm(c.width, elementwise_affine=False)
-        self.modulate_out = nn.Linear(c.width, 2 * c.width)
-        self.out = nn.Linear(c.width, c.token_dim)
-        for layer in (self.modulate_out, self.out):
-            nn.init.zeros_(layer.weight)
-            nn.init.zeros_(layer.bias)
+        self.modulate_out = zeroed(nn.Linear(c.width, 2 * c.width))
+        self.out = zeroed(nn.Linear(c.width, c.token_dim))
         self.schedule = scaled_linear() if c.carried else None
 
     def prepare(self, condition: Condition) -> TextKeys:

@@ -6,12 +6,15 @@ Source: Vaswani et al. 2017 (arXiv 1706.03762) as used by MLD (Chen et al. 2023,
 """
 
 import math
+from typing import TypeVar
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
 from moveset.errors import InputError
+
+Layer = TypeVar("Layer", nn.Linear, nn.Conv1d)
 
 
 def time_embedding(t_B: Tensor, dim: int = 768) -> Tensor:
@@ -29,6 +32,25 @@ def frequencies(count: int, device: torch.device) -> Tensor:
     return torch.exp(torch.arange(count, device=device) * (-math.log(10000.0) / count))
 
 
+def sinusoids(places: Tensor, width: int) -> Tensor:
+    """(…,) numbers -> (…, width): [sin, cos, sin, cos, …] at frequencies 10000^(-2i / width); width is even.
+
+    >>> sinusoids(torch.tensor([0, 1]), 2)
+    tensor([[0.0000, 1.0000],
+            [0.8415, 0.5403]])
+    """
+    cos_sin = time_embedding(places.flatten(), width).unflatten(-1, (2, -1))
+    return torch.stack((cos_sin[:, 1], cos_sin[:, 0]), dim=-1).reshape(*places.shape, width)
+
+
+def zeroed(layer: Layer) -> Layer:
+    """A layer that says nothing before it has learned to."""
+    nn.init.zeros_(layer.weight)
+    if layer.bias is not None:
+        nn.init.zeros_(layer.bias)
+    return layer
+
+
 class TimeEmbedding(nn.Module):
     """Timestep, and in a distilled model the guidance scale, as one token (B, C).
 
@@ -42,9 +64,7 @@ class TimeEmbedding(nn.Module):
     def __init__(self, width: int, waves: int, guidance: int | None) -> None:
         super().__init__()
         self.waves = waves
-        self.guidance = None if guidance is None else nn.Linear(guidance, waves, bias=False)
-        if self.guidance is not None:
-            nn.init.zeros_(self.guidance.weight)
+        self.guidance = None if guidance is None else zeroed(nn.Linear(guidance, waves, bias=False))
         self.inward, self.outward = nn.Linear(waves, width), nn.Linear(width, width)
 
     def forward(self, t_B: Tensor, w_BG: Tensor | None) -> Tensor:

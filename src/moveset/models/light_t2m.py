@@ -16,10 +16,9 @@ from torch.nn import functional as fn
 
 from moveset.errors import InputError
 from moveset.models.condition import Condition, Denoiser
-from moveset.models.layers import time_embedding
+from moveset.models.layers import sinusoids, time_embedding
 from moveset.models.registry import ModelConfig, register, require_range, require_sizes
 from moveset.models.selective_scan import Mamba
-from moveset.models.sinusoids import sinusoids
 
 POOLS = ("last", "mean")
 

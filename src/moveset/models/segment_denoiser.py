@@ -20,7 +20,7 @@ from torch.nn import functional as fn
 from moveset.diffusion.guidance import guidance_embedding
 from moveset.errors import InputError
 from moveset.models.condition import Condition, Denoiser
-from moveset.models.layers import Block, TimeEmbedding
+from moveset.models.layers import Block, TimeEmbedding, zeroed
 from moveset.models.registry import ModelConfig, register, require_range, require_sizes
 
 PREVIOUS = ("none", "xattn")
@@ -282,12 +282,6 @@ def softmax_attention(q_BnHd: Tensor, k_BMHd: Tensor, v_BMHd: Tensor, mask_BM: T
     q, k, v = (part.transpose(1, 2) for part in (q_BnHd, k_BMHd, v_BMHd))
     mask = None if mask_BM is None else mask_BM[:, None, None, :]
     return fn.scaled_dot_product_attention(q, k, v, attn_mask=mask).transpose(1, 2)
-
-
-def zeroed(layer: nn.Linear) -> nn.Linear:
-    nn.init.zeros_(layer.weight)
-    nn.init.zeros_(layer.bias)
-    return layer
 
 
 def require_length(what: str, frames: int, limit: int) -> None:

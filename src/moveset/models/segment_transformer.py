@@ -27,7 +27,7 @@ from moveset.diffusion.schedule import linear
 from moveset.errors import InputError
 from moveset.models.condition import Condition, Denoiser
 from moveset.models.latent_denoiser import WAVES, Block
-from moveset.models.layers import time_embedding
+from moveset.models.layers import time_embedding, zeroed
 from moveset.models.registry import ModelConfig, register, require_range, require_sizes
 
 _SCHEDULE = linear()
@@ -114,22 +114,17 @@ class SegmentTransformer(Denoiser):
         nn.init.normal_(self.index.weight, std=0.02)
         if c.heading_change:
             # Zero at the start, so that a network may learn it after the rest.
-            self.course = nn.Linear(WAVES, c.width, bias=False)
-            nn.init.zeros_(self.course.weight)
+            self.course = zeroed(nn.Linear(WAVES, c.width, bias=False))
         if c.guided:
             # Zero at the start: a fresh student is its teacher, whatever the guidance scale.
-            self.guidance = nn.Linear(WAVES, c.width, bias=False)
-            nn.init.zeros_(self.guidance.weight)
+            self.guidance = zeroed(nn.Linear(WAVES, c.width, bias=False))
         self.modulate = nn.Linear(c.width, 6 * c.width)
         nn.init.normal_(self.modulate.weight, std=0.02)
         nn.init.zeros_(self.modulate.bias)
         self.blocks = nn.ModuleList(Block(c.width, c.heads, c.hidden, 0.0) for _ in range(c.blocks))
         self.norm_out = nn.LayerNorm(c.width, elementwise_affine=False)
-        self.modulate_out = nn.Linear(c.width, 2 * c.width)
-        self.out = nn.Linear(c.width, c.features)
-        for layer in (self.modulate_out, self.out):
-            nn.init.zeros_(layer.weight)
-            nn.init.zeros_(layer.bias)
+        self.modulate_out = zeroed(nn.Linear(c.width, 2 * c.width))
+        self.out = zeroed(nn.Linear(c.width, c.features))
 
     def colour(self, noise_BnD: Tensor) -> Tensor:
         """Standard normal noise (B, n, D) as this network was trained on it."""

@@ -4,7 +4,6 @@ Shapes: B batch, L sequence, M memory, C width.
 Source: U-ViT (Bao et al. 2022, arXiv 2209.12152), as used by MLD (arXiv 2212.04048) and MotionLCM (arXiv 2404.19759).
 """
 
-from dataclasses import dataclass, fields
 from typing import Any
 
 import torch
@@ -12,42 +11,31 @@ from torch import Tensor, nn
 
 from moveset.errors import InputError
 from moveset.models.layers import Block
-from moveset.models.registry import require_sizes
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class SkipTransformerConfig:
-    """Sizes of a ``SkipTransformer``; ``layers`` is odd: as many before the middle one as after it."""
+def require_stack(config: Any) -> None:
+    """For configurations of networks with a ``SkipTransformer``, whose sizes are within their limits.
 
-    width: int = 256
-    layers: int = 9
-    heads: int = 4
-    feed_forward: int = 1024
-    dropout: float = 0.1
-
-    @classmethod
-    def of(cls, config: Any) -> "SkipTransformerConfig":
-        """The part of a larger configuration."""
-        return cls(**{field.name: getattr(config, field.name) for field in fields(cls)})
-
-    def __post_init__(self) -> None:
-        require_sizes(self, heads=(1, self.width))
-        if self.layers % 2 == 0:
-            raise InputError(
-                f"layers = {self.layers} is even; a skip transformer has a middle layer, so give an odd number"
-            )
-        if self.width % self.heads:
-            raise InputError(f"width {self.width} is not a multiple of its {self.heads} heads")
+    Raises:
+        InputError: an even number of layers, or heads that do not divide the width.
+    """
+    if config.layers % 2 == 0:
+        raise InputError(
+            f"layers = {config.layers} is even; a skip transformer has a middle layer, so give an odd number"
+        )
+    if config.width % config.heads:
+        raise InputError(f"width {config.width} is not a multiple of its {config.heads} heads")
 
 
 class SkipTransformer(nn.Module):
     """Blocks in which the output of the n-th first one rejoins before the n-th last one; a final LayerNorm.
 
     Args:
+        config: has its sizes, width, layers (as many before the middle one as after it), heads, feed_forward, dropout.
         cross: whether every block also attends to a memory (the "decoder" stack).
     """
 
-    def __init__(self, config: SkipTransformerConfig, *, cross: bool) -> None:
+    def __init__(self, config: Any, *, cross: bool) -> None:
         super().__init__()
         c, half = config, config.layers // 2
         self.blocks = nn.ModuleList(

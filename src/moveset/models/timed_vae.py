@@ -14,6 +14,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as fn
 
+from moveset.models.layers import zeroed
 from moveset.models.registry import ModelConfig, register, require_sizes
 
 PATCH = 4
@@ -123,9 +124,7 @@ class ConvBlock(nn.Module):
         super().__init__()
         self.gain = nn.Parameter(torch.ones(width, 1))
         self.mix = nn.Conv1d(width, width, kernel, padding=kernel // 2)
-        self.out = nn.Conv1d(width, width, out_kernel, padding=out_kernel // 2)
-        nn.init.zeros_(self.out.weight)
-        nn.init.zeros_(self.out.bias)  # type: ignore[arg-type]
+        self.out = zeroed(nn.Conv1d(width, width, out_kernel, padding=out_kernel // 2))
 
     def forward(self, x: Tensor, mask: Tensor) -> Tensor:
         """x (B, C, T), mask (B, 1, T)."""

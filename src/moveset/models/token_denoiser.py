@@ -13,7 +13,7 @@ from moveset.diffusion.guidance import guidance_embedding
 from moveset.models.condition import Condition, Denoiser
 from moveset.models.layers import Positions, TimeEmbedding
 from moveset.models.registry import ModelConfig, register, require_sizes
-from moveset.models.skip_transformer import SkipTransformer, SkipTransformerConfig
+from moveset.models.skip_transformer import SkipTransformer, require_stack
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -34,7 +34,7 @@ class TokenDenoiserConfig(ModelConfig):
 
     def __post_init__(self) -> None:
         require_sizes(self, time_waves=(2, 4096))
-        SkipTransformerConfig.of(self)
+        require_stack(self)
 
 
 class TokenDenoiser(Denoiser):
@@ -51,7 +51,7 @@ class TokenDenoiser(Denoiser):
         self.time = TimeEmbedding(config.width, config.time_waves, config.guidance_waves if config.guided else None)
         self.text_in = nn.Linear(config.text_dim, config.width)
         self.positions = Positions(config.positions, config.width)
-        self.stack = SkipTransformer(SkipTransformerConfig.of(config), cross=False)
+        self.stack = SkipTransformer(config, cross=False)
         self.latent_out = nn.Linear(config.width, config.token_dim)
 
     def denoise(self, z_BND: Tensor, t_B: Tensor, condition: Condition, taps: list[Tensor] | None) -> Tensor:

@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from moveset.errors import InputError
 from moveset.models.layers import Positions
 from moveset.models.registry import ModelConfig, register, require_sizes
-from moveset.models.skip_transformer import SkipTransformer, SkipTransformerConfig
+from moveset.models.skip_transformer import SkipTransformer, require_stack
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -33,7 +33,7 @@ class TokenVAEConfig(ModelConfig):
         require_sizes(self, tokens=(1, 1024))
         if self.positions <= 2 * self.tokens:
             raise InputError(f"{self.positions} positions leave no frame beside 2 x {self.tokens} tokens; give more")
-        SkipTransformerConfig.of(self)
+        require_stack(self)
 
 
 class TokenVAE(nn.Module):
@@ -46,12 +46,12 @@ class TokenVAE(nn.Module):
         self.frame_in = nn.Linear(c.features, c.width)
         self.tokens = nn.Parameter(torch.randn(2 * c.tokens, c.width))  # N for the means, N for the log-variances
         self.encoder_positions = Positions(c.positions, c.width)
-        self.encoder = SkipTransformer(SkipTransformerConfig.of(c), cross=False)
+        self.encoder = SkipTransformer(c, cross=False)
         self.to_latent = nn.Linear(c.width, c.token_dim)
 
         self.from_latent = nn.Linear(c.token_dim, c.width)
         self.decoder_positions = Positions(c.positions, c.width)
-        self.decoder = SkipTransformer(SkipTransformerConfig.of(c), cross=True)
+        self.decoder = SkipTransformer(c, cross=True)
         self.frame_out = nn.Linear(c.width, c.features)
 
     def encode(self, x_BFD: Tensor, lengths_B: Tensor) -> tuple[Tensor, Tensor]:

@@ -1,8 +1,7 @@
 """Bends the way of a motion: the same steps, on a path that turns otherwise.
 
-Features of every codec are seen from their own heading, so what is added to their yaw step bends the way and leaves
-everything else as it was: steps, pace, and which feet stand. Feet that turn with it may slide; ``cleanup.lock_feet``
-holds them.
+Native features are seen from their own heading, so what is added to their yaw step bends the way and leaves everything
+else as it was: steps, pace, and which feet stand. Feet that turn with it may slide; ``cleanup.lock_feet`` holds them.
 
 Angles are radians, to the left above zero. F frames, D features.
 """
@@ -13,22 +12,19 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from moveset.motion.features import FeatureCodec
+from moveset.motion.native import NativeCodec
 
-# What 1 is in a codec's features: radians to the left (T2M's half-angles turn the world, KIT-ML's in a mirror); metres.
-_YAW = {"native": 1.0, "hml": -2.0, "kit": 2.0}
-_METRES = {"native": 1.0, "hml": 1.0, "kit": 0.001}
 # The most that feet can follow:
 _TIGHTEST = 0.4  # metres, radius of a way; who stands and sways does not spin
 _FASTEST = math.radians(120.0)  # a second; a run leans into it, a walk trips
 
 
-def steps(features_FD: Tensor, codec: FeatureCodec) -> Tensor:
+def steps(features_FD: Tensor, codec: NativeCodec) -> Tensor:
     """Metres (F,), float64, that the root travels over the ground to the next frame."""
-    return features_FD[:, codec.groups["root_velocity"]].double().norm(dim=1) * _METRES[codec.name]
+    return features_FD[:, codec.groups["root_velocity"]].double().norm(dim=1)
 
 
-def led(features_FD: Tensor, codec: FeatureCodec, heading: Callable[[Tensor], Tensor]) -> Tensor:
+def led(features_FD: Tensor, codec: NativeCodec, heading: Callable[[Tensor], Tensor]) -> Tensor:
     """Bent along a path, as far as feet can follow: (F, D).
 
     Args:
@@ -39,5 +35,5 @@ def led(features_FD: Tensor, codec: FeatureCodec, heading: Callable[[Tensor], Te
     most_F = (steps_F / _TIGHTEST).clamp_max(_FASTEST / codec.fps)
     added_F = heading(torch.cat((gone.new_zeros(1), gone))).diff().clamp(-most_F, most_F)
     bent_FD = features_FD.clone()
-    bent_FD[:, codec.groups["root_yaw"]] += (added_F / _YAW[codec.name])[:, None].to(bent_FD.dtype)
+    bent_FD[:, codec.groups["root_yaw"]] += added_F[:, None].to(bent_FD.dtype)
     return bent_FD

@@ -89,29 +89,23 @@ def frame(left: Tensor, up: Tensor) -> Tensor:
 
 def snapped(axes: Tensor) -> Tensor:
     """The axes (3, 3) along those of the world that they nearly are; as they are where they are not."""
-    out = torch.zeros_like(axes)
-    nearest = axes.abs().argmax(dim=0)
-    if len(set(nearest.tolist())) < 3 or float(axes.abs().amax(dim=0).min()) < _SNAP:
+    size, nearest = axes.abs().max(dim=0)
+    if len(set(nearest.tolist())) < 3 or float(size.min()) < _SNAP:
         return axes
-    for column in range(3):
-        row = int(nearest[column])
-        out[row, column] = axes[row, column].sign()
+    return torch.stack([nearest_axis(column) for column in axes.T], dim=-1)
+
+
+def nearest_axis(v: Tensor) -> Tensor:
+    """(3,) the axis of the world nearest to a direction."""
+    axis = int(v.abs().argmax())
+    out = torch.zeros(3, dtype=torch.float64)
+    out[axis] = v[axis].sign()
     return out
 
 
 def to_upright(axes: Tensor) -> Tensor:
     """(4,) the rotation that takes left, up, forward (3, 3) to +X, +Y, +Z."""
     return rotations.from_matrix(axes.T)
-
-
-def limbs_of(roles: Roles) -> list[tuple[str, str, str]]:
-    """(part, from, to) of the bones of arms and legs that are there."""
-    found = []
-    for side in ("left", "right"):
-        for start, end in (("hip", "knee"), ("knee", "ankle"), ("shoulder", "elbow"), ("elbow", "wrist")):
-            if f"{side}_{start}" in roles and f"{side}_{end}" in roles:
-                found.append((f"{side}_{start}", f"{side}_{start}", f"{side}_{end}"))
-    return found
 
 
 def _degrees(v: Tensor, axis: Tensor) -> Tensor:
@@ -141,16 +135,15 @@ def posture(placed: Tensor, roles: Roles, axes: Tensor) -> dict[str, Tensor]:
         out["head" if end == "head" else f"{start} to {end}"] = _degrees(bone, y)
     for side, out_ward in (("left", x), ("right", -x)):
         bones = {
-            start: unit(placed[..., roles[b], :] - placed[..., roles[a], :])
-            for start, a, b in limbs_of(roles)
-            if start.startswith(side)
+            start: unit(placed[..., roles[f"{side}_{end}"], :] - placed[..., roles[f"{side}_{start}"], :])
+            for start, end in (("hip", "knee"), ("knee", "ankle"), ("shoulder", "elbow"), ("elbow", "wrist"))
+            if f"{side}_{start}" in roles and f"{side}_{end}" in roles
         }
         for part, bone in bones.items():
-            leg = part.endswith(("hip", "knee"))
-            out[part] = _degrees(bone, -y if leg else out_ward)
-        for joint, (a, b) in (("knee bend", ("hip", "knee")), ("elbow bend", ("shoulder", "elbow"))):
-            if f"{side}_{a}" in bones and f"{side}_{b}" in bones:
-                out[f"{side} {joint}"] = _degrees(bones[f"{side}_{a}"], bones[f"{side}_{b}"])
+            out[f"{side}_{part}"] = _degrees(bone, -y if part in ("hip", "knee") else out_ward)
+        for joint, upper, lower in (("knee", "hip", "knee"), ("elbow", "shoulder", "elbow")):
+            if upper in bones and lower in bones:
+                out[f"{side} {joint} bend"] = _degrees(bones[upper], bones[lower])
         if f"{side}_foot" in roles:
             toes = unit(placed[..., roles[f"{side}_foot"], :] - placed[..., roles[f"{side}_ankle"], :])
             out[f"{side} toes"] = _degrees(toes, z)

@@ -150,12 +150,7 @@ class Motion:
         if len(self) == 1:
             return replace(self, fps=fps)
         count = math.floor((len(self) - 1) / self.fps * fps + 1e-6) + 1
-        where = torch.arange(count, dtype=torch.float64) / fps * self.fps
-        low = where.floor().clamp(max=len(self) - 2).long()
-        t = (where - low).clamp(0.0, 1.0).to(self.root.dtype)
-        turned = rotations.slerp(self.rotations[low], self.rotations[low + 1], t[:, None])
-        root = torch.lerp(self.root[low], self.root[low + 1], t[:, None])
-        return replace(self, rotations=turned, root=root, fps=fps)
+        return replace(between_frames(self, torch.arange(count, dtype=torch.float64) / fps * self.fps), fps=fps)
 
     def in_place(self) -> "Motion":
         """Without travel over the ground: the planar root path is held at its first frame."""
@@ -180,3 +175,18 @@ class Motion:
         from moveset.io.html import inline_player
 
         return inline_player(self.detached())
+
+
+def between_frames(motion: Motion, where: Tensor) -> Motion:
+    """The motion at places (G,) between its frames: slerp, linear for the root."""
+    low = where.long().clamp(max=max(len(motion) - 2, 0))
+    high = (low + 1).clamp(max=len(motion) - 1)
+    t = (where - low).clamp(0.0, 1.0).to(motion.root.dtype)[:, None]
+    turned = rotations.slerp(motion.rotations[low], motion.rotations[high], t)
+    return replace(motion, rotations=turned, root=torch.lerp(motion.root[low], motion.root[high], t))
+
+
+def concatenate(pieces: Sequence[Motion]) -> Motion:
+    """Frames of several motions on one skeleton as they are, one after the other."""
+    turned, root = (torch.cat([getattr(piece, name) for piece in pieces]) for name in ("rotations", "root"))
+    return Motion(turned, root, pieces[0].fps, pieces[0].skeleton)

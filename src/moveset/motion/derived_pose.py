@@ -132,11 +132,11 @@ class _Body:
             turns.append(self.out.get(j, rotations.mul(above, self._usual(j, parent))))
         return torch.stack(turns)
 
-    def _usual(self, joint: int, parent: int) -> Tensor:
+    def _usual(self, joint: int, above: int) -> Tensor:
         """(4,) mean rotation of a joint as one above it sees it."""
-        if not self.frames or parent < 0:
+        if not self.frames or above < 0:
             return rotations.identity().double()
-        return _mean(rotations.mul(rotations.inv(self.turned[:, parent]), self.turned[:, joint]))
+        return _mean(rotations.mul(rotations.inv(self.turned[:, above]), self.turned[:, joint]))
 
     def _settle_trunk(self, role: str, above: str | None, left: Tensor) -> None:
         """A joint of the trunk: the world's up while the body stands, else its bone as on hml22."""
@@ -184,9 +184,7 @@ class _Body:
         """(4,) how a joint's axes stand that on average turns as a settled one does."""
         if not self.frames:
             return self.out[above]
-        return rotations.mul(
-            self.out[above], _mean(rotations.mul(rotations.inv(self.turned[:, above]), self.turned[:, joint]))
-        )
+        return rotations.mul(self.out[above], self._usual(joint, above))
 
     def _pair(self, role: str, part: str) -> Tensor:
         """From the right to the left one of a part as the joint of a role sees it."""
@@ -281,7 +279,7 @@ class _Body:
         axis = torch.zeros(3, dtype=torch.float64)
         if self.frames:
             # An arm that hangs bends about the line of the shoulders, and that axis swings with the arm.
-            upper = self._in_body(unit(self.placed[:, elbow] - self.placed[:, shoulder]))
+            upper = (self.axes.mT @ unit(self.placed[:, elbow] - self.placed[:, shoulder])[..., None])[..., 0]
             swung = rotations.rotate(rotations.between(-_Y.expand_as(upper), upper), -_X)
             usual = (self.axes @ swung[..., None])[..., 0]
             axis = self._hinge(shoulder, elbow, wrist, usual) if wrist is not None else usual
@@ -291,6 +289,3 @@ class _Body:
         self._limb(elbow, wrist, sign * _X, self.mean(elbow, axis), -sign * _Y)
         if elbow in self.out:
             self.out[wrist] = self._as(elbow, wrist)
-
-    def _in_body(self, v: Tensor) -> Tensor:
-        return (self.axes.transpose(-1, -2) @ v[..., None])[..., 0]

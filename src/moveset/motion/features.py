@@ -20,23 +20,16 @@ BIASED_GROUPS = ("root_yaw", "root_velocity", "root_height", "contacts")
 
 
 class FeatureCodec(Protocol):
-    """Turns motions into rows of numbers that a network learns, and back."""
+    """Turns motions into rows of numbers that a network learns, and back.
 
-    @property
-    def name(self) -> str:
-        """What ``get_codec`` knows it by."""
+    ``get_codec`` knows it by ``name``; a frame has ``dim`` features. The motions that it takes and gives are on
+    ``skeleton``, at ``fps``.
+    """
 
-    @property
-    def dim(self) -> int:
-        """Number of features D of a frame."""
-
-    @property
-    def skeleton(self) -> Skeleton:
-        """The skeleton of the motions it takes and gives."""
-
-    @property
-    def fps(self) -> float:
-        """Frame rate of its features and of the motions it takes."""
+    name: str
+    dim: int
+    skeleton: Skeleton
+    fps: float
 
     @property
     def groups(self) -> Mapping[str, slice]:

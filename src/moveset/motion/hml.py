@@ -139,7 +139,7 @@ class HmlCodec:
     def joints(self, features: Tensor) -> Tensor:
         """Joint positions (..., F, J, 3) in metres from the root and position columns alone; differentiable."""
         heading, root = self._root(features)
-        around = _rows(features[..., self.groups["positions"]], 3)
+        around = features[..., self.groups["positions"]].unflatten(-1, (-1, 3))
         ground = root * root.new_tensor((1.0, 0.0, 1.0))
         placed = rotations.rotate(rotations.inv(heading)[..., None, :], around) + ground[..., None, :]
         return torch.cat((root[..., None, :], placed), dim=-2) * self.convention.unit
@@ -179,7 +179,7 @@ class HmlCodec:
 
         The datasets get here by inverse and forward kinematics with shortest arcs, which keep every direction.
         """
-        parents = self.convention.parents
+        parents = self.skeleton.parents
         legs = list(self.convention.legs)
         first = p[_starts(lengths)]
         own = (first[:, legs] - first[:, [parents[j] for j in legs]]).norm(dim=-1).sum(dim=-1)
@@ -240,10 +240,6 @@ def _starts(lengths: Sequence[int]) -> list[int]:
 
 def _each_frame(of_clips: Tensor, lengths: Sequence[int]) -> Tensor:
     return of_clips.repeat_interleave(torch.tensor(lengths), dim=0)
-
-
-def _rows(x: Tensor, size: int) -> Tensor:
-    return x.reshape(*x.shape[:-1], -1, size)
 
 
 def _forward(across: Tensor) -> Tensor:

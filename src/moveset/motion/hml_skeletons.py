@@ -1,8 +1,6 @@
 """What HumanML3D and KIT-ML fix about a body: chains, canonical directions, bone lengths, thresholds."""
 
 from dataclasses import dataclass
-from functools import cached_property
-from itertools import pairwise
 
 import torch
 from torch import Tensor
@@ -41,15 +39,6 @@ class HmlConvention:
     contact: float
     unit: float
     reflected: bool
-
-    @cached_property
-    def parents(self) -> tuple[int, ...]:
-        """Parent of each joint; -1 for the root."""
-        parents = [-1] * len(self.directions)
-        for chain in self.chains:
-            for above, joint in pairwise(chain):
-                parents[joint] = above
-        return tuple(parents)
 
 
 _CARDINAL = {

@@ -7,7 +7,7 @@ double precision. Pieces are float64 too, which a walk of kilometres needs to st
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import torch
@@ -15,21 +15,12 @@ from torch import Tensor
 
 from moveset.errors import InputError
 from moveset.motion import rotations
-from moveset.motion.clip import Motion
+from moveset.motion.clip import Motion, concatenate
 from moveset.motion.features import FeatureCodec
 from moveset.motion.smoothing import decay
 
 _SEAM = 0.5  # frames from the seam to either neighbour
 _TAIL = 3  # frames on either side of a seam by which it is judged
-
-
-@dataclass
-class _Tail:
-    """The last frames that were given out, as they were given out, and the hardest jerk of the last segment."""
-
-    rotations: Tensor
-    root: Tensor
-    jerk: float
 
 
 class IncrementalDecoder:
@@ -53,7 +44,9 @@ class IncrementalDecoder:
         self._heading = 0.0
         self._x = 0.0
         self._z = 0.0
-        self._tail: _Tail | None = None
+        # The last frames that were given out, as they were given out, and the hardest jerk of the last segment.
+        self._tail: Motion | None = None
+        self._jerk = 0.0
 
     def __call__(self, features: Tensor) -> Motion:
         """The next piece, float64 on the CPU, of unnormalised features (n, D).
@@ -86,7 +79,7 @@ class IncrementalDecoder:
             "z": self._z,
             "tail_rotations": tail.rotations.tolist() if tail else [],
             "tail_root": tail.root.tolist() if tail else [],
-            "tail_jerk": tail.jerk if tail else 0.0,
+            "tail_jerk": self._jerk,
         }
 
     @classmethod
@@ -96,13 +89,18 @@ class IncrementalDecoder:
         decoder._heading, decoder._x, decoder._z = state["heading"], state["x"], state["z"]
         if state["tail_root"]:
             turned, root = (torch.tensor(state[k], dtype=torch.float64) for k in ("tail_rotations", "tail_root"))
-            decoder._tail = _Tail(turned, root, state["tail_jerk"])
+            decoder._tail, decoder._jerk = Motion(turned, root, codec.fps, codec.skeleton), state["tail_jerk"]
         return decoder
 
     def _blended(self, piece: Motion) -> Motion:
         """The piece with what it lacks at the seam to be the continuation of the tail, dying away."""
         tail, jerk = self._tail, _hardest(piece)
-        if tail is not None and len(tail.root) > 1 and len(piece) > 1 and not self._fits(tail, piece, jerk):
+        # A seam that jerks no more than the segments on both sides do themselves stays as it is.
+        if (
+            tail is not None
+            and min(len(tail), len(piece)) > 1
+            and _hardest(concatenate([tail, piece[:_TAIL]])) > max(self._jerk, jerk)
+        ):
             # Differences of frames are speeds half a frame inside; at the seam both sides are taken to keep them.
             spin = rotations.to_rotvec(rotations.mul(tail.rotations[-1], rotations.inv(tail.rotations[-2])))
             new_spin = rotations.to_rotvec(rotations.mul(piece.rotations[1], rotations.inv(piece.rotations[0])))
@@ -118,17 +116,9 @@ class IncrementalDecoder:
             turned[:count] = rotations.mul(rotations.from_rotvec(offset), turned[:count])
             root[:count] += decay(shift, step - new_step, count + _SEAM, at)
             piece = Motion(rotations.normalize(turned), root, piece.fps, piece.skeleton)
-        turned, root = piece.rotations[-_TAIL:], piece.root[-_TAIL:]
-        if tail is not None:
-            turned, root = torch.cat((tail.rotations, turned))[-_TAIL:], torch.cat((tail.root, root))[-_TAIL:]
-        self._tail = _Tail(turned.clone(), root.clone(), jerk)
+        last = [piece[-_TAIL:]] if tail is None else [tail, piece[-_TAIL:]]
+        self._tail, self._jerk = concatenate(last)[-_TAIL:], jerk
         return piece
-
-    def _fits(self, tail: _Tail, piece: Motion, jerk: float) -> bool:
-        """Whether going from the tail into the piece jerks no more than the segments on both sides do themselves."""
-        turned = torch.cat((tail.rotations, piece.rotations[:_TAIL]))
-        root = torch.cat((tail.root, piece.root[:_TAIL]))
-        return _hardest(Motion(turned, root, piece.fps, piece.skeleton)) <= max(tail.jerk, jerk)
 
 
 def _hardest(motion: Motion) -> float:

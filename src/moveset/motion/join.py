@@ -7,7 +7,7 @@ their speeds are then continuous, and nothing changes beyond the blend.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -15,7 +15,7 @@ from torch import Tensor
 from moveset.errors import InputError
 from moveset.motion import rotations
 from moveset.motion.cleanup import lock_feet
-from moveset.motion.clip import Motion
+from moveset.motion.clip import Motion, concatenate
 from moveset.motion.contacts import stances
 from moveset.motion.positions import HINGES
 from moveset.motion.retarget import retarget
@@ -115,8 +115,8 @@ def _knees_known(skeleton: Skeleton) -> bool:
 
 def _one_after_the_other(before: Motion, after: Motion) -> Motion:
     """Frames of two clips as they are."""
-    turned = rotations.unroll(torch.cat((before.rotations, after.rotations)))
-    return Motion(turned, torch.cat((before.root, after.root)), before.fps, before.skeleton)
+    both = concatenate([before, after])
+    return replace(both, rotations=rotations.unroll(both.rotations))
 
 
 def _with_feet_held(around: Motion, clip: Motion, seam: int, reach: float) -> Motion:

@@ -107,17 +107,15 @@ def fk_matrices(local: Tensor, root: Tensor, skeleton: Skeleton) -> Tensor:
     offsets = skeleton.offsets.to(local)
     turned = local[..., :1, :, :]
     placed = root[..., None, :]
-    position = {0: 0}
     all_placed = [placed]
     for above, level in zip(skeleton.levels, skeleton.levels[1:], strict=False):
-        place = {j: k for k, j in enumerate(above)}
-        parents = [place[skeleton.parents[j]] for j in level]
+        parents = [above.index(skeleton.parents[j]) for j in level]
         up = turned[..., parents, :, :]
         placed = placed[..., parents, :] + (up @ offsets[list(level)][..., None])[..., 0]
         turned = up @ local[..., list(level), :, :]
-        position.update({j: len(position) + k for k, j in enumerate(level)})
         all_placed.append(placed)
-    return torch.cat(all_placed, dim=-2)[..., [position[j] for j in range(len(skeleton))], :]
+    flat = [j for level in skeleton.levels for j in level]
+    return torch.cat(all_placed, dim=-2)[..., [flat.index(j) for j in range(len(skeleton))], :]
 
 
 def global_to_local(turned: Tensor, skeleton: Skeleton) -> Tensor:

@@ -18,23 +18,8 @@ from moveset.motion.skeleton import HML22, Skeleton
 _SLIDING = 0.5  # metres a second
 
 
-@dataclass(frozen=True)
-class Physical:
-    """Measures of whole clips, one value a clip (tensors of the clips' leading shape); units as in the functions."""
-
-    skating: Tensor
-    jerk: Tensor
-    acceleration: Tensor
-    penetration: Tensor
-    floating: Tensor
-    root_drift: Tensor
-
-    def mean(self) -> dict[str, float]:
-        return {name: float(getattr(self, name).mean()) for name in self.__dataclass_fields__}
-
-
-def measure(joints: Tensor, fps: float, skeleton: Skeleton = HML22) -> Physical:
-    """All measures of joints (..., F, J, 3) that need nothing else, with their default thresholds.
+def measure(joints: Tensor, fps: float, skeleton: Skeleton = HML22) -> dict[str, Tensor]:
+    """All measures of joints (..., F, J, 3) that need nothing else, by the functions' names, one value a clip (...).
 
     Raises:
         InputError: a clip with fewer than four frames, or with positions that are not finite.
@@ -42,14 +27,14 @@ def measure(joints: Tensor, fps: float, skeleton: Skeleton = HML22) -> Physical:
     broken = ~torch.isfinite(joints).flatten(-3).all(dim=-1)
     if count := int(broken.sum()):
         raise InputError(f"{count} of {broken.numel()} clips have joint positions that are not finite; leave them out")
-    return Physical(
-        skating=skating(joints, fps, skeleton),
-        jerk=jerk(joints, fps),
-        acceleration=acceleration(joints, fps),
-        penetration=penetration(joints),
-        floating=floating(joints, skeleton),
-        root_drift=root_drift(joints, fps),
-    )
+    return {
+        "skating": skating(joints, fps, skeleton),
+        "jerk": jerk(joints, fps),
+        "acceleration": acceleration(joints, fps),
+        "penetration": penetration(joints),
+        "floating": floating(joints, skeleton),
+        "root_drift": root_drift(joints, fps),
+    }
 
 
 def skating(joints: Tensor, fps: float, skeleton: Skeleton = HML22, *, window: int = 1) -> Tensor:
@@ -65,7 +50,7 @@ def skating(joints: Tensor, fps: float, skeleton: Skeleton = HML22, *, window: i
     if window < 1 or window % 2 == 0:
         raise InputError(f"a moving average over {window} frames has no centre; give an odd number such as 1 or 5")
     _check(joints, 2)
-    toes = joints[..., _toes(skeleton), :].float()
+    toes = joints[..., list(skeleton.feet[1::2]), :].float()
     moved = (toes[..., 1:, :, :] - toes[..., :-1, :, :])[..., [0, 2]].norm(dim=-1) * fps
     low = (toes[..., 1] < TOE_HEIGHT)[..., 1:, :] & (toes[..., 1] < TOE_HEIGHT)[..., :-1, :]
     slides = (low & (moved > _SLIDING) & (_moving_average(moved, window) > _SLIDING)).any(dim=-1)
@@ -243,8 +228,3 @@ def _moving_average(values: Tensor, window: int) -> Tensor:
     frames, half = values.shape[-2], window // 2
     padded = torch.nn.functional.pad(values, (0, 0, half, half))
     return torch.stack([padded[..., k : k + frames, :] for k in range(window)]).mean(dim=0)
-
-
-def _toes(skeleton: Skeleton) -> Sequence[int]:
-    _, left, _, right = skeleton.feet
-    return [left, right]

@@ -14,7 +14,6 @@ where the motion shows these axes clearly. All but 1 depends on joint positions 
 they were, so that equal positions give equal results, whatever the axes. F frames, J joints; float64.
 """
 
-import warnings
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -30,6 +29,7 @@ from moveset.motion.body_axes import (
     centre,
     frame,
     leg_length,
+    nearest_axis,
     snapped,
     to_upright,
     top,
@@ -94,7 +94,7 @@ def find_reference(motion: Motion) -> Reference:
         InputError: legs cannot be recognised.
     """
     skeleton = motion.skeleton
-    if any(skeleton is rig for rig in RIGS.values()):
+    if skeleton in RIGS.values():
         return _still(len(skeleton))
     found, few = roles(skeleton), _few(motion)
     rest, upward = _world(few, None, None)
@@ -132,7 +132,7 @@ def reference_at_rest(skeleton: Skeleton) -> Reference:
     Raises:
         InputError: legs cannot be recognised.
     """
-    if any(skeleton is rig for rig in RIGS.values()):
+    if skeleton in RIGS.values():
         return _still(len(skeleton))
     if (rest := _of_rest(skeleton)) is not None:
         return rest
@@ -184,7 +184,7 @@ def upright(motion: Motion, *, up: str | None = None, facing: str | None = None)
         InputError: an unknown axis.
     """
     skeleton = motion.skeleton
-    if up is None and facing is None and any(skeleton is rig for rig in RIGS.values()):
+    if up is None and facing is None and skeleton in RIGS.values():
         return motion
     try:
         rest, upward = _world(_few(motion), up, facing)
@@ -203,7 +203,7 @@ def resting_upright(motion: Motion) -> Motion:
 
     The same where the rest pose is a standing one, whichever way it faces, or where no legs are recognised.
     """
-    if any(motion.skeleton is rig for rig in RIGS.values()):
+    if motion.skeleton in RIGS.values():
         return motion
     try:
         still = _of_rest(motion.skeleton) is not None
@@ -223,7 +223,7 @@ def on_floor(motion: Motion) -> Motion:
     The lowest 1 % of frames say where toe joints, and what is as far below the ankles, are; the body rests Y up.
     """
     skeleton, found = motion.skeleton, roles(motion.skeleton)
-    if any(skeleton is rig for rig in RIGS.values()):
+    if skeleton in RIGS.values():
         return motion
     leg = leg_length(skeleton, found)
     placed = motion.joints[..., 1]
@@ -262,22 +262,14 @@ def _of_rest(skeleton: Skeleton) -> Reference | None:
         return None
     turn = to_upright(axes)
     # The world is turned up with the rest pose, but not about it: who looks elsewhere at rest walks as before.
-    return Reference(turn.expand(len(skeleton), 4).clone(), _turn_up(_nearest(axes[:, 1])), "rest pose")
-
-
-def _nearest(v: Tensor) -> Tensor:
-    """(3,) the axis of the world nearest to a direction."""
-    axis = int(v.abs().argmax())
-    out = torch.zeros(3, dtype=torch.float64)
-    out[axis] = v[axis].sign()
-    return out
+    return Reference(turn.expand(len(skeleton), 4).clone(), _turn_up(nearest_axis(axes[:, 1])), "rest pose")
 
 
 def _world_up(rest: Reference | None, placed: Tensor, found: Roles) -> Tensor:
     """(4,) the turn that makes the world Y up, by how the body stands in it."""
     ankles, hips = centre(placed, found, "ankle"), centre(placed, found, "hip")
     body = unit(top(placed, found) - ankles).mean(dim=0)
-    along = _nearest(body)
+    along = nearest_axis(body)
     expected = rest.up if rest is not None else rotations.identity().double()
     if torch.equal(rotations.rotate(expected, along).round(), _Y):
         return expected
@@ -301,13 +293,3 @@ def _t_pose(turned: Tensor, placed: Tensor, found: Roles) -> Tensor | None:
         return None
     level = frame(axes[best, :, 0], _Y) if float(tilt[best]) > 0.0 else axes[best]
     return rotations.mul(to_upright(level), turned[best])
-
-
-def warn_of(skeleton: Skeleton, reference: Reference) -> None:
-    """Say it where the body's geometry left something to guess."""
-    if reference.how == "derived":
-        warnings.warn(
-            f"skeleton {skeleton.name!r} stands neither at rest nor in any frame as in a T-pose: how its joints are "
-            "turned was worked out from bones, hinges and soles; look at the result",
-            stacklevel=3,
-        )

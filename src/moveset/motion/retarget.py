@@ -1,6 +1,7 @@
 """The same motion on another skeleton: joints matched by role, rest poses reconciled, feet kept on the floor."""
 
 import itertools
+import warnings
 
 import torch
 from torch import Tensor
@@ -10,15 +11,7 @@ from moveset.motion import rotations
 from moveset.motion.body_axes import Roles, ankle_height, centre, leg_length
 from moveset.motion.clip import Motion
 from moveset.motion.kinematics import global_to_local
-from moveset.motion.reference import (
-    as_before,
-    find_reference,
-    on_floor,
-    reference_at_rest,
-    standing,
-    stood,
-    warn_of,
-)
+from moveset.motion.reference import as_before, find_reference, on_floor, reference_at_rest, standing, stood
 from moveset.motion.rigs import get_rig, roles
 from moveset.motion.skeleton import Skeleton
 
@@ -75,7 +68,12 @@ def retarget(motion: Motion, target: str | Skeleton) -> Motion:
         if leg_length(body, roles(body)) < _SHORTEST_LEG:
             raise InputError(f"skeleton {body.name!r} has legs of no length, which say no size; give its bones lengths")
     theirs, ours = find_reference(motion), reference_at_rest(skeleton)
-    warn_of(source, theirs)
+    if theirs.how == "derived":
+        warnings.warn(
+            f"skeleton {source.name!r} stands neither at rest nor in any frame as in a T-pose: how its joints are "
+            "turned was worked out from bones, hinges and soles; look at the result",
+            stacklevel=2,
+        )
     there = _retarget_standing(
         on_floor(standing(motion, theirs)), stood(skeleton, ours), roles(source), roles(skeleton)
     )
@@ -92,8 +90,9 @@ def _retarget_standing(motion: Motion, skeleton: Skeleton, theirs: Roles, ours: 
         if role in theirs
     }
     wanted |= _between(turned, theirs, ours)
-    for above_pelvis in _ancestors(skeleton, ours["pelvis"]):
-        wanted[above_pelvis] = rotations.heading(turned[:, theirs["pelvis"]])
+    above = ours["pelvis"]
+    while (above := skeleton.parents[above]) >= 0:
+        wanted[above] = rotations.heading(turned[:, theirs["pelvis"]])
 
     world: list[Tensor] = []
     for j, parent in enumerate(skeleton.parents):
@@ -126,14 +125,6 @@ def _correction(source: Skeleton, theirs: Roles, skeleton: Skeleton, ours: Roles
     d_s = source.rest_positions[theirs[end]] - source.rest_positions[theirs[start]]
     d_t = skeleton.rest_positions[ours[end]] - skeleton.rest_positions[ours[start]]
     return rotations.between(d_t, d_s)
-
-
-def _ancestors(skeleton: Skeleton, joint: int) -> list[int]:
-    above = []
-    while joint > 0:
-        joint = skeleton.parents[joint]
-        above.append(joint)
-    return above
 
 
 def _hip_centre(motion: Motion, skeleton: Skeleton, theirs: Roles, ours: Roles) -> Tensor:

@@ -3,11 +3,10 @@
 n frames of a segment, D features.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from copy import copy
 from typing import Any
 
-import torch
 from torch import Tensor
 
 from moveset.motion.clip import Motion
@@ -66,8 +65,3 @@ class StreamDecoder:
         """Go on where the one whose ``state()`` this is stood."""
         self._pieces = IncrementalDecoder.from_state(self.codec, state["decoder"])
         self._feet = FootLock.from_state(self.codec.skeleton, self.codec.fps, state["feet"])
-
-
-def concatenate(pieces: Sequence[Motion]) -> Motion:
-    turned, root = (torch.cat([getattr(piece, name) for piece in pieces]) for name in ("rotations", "root"))
-    return Motion(turned, root, pieces[0].fps, pieces[0].skeleton)

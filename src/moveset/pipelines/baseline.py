@@ -17,13 +17,13 @@ from moveset.motion.clip import Motion
 from moveset.motion.foot_lock import FootLock
 from moveset.motion.hold_root import hold_root
 from moveset.pipelines.device import pick_device
-from moveset.pipelines.model_config import DENOISER, IDLE, BaselineConfig
+from moveset.pipelines.model_config import DENOISER, IDLE, SCHEDULES, BaselineConfig
 from moveset.pipelines.model_folder import ModelFolder
 from moveset.pipelines.request import Request
 from moveset.rdm.sequential import Solver, rollout_chunks, sample_segment
 from moveset.rdm.staircase import levels
 from moveset.text.cache import CachedEncoder
-from moveset.text.encoder import TextEmbedding, get_text_encoder, stack
+from moveset.text.encoder import get_text_encoder
 
 
 class Baseline:
@@ -65,7 +65,7 @@ class Baseline:
         self._bundle, self._batch, self._foot_lock = bundle, batch, foot_lock
         self._device, self._codec = pick_device(device), config.feature_codec()
         self._text = CachedEncoder(get_text_encoder(config.text_encoder, device=self._device), limit=8192)
-        self._schedule = config.noise_schedule()
+        self._schedule = SCHEDULES[config.schedule](config.timesteps)
         self.model, self.network, self.fps = config.name, DENOISER, config.fps
         self.skeleton = self._codec.skeleton.name
         extras = [] if self.steps == own else [f"{self.steps}-steps"]
@@ -103,7 +103,7 @@ class Baseline:
     def _volumes(self, clips: Sequence[Request]) -> Tensor:
         """(B, n, D) of whole clips; the network sees how long each is, up to its longest."""
         config = self._bundle.config
-        text = self._encoded([" then ".join(clip.prompts) for clip in clips])
+        text = self._text.encode([" then ".join(clip.prompts) for clip in clips])
         seeds, size = [clip.seed for clip in clips], (len(clips), config.frames, self._codec.dim)
         totals_B = torch.tensor([clip.total for clip in clips]).clamp(max=config.frames)
         valid_Bn = (torch.arange(config.frames) < totals_B[:, None]).to(self._device)
@@ -129,7 +129,7 @@ class Baseline:
         prefix = pose_D.expand(len(clips), config.prefix, -1)
 
         def denoise(x_BnD: Tensor, t_B: Tensor, prefix_BPD: Tensor, number: int) -> Tensor:
-            text = self._encoded([_prompt_at(clip, number * config.frames) for clip in clips])
+            text = self._text.encode([_prompt_at(clip, number * config.frames) for clip in clips])
             return self._guided(Condition(text, past=PastSegment.clean(prefix_BPD)))(x_BnD, t_B)
 
         seeds = [clip.seed for clip in clips]
@@ -139,10 +139,7 @@ class Baseline:
 
     def _guided(self, condition: Condition) -> Prediction:
         network = cast(Denoiser, self._bundle.module(DENOISER, self._device))
-        return guided(network, condition, self._w or None, self._encoded([""]))
-
-    def _encoded(self, sentences: Sequence[str]) -> TextEmbedding:
-        return stack([self._text.encode([sentence]) for sentence in sentences]).to(self._device)
+        return guided(network, condition, self._w or None, self._text.encode([""]))
 
     def _motion(self, features: Tensor) -> Motion:
         if not self._foot_lock:

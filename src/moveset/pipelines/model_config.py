@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any, ClassVar, Self
 
-from moveset.diffusion.schedule import Schedule, cosine, linear
+from moveset.diffusion.schedule import cosine, linear
 from moveset.diffusion.steps import Variance, require_variance
 from moveset.errors import FormatError, InputError
 from moveset.io.manifest import json_object
@@ -128,17 +128,11 @@ class FolderConfig:
             raise FormatError(f"{where} does not fit this version: {sorted(wrong)[0]!r} is missing or unknown")
         try:
             raw["models"] = {name: ModelSpec(**spec) for name, spec in raw["models"].items()}
-            raw["examples"] = tuple(raw["examples"])
-            config = cls.of(raw)
+            config = cls(**{key: tuple(value) if isinstance(value, list) else value for key, value in raw.items()})
             config.check()
             return config
         except (TypeError, ValueError, KeyError, AttributeError) as error:
             raise FormatError(f"{where} does not describe a model: {error}") from error
-
-    @classmethod
-    def of(cls, raw: Mapping[str, Any]) -> Self:
-        """From the JSON object, whose ``models`` are specifications already."""
-        return cls(**raw)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -160,13 +154,10 @@ class ClipConfig(FolderConfig):
     latent: tuple[int, int] = (16, 32)
     points: int = 10
 
-    @classmethod
-    def of(cls, raw: Mapping[str, Any]) -> Self:
-        tokens, width = (int(n) for n in raw["latent"])
-        return cls(**{**raw, "latent": (tokens, width)})
-
     def check(self) -> None:
         super().check()
+        if [type(size) for size in self.latent] != [int, int]:
+            raise ValueError(f"a latent of {self.latent}, which are no two whole numbers")
         for denoiser in ("teacher", *(f"{solver}-{n}" for solver in ("pcm", "lcm") for n in self.steps(solver))):
             if denoiser in self.models and not self.guidance[denoiser] >= 0:
                 raise ValueError(f"guidance of {denoiser!r} is below 0")
@@ -229,10 +220,6 @@ class StreamConfig(FolderConfig):
     past_lag: int | None = None
     idle: str = "a person stands still"
     symmetric: tuple[str, ...] = ()
-
-    @classmethod
-    def of(cls, raw: Mapping[str, Any]) -> Self:
-        return cls(**{**raw, "symmetric": tuple(raw["symmetric"])})
 
     def flows(self, network: str) -> bool:
         """Whether a network's segments pass through the flow; the baseline was trained without."""
@@ -325,9 +312,6 @@ class BaselineConfig(FolderConfig):
             "sampler_steps": (1, self.timesteps),
         }
         self.check_sampling(self.eta, self.variance, limits)
-
-    def noise_schedule(self) -> Schedule:
-        return SCHEDULES[self.schedule](self.timesteps)
 
 
 #: The kinds of folders, by what their models are for.

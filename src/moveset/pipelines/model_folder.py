@@ -89,10 +89,14 @@ class ModelFolder(VerifiedFolder, Generic[Config]):
         """
         key = name, str(device)
         if key not in self._modules:
-            spec = self.spec(name)
+            spec = self.config.models.get(name)
+            if spec is None:
+                known = ", ".join(self.config.models)
+                raise FormatError(f"model {self.config.name!r} has no network {name!r}; it has {known}")
             module = build_model(spec.kind, spec.config)
             try:
-                module.load_state_dict(self.weights(name), strict=True)
+                whole = restored(self.tensors(f"{name}.safetensors"), self._base(name, spec))
+                module.load_state_dict(whole, strict=True)
             except (RuntimeError, ValueError) as error:
                 raise FormatError(
                     f"{self.path / name}.safetensors does not fit the architecture in config.json; copy the model again"
@@ -101,24 +105,6 @@ class ModelFolder(VerifiedFolder, Generic[Config]):
             module = pack(module) if spec.kind in PACKABLE and can_pack(device) else module
             self._modules[key] = self._even(module).to(device) if name in self.config.symmetric else module
         return self._modules[key]
-
-    def spec(self, name: str) -> ModelSpec:
-        """What the network of that name is built from. Raises FormatError if the model has none."""
-        spec = self.config.models.get(name)
-        if spec is None:
-            raise FormatError(
-                f"model {self.config.name!r} has no network {name!r}; it has {', '.join(self.config.models)}"
-            )
-        return spec
-
-    def weights(self, name: str) -> dict[str, Tensor]:
-        """The tensors of a network in single precision, whole.
-
-        Raises:
-            FormatError: the model has no such network, or its file is damaged.
-            ValueError: differences that do not fit what they were taken from.
-        """
-        return restored(self.tensors(f"{name}.safetensors"), self._base(name, self.spec(name)))
 
     def sha256(self, *names: str) -> dict[str, str]:
         """sha256 of the files of these networks, of those they are stored as differences from, and of the statistics.

@@ -157,7 +157,7 @@ class StreamModel:
         start = time.perf_counter()
         condition = self.conditioning.of(line, 0, guidance)
         spent = (time.perf_counter() - start) * 1e3
-        decoder = self.settings.decoder(self.codec)
+        decoder = StreamDecoder(self.codec, self.settings.blend_seconds, foot_lock=self.settings.foot_lock)
         return Stream(seed, guidance, line, decoder, condition, reading_ms=spent)
 
     @one_thread()

@@ -8,8 +8,7 @@ from typing import Any
 
 import torch
 
-from moveset.motion.clip import Motion
-from moveset.motion.stream_decoder import concatenate
+from moveset.motion.clip import Motion, concatenate
 from moveset.pipelines.device import pick_device
 from moveset.pipelines.model_config import FLOW, SIDES, StreamConfig
 from moveset.pipelines.model_folder import ModelFolder

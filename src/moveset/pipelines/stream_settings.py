@@ -10,8 +10,6 @@ from torch import nn
 from moveset.diffusion.phases import PhaseGrid
 from moveset.diffusion.steps import Variance, require_variance
 from moveset.errors import InputError
-from moveset.motion.features import FeatureCodec
-from moveset.motion.stream_decoder import StreamDecoder
 from moveset.pipelines.model_config import EPS_SCALES, FLOW, SCHEDULES, StreamConfig
 from moveset.pipelines.request import MAX_GUIDANCE, SEEDS, check_prompts, check_real, check_whole, of_each
 from moveset.pipelines.role import Role, is_student, named
@@ -64,25 +62,19 @@ class StreamSettings:
         """Whether every segment is told its finished predecessor as it is, at every step."""
         return self.one_by_one and self.past_lag is None
 
-    def decoder(self, codec: FeatureCodec) -> StreamDecoder:
-        return StreamDecoder(codec, self.blend_seconds, foot_lock=self.foot_lock)
-
     def staircase(self) -> Staircase:
         return Staircase(self.steps, None, self.start, lag=self.lag)
 
-    def levels(self, config: StreamConfig) -> tuple[int, ...]:
-        """The K + 1 noise levels: a student's are the edges of its phases."""
-        if is_student(self.network):
-            return PhaseGrid(config.points, self.steps, config.timesteps).edges[::-1]
-        return levels(self.steps, config.timesteps)
-
     def solver(self, config: StreamConfig, network: nn.Module) -> Solver:
         """How this network samples; one that was trained on other than white noise says so itself."""
-        colour = getattr(network, "colour", None)
+        if is_student(self.network):  # its levels are the edges of its phases
+            falling = PhaseGrid(config.points, self.steps, config.timesteps).edges[::-1]
+        else:
+            falling = levels(self.steps, config.timesteps)
         return Solver(
-            schedule=SCHEDULES[config.schedule](config.timesteps), levels=self.levels(config), eta=self.eta,
+            schedule=SCHEDULES[config.schedule](config.timesteps), levels=falling, eta=self.eta,
             variance=self.variance, eps_scale=self.eps_scale, time_shift=self.time_shift, past_lag=self.past_lag,
-            colour=colour,
+            colour=getattr(network, "colour", None),
         )  # fmt: skip
 
 

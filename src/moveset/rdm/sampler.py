@@ -1,4 +1,4 @@
-"""The samplers of RDM: a sequence at once, or a stream without end, both by the same staircase.
+"""The sampler of RDM: a sequence of so many segments, or a stream without end, by one staircase.
 
 The state of a segment is kept in y-space, where it is diffused like any other; it is pushed through the flow when the
 network looks at it, and the network's clean segment is pulled back. All segments of a wave are one batch: the rows of
@@ -234,29 +234,3 @@ class Stream(Iterator[Tensor]):
 
     def _drawn(self, segment: int, step: int) -> Tensor:
         return self._solver.noise(self._seeds, [segment] * len(self._seeds), step, self._shape).to(self._device)
-
-
-def sample(
-    denoiser: Denoiser,
-    transport: Transport,
-    settings: Settings,
-    seeds: Sequence[int],
-    shape: tuple[int, int],
-    pooled: Sequence[Tensor] | None = None,
-    *,
-    device: torch.device | str = "cpu",
-) -> Tensor:
-    """N segments (B, N, n, D).
-
-    Args:
-        pooled: (B, C) sentence embeddings of every segment, for the flow; None where there is no flow.
-        others: as for ``Stream``.
-
-    Raises:
-        InputError: a staircase without end.
-    """
-    if settings.staircase.segments is None:
-        raise InputError("a sample needs a number of segments; use a stream for one without end")
-    enter = (lambda segment: None) if pooled is None else pooled.__getitem__
-    run = Stream(denoiser, transport, settings, seeds, shape, enter, device=device)
-    return torch.stack(list(run), dim=1)

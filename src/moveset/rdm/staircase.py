@@ -83,36 +83,6 @@ class Staircase:
         """Whether there is such a segment, and it is denoised."""
         return (self.segments is None or segment < self.segments) and self.denoised(segment) > 0
 
-    @property
-    def calls(self) -> int:
-        """Network evaluations of one segment each.
-
-        Raises:
-            InputError: a stream without end.
-
-        >>> Staircase(steps=50, segments=7, start=7, shape="triangle").calls  # K + (N - 1)(N + 2) / 2
-        77
-        >>> Staircase(steps=50, segments=7, start=17).calls  # K + (N - 1) R
-        152
-        """
-        later = self._finite() - 1
-        if self.shape == "parallelogram":
-            return self.steps + later * self.start
-        entering = min(later, self.start)
-        return self.steps + entering * self.start - entering * (entering - 1) // 2
-
-    @property
-    def waves(self) -> int:
-        """Waves in all: evaluations one after the other, when those of a wave are one batch.
-
-        Raises:
-            InputError: a stream without end.
-
-        >>> Staircase(steps=50, segments=7, start=50).waves  # K + N - 1
-        56
-        """
-        return self.end(self._finite() - 1)
-
     def end(self, segment: int) -> int:
         """Waves after which a segment is finished: what its viewer waits for."""
         # A segment ends min(lag, its steps) waves after its left neighbour: it was that much behind, or waited for it.
@@ -145,8 +115,3 @@ class Staircase:
         while cells:
             yield cells
             number, cells = number + 1, self.wave(number + 1, first=cells[0][0])
-
-    def _finite(self) -> int:
-        if self.segments is None:
-            raise InputError("a stream without end has no number of evaluations; give a number of segments")
-        return self.segments

@@ -3,7 +3,7 @@
 Shapes: B items, n frames of a segment, D features, C text width.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from torch import Tensor
@@ -47,9 +47,7 @@ class StreamState:
 
     def copy(self) -> "StreamState":
         """An independent copy; tensors are shared, since none is ever written to."""
-        lists = {"steps": [*self.steps], "y": [*self.y], "pooled": [*self.pooled]}
-        held = {name: getattr(self, name) for name in _HELD}
-        return StreamState(self.wave, self.finished, **lists, **held)  # type: ignore[arg-type]
+        return replace(self, steps=[*self.steps], y=[*self.y], pooled=[*self.pooled])
 
     def numbers(self) -> dict[str, Any]:
         """Everything but the tensors, for JSON."""

@@ -197,9 +197,7 @@ TRAINING |= variants(TRAINING)
 EXPORTS: tuple[Export, ...] = (
     ClipExport(
         name="motionpcm-paper",
-        runs={
-            **{name: name for name in ("vae", "teacher", "length", "lcm-1", "pcm-1", "pcm-2", "pcm-4")},
-        },
+        runs={name: name for name in ("vae", "teacher", "length", "lcm-1", "pcm-1", "pcm-2", "pcm-4")},
         # w = s - 1 for the scales s that MotionLCM-V2 prints, for the same number of steps; MotionPCM prints none.
         guidance={"teacher": 6.5, "lcm-1": 7.0, "pcm-1": 7.0, "pcm-2": 11.5, "pcm-4": 12.5},
         last=True,

@@ -305,11 +305,7 @@ _STREAMS = (
 EXPORTS: tuple[Export, ...] = (
     ClipExport(
         name="motionpcm-small",
-        runs={
-            "vae": "vae", "decoder": "decoder", "teacher": "teacher", "length": "length", "sides": "sides",
-            "lcm-1": "lcm-1",
-            "pcm-1": "pcm-1", "pcm-2": "pcm-2", "pcm-4": "pcm-4",
-        },
+        runs={run: run for run in ("vae", "decoder", "teacher", "length", "sides", "lcm-1", "pcm-1", "pcm-2", "pcm-4")},
         guidance={"teacher": 2.5, "lcm-1": 2.5, "pcm-1": 3.5, "pcm-2": 3.0, "pcm-4": 3.0},
         compact=("teacher",),
         examples=_CLIPS,

@@ -69,7 +69,6 @@ def student(phases: int = 1) -> Recipe:
     return Recipe(task=task, engine=_ENGINE)
 
 
-_CUTTING = CuttingConfig()
 _RECURRENT = SegmentTransformerConfig(width=32, heads=2, hidden=32, blocks=2)
 _PUBLISHED = SegmentDenoiserConfig(
     width=32, layers=1, heads=2, feed_forward=32, conditioning=32, text_width=16, text_layers=1, text_heads=2,
@@ -85,7 +84,6 @@ def rdm(segments: int = 7) -> Recipe:
         model=_RECURRENT,
         flow=FlowConfig(blocks=2, hidden=8, text_context=4, index_context=4),
         grid=GridConfig(frames=SEGMENT_FRAMES[segments]),
-        cutting=_CUTTING,
         batch=4,
         warmup=1,
         velocity=2.0,
@@ -116,7 +114,7 @@ def motiondiffuse() -> Recipe:
 def dip() -> Recipe:
     """Two layers of width 32: 8 frames from the 4 before."""
     model = DipDecoderConfig(prefix=4, frames=8, width=32, layers=2, heads=2, feed_forward=32)
-    return Recipe(task=DiPConfig(model=model, cutting=_CUTTING, batch=4, warmup=1, augmentation=_ROUGH), engine=_ENGINE)
+    return Recipe(task=DiPConfig(model=model, batch=4, warmup=1, augmentation=_ROUGH), engine=_ENGINE)
 
 
 def rdm_student() -> Recipe:
@@ -129,7 +127,6 @@ def rdm_student() -> Recipe:
         heading=1.0,
         past_perturbation=0.1,
         sides=0.7,
-        cutting=_CUTTING,
         augmentation=_ROUGH,
     )
     return Recipe(task=task, engine=_ENGINE)
@@ -197,10 +194,7 @@ TRAINING: dict[str, Callable[[], Recipe]] = {
 EXPORTS: tuple[Export, ...] = (
     ClipExport(
         name="motionpcm-tiny",
-        runs={
-            "vae": "vae", "decoder": "decoder", "teacher": "teacher", "length": "length", "sides": "sides",
-            "lcm-1": "lcm-1", "pcm-1": "pcm-1", "pcm-2": "pcm-2", "pcm-4": "pcm-4",
-        },
+        runs={run: run for run in ("vae", "decoder", "teacher", "length", "sides", "lcm-1", "pcm-1", "pcm-2", "pcm-4")},
         guidance=dict.fromkeys(("teacher", "lcm-1", "pcm-1", "pcm-2", "pcm-4"), 2.0),
         compact=("teacher",),
     ),

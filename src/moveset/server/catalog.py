@@ -3,6 +3,7 @@
 from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ from moveset.pipelines.stream_batch import StreamBatch
 from moveset.pipelines.stream_settings import StreamRequest, StreamSettings, check_stream, offered_steps
 from moveset.pipelines.text_to_motion import TextToMotion
 from moveset.server.failures import RequestError
-from moveset.text.encoder import TextEncoder, get_text_encoder
+from moveset.text.encoder import get_text_encoder
 
 SUGGESTIONS = 24
 _LONGEST = 40  # characters of a suggestion
@@ -51,7 +52,7 @@ class Catalog:
                 self.streams[name] = bundle
             else:
                 self.clips[name] = TextToMotion(ModelFolder.open(folder, ClipConfig), self.device)
-        self._encoders: dict[str, TextEncoder] = {}
+        self.encoder = cache(partial(get_text_encoder, device=self.device))
         self._batches: OrderedDict[tuple[str, StreamSettings], StreamBatch] = OrderedDict()
         self._suggestions: dict[str, list[str]] = {}
 
@@ -117,11 +118,6 @@ class Catalog:
                 self._batches.popitem(last=False)
         self._batches.move_to_end(key)
         return self._batches[key]
-
-    def encoder(self, name: str) -> TextEncoder:
-        if name not in self._encoders:
-            self._encoders[name] = get_text_encoder(name, device=self.device)
-        return self._encoders[name]
 
     def ready(self, t2m: TextToMotion) -> TextToMotion:
         t2m.encoder = self.encoder(t2m.bundle.config.text_encoder)

@@ -3,7 +3,6 @@
 import asyncio
 import secrets
 import time
-from collections import OrderedDict
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
@@ -82,7 +81,7 @@ class JobBook:
 
     def __init__(self, limits: Limits, position: Callable[[Job], int]) -> None:
         self._limits, self._position = limits, position
-        self._jobs: OrderedDict[str, Job] = OrderedDict()
+        self._jobs: dict[str, Job] = {}
 
     def add(self, job: Job) -> None:
         self._jobs[job.id] = job

@@ -1,6 +1,6 @@
 """What a client may ask of the server. One place, so that the documentation can say it all."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
@@ -62,5 +62,4 @@ class Limits:
             "prompt", "prompts", "variants", "seconds", "streams", "message", "messages_per_second", "idle", "buffer",
             "export", "picture_seconds",
         )  # fmt: skip
-        every = asdict(self)
-        return {name: every[name] for name in names}
+        return {name: getattr(self, name) for name in names}

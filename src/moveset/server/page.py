@@ -7,7 +7,7 @@ from fastapi.responses import FileResponse, HTMLResponse, JSONResponse, PlainTex
 from starlette.staticfiles import StaticFiles
 
 from moveset.server.reference import reference_page
-from moveset.server.service import Service
+from moveset.server.rest import The
 
 STUDIO = Path(__file__).parents[1] / "viewer" / "studio"
 _CSS = """
@@ -34,17 +34,15 @@ async def page() -> Response:
 
 
 @router.get("/healthz")
-async def health(request: Request) -> JSONResponse:
+async def health(the: The) -> JSONResponse:
     """Whether the server runs."""
-    the: Service = request.app.state.service
     found = the.health()
     return JSONResponse(found, 200 if found["status"] == "ok" else 503)
 
 
 @router.get("/metrics")
-async def metrics(request: Request) -> Response:
+async def metrics(the: The) -> Response:
     """Numbers for Prometheus."""
-    the: Service = request.app.state.service
     return Response(the.metrics.text(), media_type="text/plain; version=0.0.4; charset=utf-8")
 
 

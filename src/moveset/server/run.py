@@ -2,9 +2,7 @@
 
 import asyncio
 import contextlib
-import signal
 import socket
-import threading
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -14,10 +12,11 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 
 from moveset.errors import InputError
+from moveset.io.limits import system_errors
+from moveset.io.process import handled_signals
 from moveset.server.limits import Limits
 from moveset.server.service import Service
 
-_SIGNALS = (signal.SIGINT, signal.SIGTERM)
 _FRAMES = 16  # times the longest message: what is longer is not even read
 _FLUSH = 5.0  # seconds in which what was said last must be taken
 
@@ -47,15 +46,8 @@ class Server(uvicorn.Server):
     @contextlib.contextmanager
     def capture_signals(self) -> Iterator[None]:
         """As uvicorn's, without sending the signals again afterwards."""
-        if threading.current_thread() is not threading.main_thread():
+        with handled_signals(self.handle_exit):
             yield
-            return
-        before = {number: signal.signal(number, self.handle_exit) for number in _SIGNALS}
-        try:
-            yield
-        finally:
-            for number, handler in before.items():
-                signal.signal(number, handler)
 
 
 def listen(host: str, port: int) -> socket.socket:
@@ -67,15 +59,11 @@ def listen(host: str, port: int) -> socket.socket:
     Raises:
         InputError: it cannot be had.
     """
-    try:
+    with system_errors(f"listen on {host} port {port}", "choose another with --host or --port", InputError):
         found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
         bound = socket.socket(found[0], socket.SOCK_STREAM)
         bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         bound.bind(found[4])
-    except OSError as error:
-        raise InputError(
-            f"cannot listen on {host} port {port}: {error.strerror or error}; choose another with --host or --port"
-        ) from error
     return bound
 
 

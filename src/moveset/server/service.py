@@ -4,7 +4,7 @@ import asyncio
 import itertools
 import secrets
 from collections.abc import Callable, Coroutine
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -132,12 +132,10 @@ class Service:
         files.check_length(longest, body.fps or config.fps, body.format, limits)
         texts = [prompt.text for prompt in body.prompts]
         seed = secrets.randbelow(2**31) if body.seed is None else body.seed
-        # Durations are checked one by one, since some may be left to the text.
-        frames = [check_request(config, prompt.text, prompt.seconds)[0].frames[0] for prompt in body.prompts]
-        requests = check_request(config, texts, None, seed, body.num)
+        seconds: list[Any] = [prompt.seconds for prompt in body.prompts]  # some may be left to the text
         return Order(
             t2m,
-            tuple(replace(request, frames=tuple(frames)) for request in requests),
+            check_request(config, texts, seconds, seed, body.num),
             self.catalog.method(t2m, body.steps, body.guidance),
             body.format,
             Postprocess(fps=body.fps, skeleton=body.skeleton, in_place=body.in_place, loop=body.loop),

@@ -87,6 +87,11 @@ class Session:
         self._clock = self._heard = time.monotonic()
         self.look()
 
+    def went_out(self) -> None:
+        """A packet has been handed to the connection."""
+        self.unsent -= 1
+        self.look()
+
     def acknowledge(self, frame: int) -> None:
         """The client has played all frames before this one; what was never sent does not count."""
         self._heard = time.monotonic()

@@ -217,7 +217,7 @@ class _Connection:
             if isinstance(message, bytes):
                 await self._socket.send_bytes(message)
                 if session is not None:
-                    self._the.worker.tell(lambda s=session: _sent(s))
+                    self._the.worker.tell(session.went_out)
             else:
                 await self._socket.send_text(_text(message))
             if self._outbox.qsize() < _ROOM // 2:
@@ -240,11 +240,6 @@ class _Rate:
         self._last = now
         self._left -= 1.0
         await asyncio.sleep(max(0.0, -self._left / self.per_second))
-
-
-def _sent(session: Session) -> None:
-    session.unsent -= 1
-    session.look()
 
 
 def _text(message: Message) -> str:

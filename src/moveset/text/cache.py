@@ -6,11 +6,9 @@ Shapes: ``K`` cached sentences, ``T`` tokens of all of them, ``B`` looked-up row
 
 import hashlib
 import json
-import threading
-from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 
 import torch
@@ -75,8 +73,7 @@ class EmbeddingCache:
         # Of two processes that add to it at once the second adds to what the first has written.
         with locked(path.parent):
             found = cls._usable(path, encoder)
-            held = set() if found is None else set(found.sentences)
-            wanted = tuple(sentence for sentence in wanted if sentence not in held)
+            wanted = tuple(sentence for sentence in wanted if found is None or sentence not in found)
             if found is not None and not wanted:
                 return found
             states, pooled = _encode_all(encoder, wanted)
@@ -120,9 +117,7 @@ class EmbeddingCache:
 
     def to(self, device: torch.device | str) -> "EmbeddingCache":
         """The same with its tensors on another device; lookups then happen there."""
-        return replace(
-            self, tokens=self.tokens.to(device), pooled=self.pooled.to(device), offsets=self.offsets.to(device)
-        )
+        return replace(self, **{name: getattr(self, name).to(device) for name in _TENSORS})
 
     def rows(self, sentences: Sequence[str]) -> Tensor:
         """(B,) row numbers of sentences. Raises InputError for one that is not in the cache."""
@@ -212,11 +207,10 @@ class CachedEncoder:
     """
 
     def __init__(self, encoder: TextEncoder, limit: int = 64) -> None:
-        self._encoder, self._limit = encoder, limit
+        self._encoder = encoder
         self.name, self.dim = encoder.name, encoder.dim
         self.max_tokens, self.device = encoder.max_tokens, encoder.device
-        self._known: OrderedDict[str, TextEmbedding] = OrderedDict()
-        self._lock = threading.Lock()
+        self._one = lru_cache(limit)(lambda sentence: encoder.encode([sentence]))
 
     def encode(self, sentences: Sequence[str]) -> TextEmbedding:
         """As the encoder's own."""
@@ -226,18 +220,6 @@ class CachedEncoder:
     def token_count(self, sentence: str) -> int:
         """As the encoder's own."""
         return self._encoder.token_count(sentence)
-
-    def _one(self, sentence: str) -> TextEmbedding:
-        with self._lock:
-            if sentence in self._known:
-                self._known.move_to_end(sentence)
-                return self._known[sentence]
-        found = self._encoder.encode([sentence])
-        with self._lock:
-            self._known[sentence] = found
-            if len(self._known) > self._limit:
-                self._known.popitem(last=False)
-        return found
 
 
 def _encode_all(encoder: TextEncoder, sentences: Sequence[str], batch: int = 64) -> tuple[list[Tensor], Tensor]:

@@ -8,12 +8,12 @@ P classes.
 """
 
 from collections.abc import Sequence
-from typing import Protocol
 
 import torch
 from torch import Tensor
 
 from moveset.errors import FormatError, InputError
+from moveset.text.words import Said
 
 #: Tokens of a caption that are read.
 MAX_TOKENS = 20
@@ -33,13 +33,6 @@ OWN_CLASSES: dict[str, frozenset[str]] = {
 }
 CLASSES = ("VERB", "NOUN", "DET", "ADP", "NUM", "AUX", "PRON", "ADJ", "ADV", *OWN_CLASSES, OTHER)
 _CLASS_OF = {word: name for name, words in OWN_CLASSES.items() for word in words}
-
-
-class Tagged(Protocol):
-    """A caption with its "lemma/PART_OF_SPEECH" tokens, such as ``data.humanml3d.Caption``."""
-
-    @property
-    def tokens(self) -> tuple[str, ...]: ...
 
 
 class GloveWords:
@@ -67,7 +60,7 @@ class GloveWords:
                 f"the table of words has no {missing[0]!r}; give the one that the evaluator was trained with"
             )
 
-    def read(self, captions: Sequence[Tagged | str]) -> tuple[Tensor, Tensor, Tensor]:
+    def read(self, captions: Sequence[Said | str]) -> tuple[Tensor, Tensor, Tensor]:
         """Vectors (B, L, W), classes (B, L, P) as zeros and ones, and lengths (B,) int64; zeros beyond the length.
 
         A caption is cut after 20 tokens; "sos" and "eos" come before and after. A word that the table has not is
@@ -87,7 +80,7 @@ class GloveWords:
             classes[k, torch.arange(len(kinds)), torch.tensor(kinds)] = 1.0
         return words, classes, lengths
 
-    def _indices(self, caption: Tagged | str) -> tuple[list[int], list[int]]:
+    def _indices(self, caption: Said | str) -> tuple[list[int], list[int]]:
         """Rows of the table and numbers of the classes of one caption."""
         if isinstance(caption, str):
             raise InputError(

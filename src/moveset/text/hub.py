@@ -26,13 +26,11 @@ _Loaded = TypeVar("_Loaded")
 class _HubText:
     """What the three have in common: a tokenizer, a limit, and running without a training graph."""
 
-    name: str
-    dim: int
-
-    def __init__(self, family: str, where: str, device: torch.device | str, max_tokens: int) -> None:
+    def __init__(self, family: str, where: str, device: torch.device | str, model: Any, max_tokens: int) -> None:
         self.name = f"{family}:{where}"
         self.device = torch.device(device)
-        self.max_tokens = max_tokens
+        self.max_tokens, self.dim = max_tokens, model.config.hidden_size
+        self._model = model.eval().requires_grad_(False).to(self.device)
         self._tokenizer: PreTrainedTokenizerBase = _from_disk(_transformers().AutoTokenizer.from_pretrained, where)
 
     def token_count(self, sentence: str) -> int:
@@ -72,9 +70,7 @@ class ClipText(_HubText):
 
     def __init__(self, where: str, *, device: torch.device | str = "cpu") -> None:
         model = _from_disk(_transformers().CLIPTextModelWithProjection.from_pretrained, where, use_safetensors=True)
-        super().__init__("clip", where, device, model.config.max_position_embeddings)
-        self.dim = model.config.hidden_size
-        self._model = model.eval().requires_grad_(False).to(self.device)
+        super().__init__("clip", where, device, model, model.config.max_position_embeddings)
 
     def _run(self, ids_BL: Tensor, attention_BL: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         out = self._model(input_ids=ids_BL, attention_mask=attention_BL)
@@ -86,19 +82,16 @@ class T5Text(_HubText):
 
     Args:
         where: local folder, or hub id such as "google-t5/t5-base".
-        max_tokens: longer sentences are cut to this many tokens.
 
     Raises:
         InputError: ``transformers`` is not installed, or the model is not on this machine.
     """
 
-    _family = "t5"
+    _family, _max_tokens = "t5", 128
 
-    def __init__(self, where: str, *, device: torch.device | str = "cpu", max_tokens: int = 128) -> None:
+    def __init__(self, where: str, *, device: torch.device | str = "cpu") -> None:
         model = _from_disk(_transformers().T5EncoderModel.from_pretrained, where, use_safetensors=True)
-        super().__init__(self._family, where, device, max_tokens)
-        self.dim = model.config.d_model
-        self._model = model.eval().requires_grad_(False).to(self.device)
+        super().__init__(self._family, where, device, model, self._max_tokens)
 
     def _run(self, ids_BL: Tensor, attention_BL: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         states_BLC = self._model(input_ids=ids_BL, attention_mask=attention_BL).last_hidden_state
@@ -112,18 +105,17 @@ class SentenceT5(T5Text):
     Args:
         where: local folder, or hub id such as "sentence-transformers/sentence-t5-large", in the layout of
             sentence-transformers (the projection is ``2_Dense/model.safetensors``).
-        max_tokens: longer sentences are cut to this many tokens.
 
     Raises:
         InputError: ``transformers`` is not installed, or the model or its projection is not on this machine.
     """
 
-    _family = "sentence-t5"
+    _family, _max_tokens = "sentence-t5", 256
 
-    def __init__(self, where: str, *, device: torch.device | str = "cpu", max_tokens: int = 256) -> None:
+    def __init__(self, where: str, *, device: torch.device | str = "cpu") -> None:
         from safetensors.torch import load_file
 
-        super().__init__(where, device=device, max_tokens=max_tokens)
+        super().__init__(where, device=device)
         find = _transformers().utils.hub.cached_file
         path = _from_disk(find, where, filename="model.safetensors", subfolder="2_Dense")
         self._projection = load_file(path, device=str(self.device))["linear.weight"].float()

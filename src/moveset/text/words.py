@@ -16,10 +16,13 @@ MAX_WORDS = 32
 
 
 class Said(Protocol):
-    """A caption that is more than its sentence: ``data.humanml3d.Caption``."""
+    """A caption with its "lemma/PART_OF_SPEECH" tokens: ``data.humanml3d.Caption``."""
 
     @property
     def text(self) -> str: ...
+
+    @property
+    def tokens(self) -> tuple[str, ...]: ...
 
 
 class Words(Protocol):

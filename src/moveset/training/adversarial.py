@@ -1,12 +1,35 @@
-"""The discriminator's own step, shared by the distillation of clips and of segments."""
+"""The discriminator and its own step, shared by the distillation of clips and of segments."""
 
 from collections.abc import Sequence
 
 import torch
 from torch import Tensor, nn
 
+from moveset.models.discriminator import DiscriminatorConfig, DiscriminatorHeads
 from moveset.pcm.losses import hinge_discriminator
 from moveset.training.engine import Loop
+from moveset.training.single_network import SingleNetworkTask
+
+
+class AdversarialTask(SingleNetworkTask):
+    """A student, and the discriminator that judges it, if there is one."""
+
+    network = "student"
+    heads: DiscriminatorHeads | None = None
+
+    def make_heads(self, width: int, taps: int, loop: Loop) -> None:
+        """The discriminator, for so many feature maps of that width."""
+        self.heads = DiscriminatorConfig(width=width, taps=taps).build().to(loop.device)
+        # Betas as in PCM's public code; the heads see every fake only once.
+        self.heads_optimizer = torch.optim.AdamW(
+            self.heads.parameters(), self.config.discriminator_lr, betas=(0.0, 0.999), weight_decay=0.0
+        )
+
+    def modules(self) -> dict[str, nn.Module]:
+        return super().modules() | ({} if self.heads is None else {"discriminator": self.heads})
+
+    def optimizers(self) -> dict[str, torch.optim.Optimizer]:
+        return super().optimizers() | ({} if self.heads is None else {"discriminator": self.heads_optimizer})
 
 
 def of_another(contents: Sequence[Sequence[str]]) -> list[int]:

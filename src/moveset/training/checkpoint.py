@@ -10,7 +10,6 @@ import re
 import shutil
 import warnings
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -70,15 +69,6 @@ def write(
         shutil.rmtree(temporary, ignore_errors=True)
         raise
     return target
-
-
-@contextmanager
-def writing_to(folder: Path) -> Iterator[None]:
-    """What a training does first in a folder. Raises InputError where the system does not let it."""
-    try:
-        yield
-    except OSError as error:
-        raise InputError(f"cannot train in {folder}: {error.strerror or error}; give another folder") from error
 
 
 def verify(path: Path) -> dict[str, Any]:
@@ -200,7 +190,7 @@ def set_aside(folder: Path, after: int) -> None:
 
 def clean(folder: Path) -> None:
     """Deletes what killed processes left. Only for the holder of the run's lock."""
-    for item in folder.glob(f"{_TEMPORARY}*"):
+    for item in (*folder.glob(f"{_TEMPORARY}*"), *folder.glob(".*.part")):
         if item.is_dir():
             shutil.rmtree(item)
         else:  # a log that was being cut back

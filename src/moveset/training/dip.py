@@ -115,7 +115,7 @@ class PieceSet(ClipSet):
             start = 0 if stands else self.prefix + int(chance[0] * (room + 1))
             piece = torch.from_numpy(clip.cut(max(start - self.prefix, 0), start + self.frames)).float()
             pieces.append(torch.cat((self.idle, piece)) if stands else piece)
-            captions.append(self.say(clip, start, self.frames, chance[3:]))
+            captions.append(self.say(clip, start, self.frames, chance[3:])[0])
         prefix, clean = torch.stack(pieces).split((self.prefix, self.frames), dim=1)
         return PieceBatch(prefix, clean, captions)
 
@@ -149,7 +149,6 @@ class DiPTask(SingleNetworkTask):
     network = "denoiser"
 
     def __init__(self, config: DiPConfig, sources: Sources, loop: Loop) -> None:
-        self.steps = loop.config.steps
         self.data = PieceData(sources, config, loop)
         sizes = {"features": self.data.codec.dim, "text_dim": self.data.text.widths[0]}
         self.config = config = replace(config, codec=self.data.codec.name, model=replace(config.model, **sizes))
@@ -160,8 +159,8 @@ class DiPTask(SingleNetworkTask):
         self.scale = feature_weights(self.data.codec, config.root).sqrt().to(loop.device)
         self.optimizer = torch.optim.AdamW(self.denoiser.parameters(), config.lr, weight_decay=0.0)
 
-    def learning_rates(self, step: int) -> dict[str, float]:
-        return {"denoiser": self.config.lr} if self.config.constant_lr else super().learning_rates(step)
+    def learning_rates(self, step: int, steps: int) -> dict[str, float]:
+        return {"denoiser": self.config.lr} if self.config.constant_lr else super().learning_rates(step, steps)
 
     def training_step(self, step: int, loop: Loop) -> dict[str, Tensor]:
         config = self.config

@@ -16,9 +16,9 @@ from moveset.diffusion.schedule import scaled_linear
 from moveset.diffusion.steps import add_noise, ddim_timesteps
 from moveset.errors import InputError
 from moveset.models.condition import Condition, Denoiser, Prediction, guided
-from moveset.models.discriminator import DiscriminatorConfig, DiscriminatorHeads
+from moveset.models.discriminator import DiscriminatorHeads
 from moveset.models.latent_denoiser import LatentDenoiserConfig
-from moveset.models.registry import ModelConfig, describe, require_range
+from moveset.models.registry import ModelConfig, require_range
 from moveset.models.token_denoiser import TokenDenoiserConfig
 from moveset.motion.sides import more_left, shortfall
 from moveset.pcm.consistency import (
@@ -36,17 +36,17 @@ from moveset.pcm.losses import hinge_generator, pseudo_huber
 from moveset.pcm.sampler import lcm_timesteps, sample_ddim, sample_lcm, sample_phased
 from moveset.text.encoder import TextEmbedding
 from moveset.text.sides import forget, with_sides
-from moveset.training.adversarial import discriminator_step, of_another
+from moveset.training.adversarial import AdversarialTask, discriminator_step, of_another
 from moveset.training.ema import Ema
 from moveset.training.engine import Loop
-from moveset.training.single_network import SingleNetworkTask, require_sense
+from moveset.training.single_network import NetworkConfig
 from moveset.training.tasks import Sources
 from moveset.training.teacher import LatentData, normalised_latents
 from moveset.training.trained import load_trained
 
 
 @dataclass(frozen=True, kw_only=True)
-class StudentConfig:
+class StudentConfig(NetworkConfig):
     """How a student of clips or of segments learns; the learning rate is a cosine over the run.
 
     Args:
@@ -83,12 +83,6 @@ class StudentConfig:
     text_encoder: str = "minilm"
     augmentation: TextAugmentation = field(default_factory=TextAugmentation)
     model: ModelConfig | None = None
-    kind: str = field(init=False, default="")
-
-    def __post_init__(self) -> None:
-        require_sense(self)
-        if self.model is not None:
-            object.__setattr__(self, "kind", describe(self.model)[0])
 
 
 def require_rows(config: StudentConfig, *names: str) -> None:
@@ -114,15 +108,11 @@ class DistillationConfig(StudentConfig):
     model: LatentDenoiserConfig | TokenDenoiserConfig | None = None
 
 
-class _DistillationTask(SingleNetworkTask):
+class _DistillationTask(AdversarialTask):
     """What LCM and PCM share: frozen teacher, student with its averaged target, one update from their distance."""
-
-    network = "student"
-    heads: DiscriminatorHeads | None = None
 
     def __init__(self, config: DistillationConfig, sources: Sources, loop: Loop) -> None:
         require_rows(config, "trajectory_rows", "side_rows")
-        self.steps = loop.config.steps
         teacher = load_trained(sources.teacher, "teacher_ema", loop.device)
         self.data = LatentData(sources, config.text_encoder, config.augmentation, loop, normalised_latents(teacher))
         self.teacher = teacher.module
@@ -300,17 +290,7 @@ class PCMTask(_DistillationTask):
         condition = Condition(self.data.read(batch.captions), length=batch.frames)
         with torch.no_grad():
             taps = self._features(batch.z0, torch.zeros_like(batch.frames), condition)
-        self.heads = DiscriminatorConfig(width=taps[0].shape[-1], taps=len(taps)).build().to(loop.device)
-        # Betas as in PCM's public code; the heads see every fake only once.
-        self.heads_optimizer = torch.optim.AdamW(
-            self.heads.parameters(), config.discriminator_lr, betas=(0.0, 0.999), weight_decay=0.0
-        )
-
-    def modules(self) -> dict[str, nn.Module]:
-        return super().modules() | {"discriminator": self.heads}
-
-    def optimizers(self) -> dict[str, torch.optim.Optimizer]:
-        return super().optimizers() | {"discriminator": self.heads_optimizer}
+        self.make_heads(taps[0].shape[-1], len(taps), loop)
 
     def target(self, teacher: Prediction, ema: Prediction, z: Tensor, point_B: Tensor) -> Tensor:
         return phased_target(self.schedule, self.grid, teacher, ema, z, point_B)

@@ -22,11 +22,11 @@ import torch
 from torch import Tensor, nn
 
 from moveset.errors import InputError
+from moveset.io.limits import system_errors
 from moveset.io.process import locked, noted_signals
 from moveset.training import checkpoint, resume
 from moveset.training.fabric import launch
 from moveset.training.log import TrainingLog
-from moveset.training.optim import set_lr
 
 if TYPE_CHECKING:
     from lightning_fabric import Fabric
@@ -97,8 +97,8 @@ class Task:
         """Optimisers by name: two of them make a GAN."""
         raise NotImplementedError
 
-    def learning_rates(self, step: int) -> dict[str, float]:
-        """Learning rates to set before step ``step``, by optimiser; those not named keep theirs."""
+    def learning_rates(self, step: int, steps: int) -> dict[str, float]:
+        """Learning rates to set before step ``step`` of so many, by optimiser; those not named keep theirs."""
         return {}
 
     def training_step(self, step: int, loop: "Loop") -> Mapping[str, float | Tensor]:
@@ -118,6 +118,10 @@ class Task:
 
     def load_state(self, state: Mapping[str, Tensor | int | float | str]) -> None:
         """Takes back what ``state`` gave."""
+
+    def take_given(self) -> None:
+        """Puts into the modules, whatever weights were loaded, what is not learned here but follows from the data or
+        from another network."""
 
 
 @dataclass(frozen=True)
@@ -182,10 +186,9 @@ class Loop:
         """A parameter unused in this process counts as zero: other processes may have used it."""
         gradients = [torch.zeros_like(p) if p.grad is None else p.grad for p in parameters]
         flat = cast(Tensor, self.fabric.all_reduce(nn.utils.parameters_to_vector(gradients), reduce_op="mean"))
-        offset = 0
-        for parameter, gradient in zip(parameters, gradients, strict=True):
-            parameter.grad = flat[offset : offset + gradient.numel()].view_as(gradient)
-            offset += gradient.numel()
+        parts = flat.split([parameter.numel() for parameter in parameters])
+        for parameter, part in zip(parameters, parts, strict=True):
+            parameter.grad = part.view_as(parameter)
 
 
 def run(
@@ -215,7 +218,7 @@ def run(
     with ExitStack() as stack:
         if fabric.is_global_zero:
             busy = f"another training is running in {folder}; stop it or give another folder"
-            with checkpoint.writing_to(folder):
+            with system_errors(f"train in {folder}", "give another folder", InputError):
                 stack.enter_context(locked(folder, busy))
                 checkpoint.clean(folder)
         # The caller's global generator is left as it was.
@@ -248,9 +251,10 @@ def _train(task: Task, loop: Loop, folder: Path, start: int, signals: list[int],
         step += 1
         for module in modules.values():
             module.train()
-        rates = task.learning_rates(step)
+        rates = task.learning_rates(step, config.steps)
         for name, rate in rates.items():
-            set_lr(optimizers[name], rate)
+            for group in optimizers[name].param_groups:
+                group["lr"] = rate
         with _autocast(loop):
             metrics = task.training_step(step, loop)
 
@@ -278,22 +282,19 @@ def _train(task: Task, loop: Loop, folder: Path, start: int, signals: list[int],
 
 def _start(task: Task, loop: Loop, folder: Path, resume_from_latest: bool, init: Sequence[Path]) -> int:
     """Loads the latest checkpoint if asked; returns the number of finished steps."""
-    if not resume_from_latest:
-        if existing := checkpoint.steps(folder):
-            raise InputError(
-                f"{folder} already holds a training up to step {existing[-1]}; continue it with --resume or give "
-                "another folder"
-            )
-        if init:
-            resume.begin(task, [checkpoint.resolve(path) for path in init])
-        return 0
-    # One process looks, so that all agree on what they find.
-    found = checkpoint.latest(folder) if loop.rank == 0 else None
-    found = loop.fabric.broadcast(found)
+    found = None
+    if resume_from_latest:
+        # One process looks, so that all agree on what they find.
+        found = loop.fabric.broadcast(checkpoint.latest(folder) if loop.rank == 0 else None)
+    elif existing := checkpoint.steps(folder):
+        raise InputError(
+            f"{folder} already holds a training up to step {existing[-1]}; continue it with --resume or give another "
+            "folder"
+        )
     start = resume.load(task, loop, found) if found else 0
     if init and not found:
         resume.begin(task, [checkpoint.resolve(path) for path in init])
-    if loop.rank == 0:
+    if resume_from_latest and loop.rank == 0:
         checkpoint.set_aside(folder, after=start)
         checkpoint.prune(folder, loop.config.keep_last, loop.config.keep_every)
     return start

@@ -108,8 +108,7 @@ class MovementTask(SingleNetworkTask):
     def __init__(self, config: MovementTrainingConfig, sources: Sources, loop: Loop) -> None:
         dataset = open_for_training(sources.corpus)
         codec = choose_codec(dataset, config.codec)
-        config = replace(config, codec=codec.name, model=replace(config.model, features=codec.dim))
-        self.config, self.steps = config, loop.config.steps
+        self.config = config = replace(config, codec=codec.name, model=replace(config.model, features=codec.dim))
         self.store = _features(dataset, config.codec, sources.cache, loop)
         self.scale = _emphasis(self.store.normalizer, config.codec, config.feat_bias).to(loop.device)
         self.movement = config.model.build().to(loop.device)
@@ -121,10 +120,9 @@ class MovementTask(SingleNetworkTask):
         )
         if not (self.train_clips and self.val_clips):
             raise InputError(f"no clip of one split has {config.window} frames; set window to fewer")
-        self.seed = loop.seed
 
     def training_step(self, step: int, loop: Loop) -> dict[str, Tensor]:
-        loss, parts = self._loss(self._windows(self.train_clips, self.seed * 1_000_003 + step).to(loop.device))
+        loss, parts = self._loss(self._windows(self.train_clips, loop.seed * 1_000_003 + step).to(loop.device))
         norm = loop.minimise(loss, "movement")
         return {"loss": loss.detach(), "gradient_norm": norm} | {k: v.detach() for k, v in parts.items()}
 
@@ -164,7 +162,7 @@ class EvaluatorTask(SingleNetworkTask):
         codec, sizes = movement.task["codec"], movement.module.config
         model = replace(config.model, features=sizes.features, movement_width=sizes.width, movement_latent=sizes.latent)
         self.config = config = replace(config, codec=codec, feat_bias=movement.task["feat_bias"], model=model)
-        self.steps, self.dataset = loop.config.steps, open_for_training(sources.corpus)
+        self.dataset = open_for_training(sources.corpus)
         self.store = _features(self.dataset, config.codec, sources.cache, loop)
         self.scale = _emphasis(self.store.normalizer, config.codec, config.feat_bias).to(loop.device)
         self.evaluator: MatchingEvaluator = config.model.build().to(loop.device)
@@ -176,9 +174,8 @@ class EvaluatorTask(SingleNetworkTask):
         self.optimizer = torch.optim.Adam(trained, config.lr)
         train, self.val = self.dataset.split("train"), self.dataset.split("val")
         weights = self.dataset.weights(train, power=0.25, composed_share=0.4)
-        self.seed = loop.seed
         # Whole clips, or for those that may be divided most of them: a shorter window may miss what its sentence says.
-        self.sampler = CropSampler(self.store, train, weights, config.batch, self.seed, whole=0.5, shortest=(0.7, 24))
+        self.sampler = CropSampler(self.store, train, weights, config.batch, loop.seed, whole=0.5, shortest=(0.7, 24))
         with loop.fabric.rank_zero_first():
             self.read = reader(config, self.dataset, (*train, *self.val), sources.cache)
         words = self.read(train[:1], [0.0])[0].shape[-1]
@@ -186,7 +183,7 @@ class EvaluatorTask(SingleNetworkTask):
             raise InputError(f"words of {config.words!r} are {words} numbers; set model.word_width={words}")
 
     def take_given(self) -> None:
-        """The movement encoder of ``Sources.teacher`` and the statistics of these features (``resume.Given``)."""
+        """The movement encoder of ``Sources.teacher`` and the statistics of these features."""
         for network in (self.evaluator, cast(MatchingEvaluator, self.ema.module)):
             network.movement.load_state_dict(self.encoder)
             network.mean.copy_(self.store.normalizer.mean)
@@ -194,13 +191,14 @@ class EvaluatorTask(SingleNetworkTask):
 
     def training_step(self, step: int, loop: Loop) -> dict[str, Tensor]:
         self.evaluator.movement.train(self.config.blurred)
-        generator = torch.Generator().manual_seed(self.seed * 1_000_003 + step)
+        generator = torch.Generator().manual_seed(loop.seed * 1_000_003 + step)
         crops = [
             crop if self.dataset.clip(crop.clip).croppable else self.store.whole(crop.clip)
             for crop in self.sampler.crops(step)
         ]
         motion, text, labels = self._embed(self.evaluator, crops, generator, loop, self.config.noise)
-        loss, right = contrast(text, motion, labels, self.config.margin, self._shift(len(crops), generator))
+        shift = int(torch.randint(1, len(crops), (), generator=generator)) if self.config.negatives == "roll" else None
+        loss, right = contrast(text, motion, labels, self.config.margin, shift)
         norm = loop.minimise(loss, "evaluator")
         self.ema.update(self.evaluator, ema_warmup(step, self.config.ema))
         return {"loss": loss.detach(), "nearest": right.detach(), "gradient_norm": norm}
@@ -235,9 +233,6 @@ class EvaluatorTask(SingleNetworkTask):
         motion = network.embed_motion(features * self.scale, lengths).float()
         said = network.embed_text(words, classes, counts).float()
         return motion, said, [self.dataset.clip(crop.clip).group for crop in crops]
-
-    def _shift(self, batch: int, generator: torch.Generator) -> int | None:
-        return int(torch.randint(1, batch, (), generator=generator)) if self.config.negatives == "roll" else None
 
 
 #: Words, classes of speech or None, and lengths of one sentence for each clip, which a share in [0, 1) picks.

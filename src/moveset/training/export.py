@@ -4,7 +4,7 @@ What a folder holds an ``Export`` says, which a recipe names; its networks come 
 dataset. Nothing is trained here.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -20,7 +20,16 @@ from moveset.errors import InputError
 from moveset.evaluation.evaluator import Evaluator, EvaluatorCard
 from moveset.motion.features import get_codec
 from moveset.motion.native import NativeCodec
-from moveset.pipelines.model_config import DENOISER, FLOW, IDLE, SIDES, BaselineConfig, ClipConfig, StreamConfig
+from moveset.pipelines.model_config import (
+    DENOISER,
+    FLOW,
+    IDLE,
+    SIDES,
+    BaselineConfig,
+    ClipConfig,
+    FolderConfig,
+    StreamConfig,
+)
 from moveset.pipelines.model_folder import save_model
 from moveset.pipelines.role import is_student, named
 from moveset.text.encoder import get_text_encoder
@@ -122,8 +131,7 @@ def export(what: Export, dataset: Dataset, runs: Path, cache: Path, out: Path) -
 
 
 def _load(what: Export, network: str, runs: Path) -> TrainedNetwork:
-    weights = {"rdm": "denoiser_ema", "md": "denoiser_ema", "decoder": "vae_ema"}
-    weights |= {"length": "length", "sides": "sides"}
+    weights = {"rdm": "denoiser_ema", "md": "denoiser_ema", "decoder": "vae_ema", "length": "length", "sides": "sides"}
     if is_student(network):
         chosen = "student" if what.last else "student_ema"
     else:
@@ -135,9 +143,9 @@ def _load(what: Export, network: str, runs: Path) -> TrainedNetwork:
 
 
 def _common(
-    what: Export, dataset: Dataset, task: Mapping[str, Any], found: Mapping[str, TrainedNetwork], cache: Path
-) -> tuple[dict[str, Any], list[str], Tensor, FeatureStore]:
-    """What every configuration says, the captions that stand for what is known, their embeddings, and the features."""
+    what: Export, dataset: Dataset, task: Mapping[str, Any], found: Mapping[str, TrainedNetwork], cache: Path, out: Path
+) -> tuple[dict[str, Any], FeatureStore, Callable[..., Path]]:
+    """What every configuration says, the features, and what writes the folder."""
     encoder, codec = task["text_encoder"], get_codec(task["codec"])
     known = known_captions(dataset)
     pooled = embedded(cache, encoder, known).pooled_of(known)
@@ -152,17 +160,26 @@ def _common(
         "far_prompt": familiarity_limit(dataset, known, pooled, encoder),
         "provenance": {"data": dataset.describe(), **steps},
     }
-    return fields, known, pooled, FeatureStore.cached(dataset, codec.name, cache)
+    store = FeatureStore.cached(dataset, codec.name, cache)
+    features = {"feature_mean": store.normalizer.mean, "feature_std": store.normalizer.std}
+
+    def save(
+        config: FolderConfig, modules: Mapping[str, Any], statistics: Mapping[str, Tensor], teacher: str = ""
+    ) -> Path:
+        """Students are stored as differences from their teacher, if there is one, with the words it was trained on."""
+        bases = {name: teacher for name in modules if is_student(name)} if teacher and what.differences else None
+        words = trained_words(dataset) if teacher else ()
+        return save_model(out, config, modules, features | {**statistics}, known, pooled, bases, words, what.compact)
+
+    return fields, store, save
 
 
 def _clips(
     what: Export, dataset: Dataset, found: Mapping[str, TrainedNetwork], runs: Path, cache: Path, out: Path
 ) -> Path:
-    vae, teacher = found["vae"], found["teacher"]
-    students = [name for name in found if "-" in name]
-    points = _one_grid(found[name] for name in students)
+    vae, teacher, points = found["vae"], found["teacher"], _one_grid(found)
     task = {**teacher.task, "codec": vae.task["codec"]}
-    fields, known, pooled, store = _common(what, dataset, task, found, cache)
+    fields, store, save = _common(what, dataset, task, found, cache, out)
     path = cache / f"latents-{vae.digest[:12]}-train.safetensors"
     latents = LatentSet.of(dataset, "train", store, vae.module, path)
     if not normalised_latents(teacher):
@@ -170,9 +187,7 @@ def _clips(
     modules = {name: network.module for name, network in found.items() if name != DECODER}
     modules["vae"] = found.get(DECODER, vae).module
     config = ClipConfig(**fields, latent=(vae.module.config.tokens, vae.module.config.token_dim), points=points)
-    statistics = {**_statistics(store), "latent_mean": latents.center, "latent_std": latents.scale}
-    bases = dict.fromkeys(students, "teacher") if what.differences else None
-    return save_model(out, config, modules, statistics, known, pooled, bases, trained_words(dataset), what.compact)
+    return save(config, modules, {"latent_mean": latents.center, "latent_std": latents.scale}, "teacher")
 
 
 def _stream(
@@ -180,7 +195,7 @@ def _stream(
 ) -> Path:
     if RDM not in found:
         raise InputError(f"a stream needs the network {RDM!r}, got {', '.join(found) or 'none'}; name its run")
-    rdm, students = found[RDM], [name for name in found if "-" in name]
+    rdm = found[RDM]
     for name, network in found.items():
         for size in ("features", "frames", "text_dim") if name != SIDES else ("text_dim",):
             if (ours := network.config[size]) != rdm.config[size]:
@@ -193,8 +208,8 @@ def _stream(
         modules[name].config = replace(modules[name].config, tremor=value)
     if rdm.task["flow"] is not None:
         modules[FLOW] = load_trained(runs / what.runs[RDM], "flow_ema", part="coupling_flow").module
-    points = _one_grid(found[name] for name in students)
-    fields, known, pooled, store = _common(what, dataset, rdm.task, found, cache)
+    points = _one_grid(found)
+    fields, _, save = _common(what, dataset, rdm.task, found, cache, out)
     sampling = {**what.sampling}
     if not isinstance(get_codec(rdm.task["codec"]), NativeCodec):
         sampling.pop("symmetric", None)  # only native features have a mirror image of their own
@@ -205,10 +220,7 @@ def _stream(
         points=points,
         **{"network": RDM, **sampling},
     )
-    bases = dict.fromkeys(students, RDM) if what.differences else None
-    return save_model(
-        out, config, modules, _statistics(store), known, pooled, bases, trained_words(dataset), what.compact
-    )
+    return save(config, modules, {}, RDM)
 
 
 def _baseline(
@@ -219,8 +231,8 @@ def _baseline(
     chunks = "levels" in task
     if not chunks and (task["flow"] is not None or task["grid"]["condition"] == "clean"):
         raise InputError(f"{network.path} is a stream's network, given the segment before; export it as a stream's")
-    fields, known, pooled, store = _common(what, dataset, task, found, cache)
-    statistics = _statistics(store)
+    fields, store, save = _common(what, dataset, task, found, cache, out)
+    statistics = {}
     sampling: dict[str, Any] = {"frames": task["model"]["frames"], "sampler_steps": what.steps}
     if chunks:
         statistics[IDLE] = idle_pose(dataset, store, get_codec(task["codec"]))
@@ -228,15 +240,7 @@ def _baseline(
         sampling |= {"prefix": task["model"]["prefix"], "schedule": "cosine", "eta": 1.0, **every}
     else:
         sampling |= {"predict": task["predict"], "eta": what.eta, "variance": what.variance}
-    return save_model(
-        out,
-        BaselineConfig(**fields, **sampling),
-        {DENOISER: network.module},
-        statistics,
-        known,
-        pooled,
-        compact=what.compact,
-    )
+    return save(BaselineConfig(**fields, **sampling), {DENOISER: network.module}, statistics)
 
 
 def _evaluator(what: Export, found: TrainedNetwork, out: Path) -> Path:
@@ -253,13 +257,9 @@ def _evaluator(what: Export, found: TrainedNetwork, out: Path) -> Path:
     return Evaluator(card, found.module, words).save(out, half=True)
 
 
-def _statistics(store: FeatureStore) -> dict[str, Tensor]:
-    return {"feature_mean": store.normalizer.mean, "feature_std": store.normalizer.std}
-
-
-def _one_grid(students: Any) -> int:
+def _one_grid(found: Mapping[str, TrainedNetwork]) -> int:
     """The solver points that all students were distilled on."""
-    grids = {student.task["points"] for student in students} or {ClipConfig.points}
+    grids = {network.task["points"] for name, network in found.items() if is_student(name)} or {ClipConfig.points}
     if len(grids) > 1:
         raise InputError(f"the students were distilled on grids of {sorted(grids)} points; export those of one grid")
     return int(grids.pop())

@@ -43,7 +43,6 @@ class LengthTask(SingleNetworkTask):
     network = "length"
 
     def __init__(self, config: LengthConfig, sources: Sources, loop: Loop) -> None:
-        self.steps, self.seed = loop.config.steps, loop.seed
         dataset = open_for_training(sources.corpus)
         self.train, self.val = _pairs(dataset, "train"), _pairs(dataset, "val")
         captions = [text for texts, _ in self.train + self.val for text in texts]
@@ -54,7 +53,7 @@ class LengthTask(SingleNetworkTask):
         self.optimizer = torch.optim.AdamW(self.length.parameters(), config.lr, weight_decay=0.01)
 
     def training_step(self, step: int, loop: Loop) -> dict[str, Tensor]:
-        captions, frames = draw_told(self.train, self.config.batch, self.seed, step)
+        captions, frames = draw_told(self.train, self.config.batch, loop.seed, step)
         classes = self.length.classes_of(torch.tensor(frames)).to(loop.device)
         logits = self.length(self.text.pooled_of(captions).float())
         loss = cross_entropy(logits, classes, label_smoothing=self.config.smoothing)

@@ -2,7 +2,6 @@
 
 import json
 import math
-import os
 import sys
 import time
 from collections.abc import Mapping
@@ -13,6 +12,7 @@ import torch
 from torch import Tensor
 
 from moveset.errors import MovesetError
+from moveset.io.limits import write_text
 
 
 def truncate_metrics(file: Path, step: int) -> None:
@@ -27,12 +27,7 @@ def truncate_metrics(file: Path, step: int) -> None:
             continue
         if isinstance(entry, dict) and entry.get("step", step + 1) <= step:
             kept.append(line + "\n")
-    temporary = file.with_name(f".tmp-{file.name}")
-    with open(temporary, "w") as stream:
-        stream.writelines(kept)
-        stream.flush()
-        os.fsync(stream.fileno())
-    os.replace(temporary, file)
+    write_text(file, "".join(kept))
 
 
 class TrainingLog:

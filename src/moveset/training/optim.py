@@ -22,11 +22,6 @@ def cosine_lr(step: int, base: float, warmup: int, total: int) -> float:
     return base * (1.0 + math.cos(math.pi * progress)) / 2.0
 
 
-def set_lr(optimizer: torch.optim.Optimizer, rate: float) -> None:
-    for group in optimizer.param_groups:
-        group["lr"] = rate
-
-
 def flatten_optimizer(optimizer: torch.optim.Optimizer) -> tuple[dict[str, Tensor], dict[str, Any]]:
     """State of an optimiser as tensors named ``PARAMETER/KEY`` and a JSON-able rest (groups, scalars)."""
     state = optimizer.state_dict()

@@ -20,7 +20,7 @@ from moveset.data.dataset import Dataset, open_for_training
 from moveset.data.glove_files import read_glove
 from moveset.data.splits import Split
 from moveset.errors import InputError, MovesetError
-from moveset.io.limits import write_text
+from moveset.io.limits import system_errors, write_text
 from moveset.io.process import end_with_parent, noted_signals
 from moveset.text.encoder import get_text_encoder
 from moveset.training import checkpoint
@@ -157,7 +157,7 @@ def train_all(
     every = stages(recipe, device, share)
     chosen = choose(every, only)
     place = Place(data=data, out=out)
-    with checkpoint.writing_to(out):
+    with system_errors(f"train in {out}", "give another folder", InputError):
         for folder in ("stages", "models"):
             (out / folder).mkdir(parents=True, exist_ok=True)
     keys = _keys(every, open_for_training(data))

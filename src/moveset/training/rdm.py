@@ -142,7 +142,6 @@ class RDMTask(Task):
 
     def __init__(self, config: RDMConfig, sources: Sources, loop: Loop) -> None:
         _check(config)
-        self.steps = loop.config.steps
         self.data = SegmentData(sources, config, loop)
         self.config = config = _sized(config, self.data)
         self.denoiser = config.model.build().to(loop.device)
@@ -171,18 +170,18 @@ class RDMTask(Task):
     def optimizers(self) -> dict[str, torch.optim.Optimizer]:
         return self._optimizers
 
-    def learning_rates(self, step: int) -> dict[str, float]:
+    def learning_rates(self, step: int, steps: int) -> dict[str, float]:
         config = self.config
         rates = {"denoiser": config.lr} | ({} if self.flow is None else {"flow": config.flow_lr})
         if config.constant_lr:
             return rates
-        return {name: cosine_lr(step, lr, config.warmup, self.steps) for name, lr in rates.items()}
+        return {name: cosine_lr(step, lr, config.warmup, steps) for name, lr in rates.items()}
 
     def training_step(self, step: int, loop: Loop) -> dict[str, Tensor]:
         config = self.config
         batch = self.data.training_batch(config.batch, step)
         report: dict[str, Tensor] = {}
-        learns = self.flow is not None and step <= self.steps * (1 - config.frozen_flow)
+        learns = self.flow is not None and step <= loop.config.steps * (1 - config.frozen_flow)
         if learns:
             report |= self._train_flow(batch, loop)
         said = drop_captions(batch.captions, config.condition_dropout, self.draws)
@@ -191,7 +190,7 @@ class RDMTask(Task):
             sides_B3 = told_sides(said, batch.sides, config.sides, self.draws)
             text = with_sides(text, sides_B3)
             if config.side_weight:
-                asked = sides_B3, cosine_lr(step, config.side_weight, 0, self.steps)
+                asked = sides_B3, cosine_lr(step, config.side_weight, 0, loop.config.steps)
         both = config.joint and learns
         loss, parts = self._loss(self.denoiser, self.transport, batch, text, self.draws, both, asked)
         moved = ("denoiser", "flow") if both else ("denoiser",)

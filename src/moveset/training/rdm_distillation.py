@@ -9,14 +9,14 @@ from dataclasses import dataclass, field, replace
 from typing import Any, cast
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from moveset.data.segments import CuttingConfig, SegmentBatch
 from moveset.diffusion.phases import PhaseGrid
 from moveset.diffusion.steps import add_noise, over, predict_eps, renoise
 from moveset.errors import InputError
 from moveset.models.condition import Denoiser
-from moveset.models.discriminator import DiscriminatorConfig
+from moveset.models.discriminator import DiscriminatorHeads
 from moveset.models.segment_transformer import SegmentTransformer, SegmentTransformerConfig
 from moveset.motion.features import Normalizer
 from moveset.pcm.consistency import Draws, draw
@@ -28,7 +28,7 @@ from moveset.rdm.staircase import levels
 from moveset.rdm.transport import Transport
 from moveset.text.encoder import TextEmbedding
 from moveset.text.sides import forget, with_sides
-from moveset.training.adversarial import discriminator_step
+from moveset.training.adversarial import AdversarialTask, discriminator_step
 from moveset.training.bound_segments import BoundSegments
 from moveset.training.condition_dropout import drop_heading_change, perturb_heading, perturb_past
 from moveset.training.distillation import StudentConfig, require_rows
@@ -38,7 +38,6 @@ from moveset.training.rdm import SCHEDULE, RDMConfig, feature_weights, require_h
 from moveset.training.rollout import Rollout
 from moveset.training.segment_data import SegmentData
 from moveset.training.segment_losses import heading_error, placed, side_shortfall
-from moveset.training.single_network import SingleNetworkTask
 from moveset.training.tasks import Sources
 from moveset.training.trained import load_trained
 
@@ -87,11 +86,10 @@ class RDMStudentConfig(StudentConfig):
     model: SegmentTransformerConfig | None = None
 
 
-class RDMStudentTask(SingleNetworkTask):
+class RDMStudentTask(AdversarialTask):
     """Consistency inside each of M phases, a discriminator on the frozen teacher's features."""
 
     name = "rdm-student"
-    network = "student"
 
     def __init__(self, config: RDMStudentConfig, sources: Sources, loop: Loop) -> None:
         require_rows(config, "trajectory_rows")
@@ -100,7 +98,6 @@ class RDMStudentTask(SingleNetworkTask):
             raise InputError(
                 "context_noise_rollout is of the student's own streams, and there are none; set rollout_share too"
             )
-        self.steps = loop.config.steps
         teacher = load_trained(sources.teacher, "denoiser_ema", loop.device)
         self.teacher = teacher.module
         if not isinstance(self.teacher, SegmentTransformer):
@@ -131,22 +128,13 @@ class RDMStudentTask(SingleNetworkTask):
         self.alone = torch.zeros(config.batch, dtype=torch.bool).index_fill(0, self.own.rows, True).to(loop.device)
         self.draws = loop.generator("draws", device=loop.device)
         self.optimizer = torch.optim.AdamW(self.student.parameters(), config.lr, betas=(0.9, 0.999), weight_decay=0.0)
-        sizes = DiscriminatorConfig(width=self.student.config.width, taps=self.student.config.blocks)
-        self.heads = sizes.build().to(loop.device)
-        self.heads_optimizer = torch.optim.AdamW(
-            self.heads.parameters(), config.discriminator_lr, betas=(0.0, 0.999), weight_decay=0.0
-        )
+        if config.adversarial:
+            self.make_heads(self.student.config.width, self.student.config.blocks, loop)
         self.normalizer = Normalizer(*(x.to(loop.device) for x in vars(self.data.normalizer).values()))
         yaw = self.data.codec.groups["root_yaw"]
         self.course = HeadingTracker(yaw, self.normalizer.mean, self.normalizer.std, window=1)
         self.scale = feature_weights(self.data.codec, config.root).sqrt().to(loop.device)
         self._reference: Tensor | None = None
-
-    def modules(self) -> dict[str, nn.Module]:
-        return super().modules() | ({"discriminator": self.heads} if self.config.adversarial else {})
-
-    def optimizers(self) -> dict[str, torch.optim.Optimizer]:
-        return super().optimizers() | ({"discriminator": self.heads_optimizer} if self.config.adversarial else {})
 
     def state(self) -> dict[str, Any]:
         return self.own.state()
@@ -201,11 +189,13 @@ class RDMStudentTask(SingleNetworkTask):
             trajectory = self._trajectory(batch, draws, z, past_noise)
             loss = loss + trajectory
             report["trajectory"] = trajectory.detach()
-        if config.adversarial:
-            fooled, seen = self._judge(bound, batch, draws, z, made, t_B, edge_B, loop)
+        if self.heads is not None:
+            fooled, seen = self._judge(self.heads, bound, batch, draws, z, made, t_B, edge_B, loop)
             loss = loss + config.adversarial * fooled
             report |= seen
-        self._go_on(bound, z, made.detach(), t_B, edge_B)
+        if config.rollout_share:
+            past = made.detach()  # of the streams
+            self.own.go_on(past, bound.land(z, past, t_B, edge_B), self.course.turn(past).to(z))
         report["gradient_norm"] = loop.minimise(loss, "student")
         self.ema.update(self.student)
         return report | {"loss": loss.detach()}
@@ -213,11 +203,6 @@ class RDMStudentTask(SingleNetworkTask):
     def _read(self, batch: SegmentBatch, augmented_by: torch.Generator | None = None) -> TextEmbedding:
         """The captions with the sides that are said beside them."""
         return with_sides(self.data.read(batch.captions, augmented_by), batch.sides)
-
-    def _go_on(self, bound: BoundSegments, z: Tensor, made: Tensor, t_B: Tensor, edge_B: Tensor) -> None:
-        """What was made becomes the past of the streams, if there are any."""
-        if self.config.rollout_share:
-            self.own.go_on(made, bound.land(z, made, t_B, edge_B), self.course.turn(made).to(z))
 
     def _trajectory(self, batch: SegmentBatch, draws: Draws, z: Tensor, past_noise: Tensor | None) -> Tensor:
         """Distance to the teacher's whole way down a phase, for the first rows of a batch; streams from theirs."""
@@ -281,8 +266,8 @@ class RDMStudentTask(SingleNetworkTask):
         return replace(draws, **{name: self.teacher.colour(getattr(draws, name)) for name in noises})
 
     def _judge(
-        self, bound: BoundSegments, batch: SegmentBatch, draws: Draws, z: Tensor, made: Tensor, t_B: Tensor,
-        edge_B: Tensor, loop: Loop,
+        self, heads: DiscriminatorHeads, bound: BoundSegments, batch: SegmentBatch, draws: Draws, z: Tensor,
+        made: Tensor, t_B: Tensor, edge_B: Tensor, loop: Loop,
     ) -> tuple[Tensor, dict[str, Tensor]]:  # fmt: skip
         """How little the discriminator is fooled, after its own step; fake and real are noised to the judged time."""
         clean = bound.pull(made)
@@ -298,8 +283,8 @@ class RDMStudentTask(SingleNetworkTask):
             real = bound.push(add_noise(SCHEDULE, bound.pull(batch.clean), draws.real_noise_BND, draws.judged_B))
             real_seen = bound.features(real, draws.judged_B)
             mismatched_seen = bound.mismatched().features(real, draws.judged_B) if self.config.mismatched_text else None
-        report = discriminator_step(self.heads, real_seen, seen, mismatched_seen, self.config.mismatched_text, loop)
-        return hinge_generator(self.heads(seen)), report
+        report = discriminator_step(heads, real_seen, seen, mismatched_seen, self.config.mismatched_text, loop)
+        return hinge_generator(heads(seen)), report
 
 
 def _distance(made: Tensor, target: Tensor, weight: Tensor, valid_Bn: Tensor, c: float) -> Tensor:

@@ -12,7 +12,7 @@ import json
 import warnings
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any
 
 import safetensors.torch
 import torch
@@ -29,14 +29,6 @@ if TYPE_CHECKING:
 _HARMLESS = {
     "save_every", "validate_every", "log_every", "keep_last", "keep_every", "tensorboard", "threads", "workers",
 }  # fmt: skip
-
-
-@runtime_checkable
-class Given(Protocol):
-    """A task whose modules hold what is not learned in it, but follows from its data or from another network."""
-
-    def take_given(self) -> None:
-        """Puts that into the modules again, whatever weights were loaded."""
 
 
 def save(task: "Task", loop: "Loop", folder: Path, step: int) -> Path:
@@ -108,8 +100,8 @@ def begin(task: "Task", paths: Sequence[Path]) -> None:
     """Loads the weights of verified checkpoints into a freshly built task, and nothing else of them.
 
     A module is taken from the first that has it: a student of one training may meet the discriminator of another.
-    Warns of modules that none has: they start as they were built. So does what a task is given (``Given``): that of
-    another training does not fit this one's data.
+    Warns of modules that none has: they start as they were built. So does what a task is given
+    (``Task.take_given``): that of another training does not fit this one's data.
 
     Raises:
         InputError: one has none of the task's modules, or none that those before it lack, or one of other sizes.
@@ -127,8 +119,7 @@ def begin(task: "Task", paths: Sequence[Path]) -> None:
             raise InputError(f"{path} has all that {task.name!r} needs; leave out what follows it")
     if missing:
         warnings.warn(f"{paths[-1]} has no {', '.join(missing)}: that starts anew", stacklevel=4)
-    if isinstance(task, Given):
-        task.take_given()
+    task.take_given()
 
 
 def shared_tensors(task: "Task") -> Iterator[Tensor]:

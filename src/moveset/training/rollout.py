@@ -92,17 +92,15 @@ class Rollout:
         # What is said to a running stream begins then.
         anew_S = offered.turned * 0.0  # unknown stays so
         turned_S = _mixed(ends_S, _mixed(begins_S, offered.turned, anew_S), old.turned)
-        now = self._streams = _Streams(
-            _mixed(begins_S, offered.previous, old.previous),
-            _mixed(begins_S, offered.index, old.index),
-            turned_S,
-            _mixed(ends_S, offered.sides, old.sides),
-            _mixed(begins_S, offered.w, old.w),
-            _mixed(ends_S, offered.clean, old.clean),
-            old.phase,
-            old.landed,
-            old.noise,
-            [new if end else kept for end, new, kept in new_captions],
+        now = self._streams = replace(
+            old,
+            previous=_mixed(begins_S, offered.previous, old.previous),
+            index=_mixed(begins_S, offered.index, old.index),
+            turned=turned_S,
+            sides=_mixed(ends_S, offered.sides, old.sides),
+            w=_mixed(begins_S, offered.w, old.w),
+            clean=_mixed(ends_S, offered.clean, old.clean),
+            captions=[new if end else kept for end, new, kept in new_captions],
         )
         rows, captions, before = self.rows.to(to), list(batch.captions), list(batch.previous_captions)
         for row, caption in zip(self.rows.tolist(), now.captions, strict=True):

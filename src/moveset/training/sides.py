@@ -42,7 +42,6 @@ class SidesTask(SingleNetworkTask):
     network = "sides"
 
     def __init__(self, config: SidesConfig, sources: Sources, loop: Loop) -> None:
-        self.steps, self.seed = loop.config.steps, loop.seed
         dataset = open_for_training(sources.corpus)
         codec = choose_codec(dataset, "auto").name
         with loop.fabric.rank_zero_first():
@@ -56,7 +55,7 @@ class SidesTask(SingleNetworkTask):
         self.optimizer = torch.optim.AdamW(self.sides.parameters(), config.lr, weight_decay=0.01)
 
     def training_step(self, step: int, loop: Loop) -> dict[str, Tensor]:
-        captions, sides = draw_told(self.train, self.config.batch, self.seed, step)
+        captions, sides = draw_told(self.train, self.config.batch, loop.seed, step)
         text = self.text.lookup(captions, MAX_TOKENS)
         noise = torch.randn(text.tokens.shape, generator=self.noise, device=loop.device)
         text = replace(text, tokens=text.tokens + self.config.noise * noise)

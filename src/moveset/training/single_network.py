@@ -23,10 +23,11 @@ class NetworkConfig:
     """What is trained and how; ``kind`` is the architecture of ``model``, for whoever reads a checkpoint."""
 
     model: Any
-    kind: str = field(init=False)
+    kind: str = field(init=False, default="")
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "kind", describe(self.model)[0])
+        if self.model is not None:  # a student's is known when its teacher is
+            object.__setattr__(self, "kind", describe(self.model)[0])
         require_sense(self)
 
 
@@ -52,7 +53,6 @@ class SingleNetworkTask(Task):
 
     network: str
     config: Any
-    steps: int
     optimizer: torch.optim.Optimizer
     ema: Ema | None = None
 
@@ -65,5 +65,5 @@ class SingleNetworkTask(Task):
     def optimizers(self) -> dict[str, torch.optim.Optimizer]:
         return {self.network: self.optimizer}
 
-    def learning_rates(self, step: int) -> dict[str, float]:
-        return {self.network: cosine_lr(step, self.config.lr, self.config.warmup, self.steps)}
+    def learning_rates(self, step: int, steps: int) -> dict[str, float]:
+        return {self.network: cosine_lr(step, self.config.lr, self.config.warmup, steps)}

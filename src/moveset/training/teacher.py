@@ -120,7 +120,6 @@ class TeacherTask(SingleNetworkTask):
     network = "teacher"
 
     def __init__(self, config: TeacherConfig, sources: Sources, loop: Loop) -> None:
-        self.steps = loop.config.steps
         normalised = config.normalised_latents
         self.data = LatentData(sources, config.text_encoder, config.augmentation, loop, normalised)
         _, tokens, token_dim = self.data.train.mean.shape

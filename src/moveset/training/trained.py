@@ -47,5 +47,5 @@ def load_trained(path: Path, name: str, device: torch.device | str = "cpu", part
     kind, config = (part, task[name.split("_")[0]]) if part else (task["kind"], task["model"])
     module: nn.Module = build_model(kind, config)
     checkpoint.load_module(module, step, name)
-    digest = checkpoint.verify(step)["files"][f"{name}.safetensors"]["sha256"]
+    digest = checkpoint.read_document(step, "manifest")["files"][f"{name}.safetensors"]["sha256"]
     return TrainedNetwork(module.eval().requires_grad_(False).to(device), kind, config, task, digest, step)

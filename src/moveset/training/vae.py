@@ -77,8 +77,8 @@ class VAETask(SingleNetworkTask):
         # Not a check of the configuration: settings come one by one, in any order.
         if loss == "kinematic" and not native:
             raise InputError(f"loss=kinematic is for native features, not for {codec.name!r} ones; set loss=published")
-        config = replace(config, codec=codec.name, loss=loss, model=replace(config.model, features=codec.dim))
-        self.config, self.steps = config, loop.config.steps
+        model = replace(config.model, features=codec.dim)
+        self.config = config = replace(config, codec=codec.name, loss=loss, model=model)
         # Whoever comes first makes the cache; the other processes open it.
         with loop.fabric.rank_zero_first():
             workers = loop.config.workers

@@ -107,8 +107,7 @@ def _planted_error(step: Tensor, height: Tensor, codec: NativeCodec) -> Tensor:
 
     Down is what ``motion.measures.skating`` calls so.
     """
-    _, left, _, right = codec.skeleton.feet
-    toes = [left, right]
+    toes = list(codec.skeleton.feet[1::2])
     low = height[..., toes] < TOE_HEIGHT
     wrong = step[..., toes, :][..., [0, 2]].abs().sum(-1)
     return (wrong * (low[:, 1:] & low[:, :-1])).mean(-1)
