@@ -22,12 +22,13 @@ SOURCES := $(shell find src -type f -not -path '*/__pycache__/*' -not -path '*.e
 demo: .venv/.demo
 	OMP_NUM_THREADS=$${OMP_NUM_THREADS:-1} $(BIN)/python examples/demo.py
 
-# Two processes and lint beside them; what tests of several files share is made once, and the longest comes first.
+# Three processes, since tests of pages and streams wait, and lint beside them; what tests of several files share is made
+# once, and the longest comes first.
 test: .venv/.dev
 	$(MAKE) --no-print-directory --jobs 2 lint pytest
 
 pytest: .venv/.dev
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses 2 --dist loadgroup --no-loadscope-reorder
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses 3 --dist loadgroup --no-loadscope-reorder
 
 lint: .venv/.dev
 	$(BIN)/ruff check .
