@@ -10,7 +10,7 @@ from moveset.cli.__main__ import VERBS, main
 
 # What costs more than a tenth of a second to import, or is only needed for training and research.
 SLOW = ("torch", "numpy", "scipy", "matplotlib", "transformers", "sklearn", "sentence_transformers", "lightning_fabric",
-        "tensorboard", "tyro", "PIL", "pygltflib", "imageio_ffmpeg", "roma", "tokenizers")  # fmt: skip
+        "tensorboard", "tyro", "PIL", "imageio_ffmpeg", "roma", "tokenizers")  # fmt: skip
 NOT_TO_GENERATE = {*SLOW, "diffusers", "moveset.training", "moveset.data"} - {
     "torch", "numpy", "roma", "tokenizers", "tyro",
 }  # fmt: skip

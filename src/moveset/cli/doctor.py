@@ -12,7 +12,7 @@ import tyro
 from moveset.errors import InputError
 
 PACKAGES = (
-    "torch", "numpy", "roma", "safetensors", "tokenizers", "pygltflib", "pillow", "imageio-ffmpeg", "tyro", "tqdm"
+    "torch", "numpy", "roma", "safetensors", "tokenizers", "pillow", "imageio-ffmpeg", "tyro", "tqdm"
 )  # fmt: skip
 
 

@@ -5,10 +5,11 @@ F root positions, all float32. Everything before them follows from the skeleton 
 """
 
 import base64
+import json
 import struct
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -19,9 +20,6 @@ from moveset.motion import rotations
 from moveset.motion.clip import Motion
 from moveset.motion.retarget import retarget
 from moveset.motion.skeleton import Skeleton
-
-if TYPE_CHECKING:
-    import pygltflib
 
 _VRMA = "VRMC_vrm_animation"
 
@@ -93,9 +91,9 @@ def write_gltf(motion: Motion, path: str | Path, *, metadata: Mapping[str, objec
     """
     document, given = _document(motion.skeleton, motion.fps, len(motion), metadata or {})
     data = base64.b64encode(given + _tracks(motion)).decode()
-    document.buffers[0].uri = f"data:application/octet-stream;base64,{data}"
+    document["buffers"][0]["uri"] = f"data:application/octet-stream;base64,{data}"
     with atomic_write(path) as file:
-        file.write(document.gltf_to_json(separators=(",", ":"), indent=None).encode())
+        file.write(_json(document))
 
 
 def write_vrma(motion: Motion, path: str | Path, *, metadata: Mapping[str, object] | None = None) -> None:
@@ -128,9 +126,9 @@ def glb_head(
     Without a body it is a VRM animation.
     """
     document, given = _document(skeleton, fps, frames, metadata, body=body)
-    tree = document.gltf_to_json(separators=(",", ":"), indent=None).encode()
+    tree = _json(document)
     tree += b" " * (-len(tree) % 4)
-    size = document.buffers[0].byteLength
+    size = document["buffers"][0]["byteLength"]
     return b"".join(
         (
             struct.pack("<4sII", b"glTF", 2, 12 + 8 + len(tree) + 8 + size),
@@ -140,12 +138,14 @@ def glb_head(
     )
 
 
+def _json(document: Mapping[str, object]) -> bytes:
+    return json.dumps(document, separators=(",", ":")).encode()
+
+
 def _document(
     skeleton: Skeleton, fps: float, frames: int, metadata: Mapping[str, object], *, body: bool = True
-) -> tuple["pygltflib.GLTF2", bytes]:
+) -> tuple[dict[str, Any], bytes]:
     """The JSON tree, and the bytes of the buffer up to the tracks."""
-    import pygltflib
-
     out = _Builder()
     rest = skeleton.rest_positions.numpy()
     stand = np.array((0.0, -float(rest[:, 1].min()), 0.0), dtype=np.float32)
@@ -164,19 +164,17 @@ def _document(
         more["extensionsUsed"] = [_VRMA]
     animation = _animation(out, len(skeleton), frames, fps, str(metadata.get("prompt", "motion"))[:60])
     extras = {**metadata, "fps": fps, "skeleton": skeleton.name}
-    document = pygltflib.GLTF2.from_dict(
-        {
-            "asset": {"version": "2.0", "generator": "moveset", "extras": {"moveset": extras}},
-            "scene": 0,
-            "scenes": [{"name": "Scene", "nodes": [0, len(skeleton)] if body else [0]}],
-            "nodes": nodes,
-            **more,
-            "animations": [animation],
-            "accessors": out.accessors,
-            "bufferViews": out.views,
-            "buffers": [{"byteLength": out.size}],
-        }
-    )
+    document = {
+        "asset": {"version": "2.0", "generator": "moveset", "extras": {"moveset": extras}},
+        "scene": 0,
+        "scenes": [{"name": "Scene", "nodes": [0, len(skeleton)] if body else [0]}],
+        "nodes": nodes,
+        **more,
+        "animations": [animation],
+        "accessors": out.accessors,
+        "bufferViews": out.views,
+        "buffers": [{"byteLength": out.size}],
+    }
     return document, bytes(out.data) + b"\0" * (-len(out.data) % 4)
 
 
