@@ -83,8 +83,12 @@ def common_verbs(sentences: Sequence[str]) -> tuple[str, ...]:
 
 
 def count_verbs(clips: Iterable[Sequence[str]]) -> Counter[str]:
-    """How many clips, each with its sentences, say a verb in any of them."""
+    """How many clips, each with its sentences, say a verb in any of them; in an order that is the same every time.
+
+    >>> count_verbs([["she sits, jumps, waves and walks", "walking"], ["a man walks, then runs"]])
+    Counter({'walk': 2, 'jump': 1, 'sit': 1, 'wave': 1, 'run': 1})
+    """
     counts: Counter[str] = Counter()
     for sentences in clips:
-        counts.update({verb for sentence in sentences for verb in verbs_of(sentence)})
+        counts.update(sorted({verb for sentence in sentences for verb in verbs_of(sentence)}))
     return counts
