@@ -1,6 +1,7 @@
 """``moveset train``: train or distil a model by a recipe."""
 
 import os
+import signal
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -55,8 +56,8 @@ def train(
 ) -> int:
     """Train a model; everything not given is as the recipe says.
 
-    SIGTERM and Ctrl-C save a checkpoint and stop; --resume continues exactly where it was. Several processes:
-    `torchrun --nproc-per-node 2 -m moveset.cli train …`, or --devices 2.
+    SIGTERM and Ctrl-C save a checkpoint and stop, with the exit code 143 or 130; --resume continues exactly where it
+    was. Several processes: `torchrun --nproc-per-node 2 -m moveset.cli train …`, or --devices 2.
 
     Args:
         what: all: every training of the recipe and all of its models, one after the other; what is done is skipped.
@@ -136,7 +137,12 @@ def train(
     # torchrun says RANK; --devices tells the processes that it starts LOCAL_RANK only.
     if not int(os.environ.get("RANK") or os.environ.get("LOCAL_RANK") or 0):
         print(_summary(what, result, engine.steps), file=sys.stderr)
-    return 130 if result.stopped_by == "SIGINT" else 0
+    return _code(result.stopped_by)
+
+
+def _code(stopped_by: str | None) -> int:
+    """What a shell makes of the signal that stopped a training: what stands on it must not begin."""
+    return 128 + signal.Signals[stopped_by] if stopped_by else 0
 
 
 def _refuse(given: Mapping[str, Any], why: str) -> None:
@@ -164,7 +170,7 @@ def _all(
         build_corpus(raw, corpus, workers=cores())
     report = train_all(recipe, corpus, out, only=only, share=share, device=device, jobs=jobs)
     if report.stopped_by:
-        return 130
+        return _code(report.stopped_by)
     for model in report.models:
         print(model)
     if tables:
