@@ -119,6 +119,13 @@ def test_every_answer_tells_browsers_to_stay_here(paged, path):
     assert not any(name.startswith("access-control") for name in headers)
 
 
+def test_types_of_the_pages_files_are_those_that_browsers_run_on_any_machine(paged, monkeypatch):
+    # As where Windows' registry calls everything text.
+    monkeypatch.setattr("starlette.responses.guess_type", lambda _: ("text/plain", None))
+    assert paged.get("/assets/app.js").headers["content-type"].startswith("text/javascript")
+    assert paged.get("/").headers["content-type"].startswith("text/html")
+
+
 def test_a_host_cannot_write_policy(serving):
     with serving(hosts=None) as client:
         policy = client.get("/", headers={"Host": "x; script-src *"}).headers["content-security-policy"]

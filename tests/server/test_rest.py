@@ -48,6 +48,8 @@ def test_what_there_is(client):
     assert (stream["name"], stream["task"], stream["segment_frames"]) == ("tiny-stream", "stream", 28)
     assert found["default"] == {"clip": "tiny", "stream": "tiny-stream"}
     assert found["limits"]["prompt"] == 512
+    # What the studio cuts long takes by.
+    assert {"export", "picture_seconds", "frames"} <= set(found["limits"])
     assert len(found["skeleton"]["joints"]) == 22
     assert {"json", "bvh", "glb", "npz", "mp4", "gif", "png"} <= set(found["formats"])
 

@@ -11,6 +11,8 @@ import time
 import urllib.request
 from contextlib import contextmanager, suppress
 from dataclasses import replace
+from queue import Queue
+from types import SimpleNamespace
 
 import pytest
 import websockets
@@ -120,6 +122,33 @@ def test_a_port_that_is_taken(capsys, models):
     err = capsys.readouterr().err
     assert f"port {port}" in err
     assert err.count("\n") == 1
+
+
+def test_two_servers_do_not_share_a_port_on_windows(monkeypatch):
+    # SO_REUSEADDR lets them there; an option that this system has stands for the one that forbids it.
+    monkeypatch.setattr(socket, "SO_EXCLUSIVEADDRUSE", socket.SO_KEEPALIVE, raising=False)
+    with listen("127.0.0.1", 0) as bound:
+        reused, exclusive = (bound.getsockopt(socket.SOL_SOCKET, o) for o in (socket.SO_REUSEADDR, socket.SO_KEEPALIVE))
+    assert (bool(reused), bool(exclusive)) == (False, True)
+
+
+@pytest.mark.parametrize(
+    ("host", "page"),
+    [
+        ("localhost", "http://localhost:80/"),
+        ("0.0.0.0", "http://127.0.0.1:80/"),
+        ("::", "http://[::1]:80/"),
+        ("fe80::1", "http://[fe80::1]:80/"),
+    ],
+)
+def test_a_browser_is_not_waited_for_and_gets_an_address_that_it_can_open(host, page, models, monkeypatch):
+    seen, served = Queue(), threading.Event()
+    monkeypatch.setattr("webbrowser.open", lambda url: seen.put((url, served.wait(10))))
+    monkeypatch.setattr("moveset.server.run.listen", lambda *_: SimpleNamespace(getsockname=lambda: (host, 80, 0, 0)))
+    monkeypatch.setattr("moveset.server.run.make_server", lambda _, opened: SimpleNamespace(run=lambda _: opened()))
+    assert main(["serve", "--host", host, "--model", str(models[0])]) == 0
+    served.set()
+    assert seen.get(timeout=60) == (page, True)
 
 
 @pytest.mark.parametrize(

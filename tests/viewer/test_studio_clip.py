@@ -241,6 +241,28 @@ def test_a_take_with_many_words_is_taken_home(studio):
     assert download.value.suggested_filename.startswith("a-person-walks-forward")
 
 
+def test_of_a_take_that_is_too_long_for_a_file_the_newest_part_is_taken_home(studio, tmp_path):
+    frames, root = studio.run("""(() => {
+        const { stage } = __moveset;
+        const shown = stage.shown.takes[0];
+        const take = shown.take.copy();
+        const more = () => ({ joints: 22, frames: take.frames, firstFrame: take.frames, fps: take.fps, latencyMs: 0,
+                              rows: take.allRows(), contacts: take.allContacts() });
+        while (take.frames < 50_000) take.append(more());
+        stage.shown = { ...stage.shown, takes: [{ ...shown, take }] };
+        return [take.frames, take.root(take.frames - 1)];
+    })()""")
+    studio.click("#open-downloads")
+    with studio.page.expect_download() as download:
+        studio.click("[data-format=npz]")
+    download.value.save_as(tmp_path / "long.npz")
+    motion = moveset.load(tmp_path / "long.npz")
+    assert 45_000 < len(motion) < frames
+    assert motion.root[-1].tolist() == pytest.approx(root, abs=1e-6)
+    studio.wait("document.querySelector('.toast')")
+    assert studio.words(".toast p").startswith("Only the last 37:")
+
+
 def video_frames(path):
     """Frames of a video, as a decoder counts them."""
     import imageio_ffmpeg

@@ -251,6 +251,19 @@ def test_a_stream_that_was_refused_does_not_clear_the_stage(studio):
     assert studio.run("document.body.dataset.phase") == "shown"
 
 
+def test_a_start_that_is_refused_can_be_mended(studio):
+    studio.click("#mode-live")
+    studio.run("document.querySelector('#live-seed').value = '1.5'")
+    with studio.page.expect_websocket() as begun:
+        studio.say("a person walks forward")
+    studio.wait("document.querySelector('.toast.fault') && document.body.dataset.live === 'idle'")
+    assert begun.value.is_closed() or begun.value.wait_for_event("close")
+    assert not studio.run("document.querySelector('#live-seed').disabled")
+    studio.run("document.querySelector('#live-seed').value = '7'")
+    start(studio, "a person walks forward")
+    assert studio.run("__moveset.live.started.seed") == 7
+
+
 def test_a_take_that_is_chosen_during_a_stream_stands_alone(studio):
     studio.make("a person bows")
     start(studio, "a person walks forward")

@@ -116,6 +116,24 @@ def test_keys_alone_are_enough(studio):
     studio.run("document.querySelector('#single-keys').click()")
 
 
+def test_keys_of_the_page_are_heard_in_the_player_too(studio):
+    def press(selector, key):
+        studio.run("selector => document.querySelector(selector).focus()", selector)
+        studio.page.keyboard.press(key)
+
+    for selector in (".moveset-player", ".mv-play", ".mv-scrub input"):
+        for key, mode in (("2", "live"), ("1", "clip")):
+            press(selector, key)
+            assert studio.run("document.body.dataset.mode") == mode, selector
+    # What the player has done is not done again, and a button is pressed once.
+    for theme in ("dark", None):
+        press(".moveset-player", "d")
+        assert studio.run("document.documentElement.dataset.theme") == theme
+    for key, playing in (("Space", True), ("Enter", False)):
+        press(".mv-play", key)
+        assert studio.run("__moveset.player.playing") == playing
+
+
 def test_help_is_closed_by_a_press_beside_it_alone(studio):
     studio.click("#open-help")
     left, top = studio.run("(({ left, top }) => [left, top])(document.querySelector('#help').getBoundingClientRect())")

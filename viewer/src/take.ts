@@ -86,14 +86,14 @@ export class Take {
     this.revision++;
   }
 
-  /** All frames as the body of one packet, (F, 3 + 4 J). */
-  allRows(): Float32Array {
-    return this.rows.slice(0, this.frames * this.width);
+  /** All frames, or those from one on, as the body of one packet, (F, 3 + 4 J). */
+  allRows(first = 0): Float32Array {
+    return this.rows.slice(first * this.width, this.frames * this.width);
   }
 
-  /** (F, 4) planted feet where packets told them, else null. */
-  allContacts(): Uint8Array | null {
-    return this.known?.slice(0, 4 * this.frames) ?? null;
+  /** (F, 4) planted feet of the same where packets told them, else null. */
+  allContacts(first = 0): Uint8Array | null {
+    return this.known?.slice(4 * first, 4 * this.frames) ?? null;
   }
 
   /** Root position and local rotations at a frame, which may lie between two: linear and slerp. */

@@ -77,7 +77,7 @@ function parsePacket(bytes: Uint8Array, at: number): Packet {
 }
 
 /** Size of a packet. */
-function packetBytes(joints: number, frames: number, contacts: boolean): number {
+export function packetBytes(joints: number, frames: number, contacts: boolean): number {
   return HEADER + frames * (4 * (3 + 4 * joints) + (contacts ? 4 : 0));
 }
 

@@ -1,6 +1,7 @@
 """``moveset serve``: the studio page and the server that engines talk to."""
 
 import sys
+import threading
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
@@ -11,6 +12,7 @@ if TYPE_CHECKING:
     from moveset.server.service import Options
 
 _LOOPBACK = ("127.0.0.1", "localhost", "::1")
+_EVERYWHERE = {"0.0.0.0": "127.0.0.1", "::": "::1"}  # no addresses to browsers, and what this machine has for them
 
 
 def serve(
@@ -49,19 +51,25 @@ def serve(
 
     app = create_app(_options(host, model, device, allow_origin, streams, idle))
     socket = listen(host, port)
-    url = f"http://{f'[{host}]' if ':' in host else host}:{socket.getsockname()[1]}/"
+    address, port = socket.getsockname()[:2]
 
     def opened() -> None:
-        print(f"moveset serves at {url} (Ctrl-C stops it)", flush=True)
+        print(f"moveset serves at {_url(host, port)} (Ctrl-C stops it)", flush=True)
         if host not in _LOOPBACK:
             print(f"moveset: warning: whoever can reach {host} can use this server", file=sys.stderr)
         if open:
             import webbrowser
 
-            webbrowser.open(url)
+            # A browser of the terminal is waited for, and the server is not to wait.
+            page = _url(_EVERYWHERE.get(address, host), port)
+            threading.Thread(target=webbrowser.open, args=(page,), daemon=True).start()
 
     make_server(app, opened=opened).run([socket])
     return 0
+
+
+def _url(host: str, port: int) -> str:
+    return f"http://{f'[{host}]' if ':' in host else host}:{port}/"
 
 
 def _require() -> None:

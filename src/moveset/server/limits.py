@@ -60,6 +60,6 @@ class Limits:
     def public(self) -> dict[str, object]:
         names = (
             "prompt", "prompts", "variants", "seconds", "streams", "message", "messages_per_second", "idle", "buffer",
-            "export", "picture_seconds",
+            "export", "picture_seconds", "frames",
         )  # fmt: skip
         return {name: getattr(self, name) for name in names}

@@ -1,6 +1,7 @@
 """The studio page and its files, health, numbers, and the description of the interface; nothing from elsewhere."""
 
 from pathlib import Path
+from typing import Any
 
 from fastapi import APIRouter, FastAPI, Request
 from fastapi.responses import FileResponse, HTMLResponse, JSONResponse, PlainTextResponse, Response
@@ -10,6 +11,7 @@ from moveset.server.reference import reference_page
 from moveset.server.rest import The
 
 STUDIO = Path(__file__).parents[1] / "viewer" / "studio"
+_TYPES = {".js": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml"}
 _CSS = """
 body { font: 16px/1.5 system-ui, sans-serif; max-width: 60rem; margin: 2rem auto; padding: 0 1rem }
 :root { color-scheme: light dark }
@@ -30,7 +32,9 @@ router = APIRouter(include_in_schema=False)
 async def page() -> Response:
     """The studio."""
     index = STUDIO / "index.html"
-    return FileResponse(index, headers={"Cache-Control": "no-cache"}) if index.is_file() else HTMLResponse(_NO_PAGE)
+    if not index.is_file():
+        return HTMLResponse(_NO_PAGE)
+    return FileResponse(index, headers={"Cache-Control": "no-cache"}, media_type="text/html")
 
 
 @router.get("/healthz")
@@ -65,8 +69,18 @@ async def icon() -> Response:
     return FileResponse(found, media_type="image/svg+xml") if found.is_file() else Response(status_code=204)
 
 
+class _Assets(StaticFiles):
+    """Files of the page, of the same types everywhere: Windows may take .js for text/plain, which no browser runs."""
+
+    def file_response(self, full_path: Any, *rest: Any, **more: Any) -> Response:
+        found = super().file_response(full_path, *rest, **more)
+        if isinstance(found, FileResponse) and (known := _TYPES.get(Path(full_path).suffix)):
+            found.headers["Content-Type"] = known
+        return found
+
+
 def add_page(app: FastAPI) -> None:
     app.include_router(router)
     assets = STUDIO / "assets"
     if assets.is_dir():
-        app.mount("/assets", StaticFiles(directory=assets), "assets")
+        app.mount("/assets", _Assets(directory=assets), "assets")

@@ -62,7 +62,8 @@ def listen(host: str, port: int) -> socket.socket:
     with system_errors(f"listen on {host} port {port}", "choose another with --host or --port", InputError):
         found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
         bound = socket.socket(found[0], socket.SOCK_STREAM)
-        bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        # A port that was left a moment ago may be had at once. Windows shares one with who asks so, unless told not to.
+        bound.setsockopt(socket.SOL_SOCKET, getattr(socket, "SO_EXCLUSIVEADDRUSE", socket.SO_REUSEADDR), 1)
         bound.bind(found[4])
     return bound
 

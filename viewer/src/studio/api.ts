@@ -12,11 +12,22 @@ export interface ModelInfo {
   max_seconds: number | null;
 }
 
+/** What POST /v1/export takes. */
+export interface ExportLimits {
+  /** Bytes of packets. */
+  export: number;
+  /** Seconds of a motion to be drawn. */
+  picture_seconds: number;
+  /** Frames, at the rate of the file. */
+  frames: number;
+}
+
 export interface Models {
   models: ModelInfo[];
   default: { clip: string | null; stream: string | null };
   /** What POST /v1/export can make, among others. */
   formats: string[];
+  limits: ExportLimits;
   skeleton: SkeletonData;
 }
 

@@ -1,10 +1,10 @@
 /** Taking home what is on the stage: files made by the server from the shown bytes, and a video recorded here. */
 import { canRecord } from "../player/recording";
-import { exportFile } from "./api";
-import { announce, byId, icon, make, save } from "./dom";
+import { type ExportLimits, exportFile, type Models } from "./api";
+import { announce, byId, clock, icon, make, save } from "./dom";
 import { back, fault } from "./page";
 import { Popover } from "./popover";
-import { packets, type Shown, type ShownTake } from "./shown";
+import { firstThatFits, packets, type Shown, type ShownTake } from "./shown";
 import { toast } from "./toasts";
 
 const FORMATS = [
@@ -43,6 +43,7 @@ export class Downloads {
   private readonly which = byId<HTMLSelectElement>("which");
   private readonly skeleton = byId<HTMLSelectElement>("skeleton");
   private readonly fps = byId<HTMLSelectElement>("fps");
+  private limits: ExportLimits | null = null;
 
   constructor(private readonly source: Source) {
     this.popover = new Popover("open-downloads", "downloads", () => this.fill());
@@ -50,7 +51,8 @@ export class Downloads {
   }
 
   /** Offer what this server can write, and what the page records itself. */
-  offer(formats: string[]): void {
+  offer({ formats, limits }: Models): void {
+    this.limits = limits;
     byId("formats").replaceChildren();
     for (const { format, name, use } of FORMATS) {
       if (format === "webm" ? !canRecord() : !formats.includes(format)) continue;
@@ -108,9 +110,13 @@ export class Downloads {
           loop: byId<HTMLInputElement>("loop").checked,
           title: shown.title.slice(0, LONGEST_TITLE),
         };
-        const { blob, name } = await exportFile(format, packets(this.chosen(shown).take), options);
+        const { take } = this.chosen(shown);
+        const first = firstThatFits(take, format, options.fps ?? take.fps, this.limits!);
+        const length = (take.frames - first) / take.fps;
+        const { blob, name } = await exportFile(format, packets(take, first), options);
         back();
         save(blob, name);
+        if (first > 0) toast(`Only the last ${clock(length)} fit into one ${format} file.`);
       }
       announce(`Saved as ${format}`);
     } catch (thrown) {

@@ -133,6 +133,8 @@ export class Live {
         break;
       case "error":
         toast(message.message, "fault");
+        // Of a stream that has not begun there is nothing more to come; another one goes on.
+        if (!this.started) this.leave();
         break;
     }
   }

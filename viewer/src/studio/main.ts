@@ -203,7 +203,7 @@ function offer(task: "clip" | "stream", use: (model: ModelInfo) => void): ModelI
 async function begin(): Promise<void> {
   try {
     server = await askModels();
-    downloads.offer(server.formats);
+    downloads.offer(server);
     const clips = offer("clip", (model) => {
       models.clip = model.name;
       clip.use(model);

@@ -53,18 +53,19 @@ export function shortcuts(list: Shortcut[], player: (event: KeyboardEvent) => bo
   document.addEventListener("keydown", (event) => {
     if (event.key === "Escape" && Popover.dismiss()) return event.preventDefault();
     if (event.defaultPrevented || event.ctrlKey || event.metaKey || event.altKey || help.open) return;
-    if (!single.checked || writes(event.target) || within(event.target, ".moveset-player")) return;
+    if (!single.checked || writes(event.target)) return;
     // Space presses the button that has the focus, and is only ours elsewhere.
     if (event.key === " " && within(event.target, "button, a, [role]")) return;
     const wanted = list.find((shortcut) => shortcut.key === event.key);
     if (wanted) wanted.run();
-    else if (!player(event)) return;
+    // What was pressed in the player and comes here is none of its keys.
+    else if (within(event.target, ".moveset-player") || !player(event)) return;
     event.preventDefault();
   });
 }
 
 function writes(target: EventTarget | null): boolean {
-  return within(target, "input:not([type=checkbox]), textarea, select, [contenteditable]");
+  return within(target, "input:not([type=checkbox], [type=range]), textarea, select, [contenteditable]");
 }
 
 function within(target: EventTarget | null, selector: string): boolean {

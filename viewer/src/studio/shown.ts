@@ -1,8 +1,8 @@
 /** What is on the stage: takes with their titles and prompts, and the bytes that exports are made of. */
 import { Skeleton } from "../skeleton";
 import { Take } from "../take";
-import { packPacket } from "../wire";
-import type { Generated } from "./api";
+import { packetBytes, packPacket } from "../wire";
+import type { ExportLimits, Generated } from "./api";
 
 export interface Mark {
   text: string;
@@ -33,9 +33,19 @@ export function fromAnswer(answer: Generated): Shown {
   return { kind: "clip", title: answer.takes[0].prompts.map((prompt) => prompt.text).join(", then "), takes };
 }
 
-/** A take as one packet, as POST /v1/export wants it. */
-export function packets(take: Take): Uint8Array {
-  const { fps, frames } = take;
+/** First frame of the newest part of a take that the server writes as one file; 0 where that is all of it. */
+export function firstThatFits(take: Take, format: string, fps: number, limits: ExportLimits): number {
   const joints = take.skeleton.length;
-  return packPacket({ joints, frames, firstFrame: 0, fps, latencyMs: 0, rows: take.allRows(), contacts: take.allContacts() });
+  const header = packetBytes(joints, 0, true);
+  const bytes = (limits.export - header) / (packetBytes(joints, 1, true) - header);
+  const drawn = format === "mp4" ? limits.picture_seconds : Infinity;
+  const seconds = Math.min(limits.frames / Math.max(fps, take.fps), drawn);
+  return Math.max(0, take.frames - Math.floor(Math.min(bytes, seconds * take.fps)));
+}
+
+/** A take from a frame on as one packet, as POST /v1/export wants it. */
+export function packets(take: Take, first = 0): Uint8Array {
+  const [joints, frames] = [take.skeleton.length, take.frames - first];
+  const [rows, contacts] = [take.allRows(first), take.allContacts(first)];
+  return packPacket({ joints, frames, firstFrame: 0, fps: take.fps, latencyMs: 0, rows, contacts });
 }
