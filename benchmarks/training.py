@@ -65,7 +65,7 @@ def trained(given: argparse.Namespace, stage: str, batch: int, runs: Path) -> di
     stored = {path.stem for path in step.glob("*.safetensors")}
     learned = {name for name in stored if not name.startswith(("optimizer", "rng")) and not name.endswith("_ema")}
     count = sum(tensor.numel() for name in learned for tensor in read_tensors(step, name).values())
-    memory = torch.cuda.max_memory_allocated() * 1e-6 if torch.cuda.is_available() else peak_mb()
+    memory = torch.cuda.max_memory_allocated() * 1e-6 if given.device == "cuda" else peak_mb()
     return {
         "batch": batch,
         "seconds": statistics.median(b - a for a, b in pairwise(times)),

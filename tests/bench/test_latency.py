@@ -13,7 +13,7 @@ from torch import nn
 
 from moveset.bench import latency, machine, page
 from moveset.bench import processes as processes_module
-from moveset.bench.flops import counted
+from moveset.bench.flops import counted, counter
 from moveset.bench.interleaved import interleave, summarise
 from moveset.bench.processes import run_process
 from moveset.bench.run import PARTS, Bench, Plan, shortest
@@ -97,6 +97,8 @@ def test_operations_of_plain_and_packed_layers_are_those_of_their_definition():
             assert counted(lambda: PackedTimeConv(conv)(y.transpose(1, 2))) == taps
         lstm = nn.LSTM(6, 5, batch_first=True)
         assert counted(lambda: lstm(x)) == 2 * 2 * 7 * 4 * 5 * (6 + 5)
+        on_cuda = counter().flop_registry[torch.ops.aten._cudnn_rnn]
+        assert on_cuda(x.transpose(0, 1), [*lstm.parameters()], out_val=None) == 2 * 2 * 7 * 4 * 5 * (6 + 5)
         q = torch.randn(2, 1, 7, 6)
         attention = nn.functional.scaled_dot_product_attention
         assert counted(lambda: attention(q, q, q)) == 2 * (2 * 2 * 7 * 7 * 6)

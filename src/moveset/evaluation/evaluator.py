@@ -151,7 +151,7 @@ class Evaluator:
             padded = torch.zeros(len(rows), int(lengths.max()), len(mean), device=mean.device)
             for place, k in zip(padded, rows, strict=True):
                 place[: kept[k]] = (features[k][: kept[k]].to(mean) - mean) / std
-            out[rows] = self.module.embed_motion(padded, lengths).double().cpu()
+            out[rows] = self.module.embed_motion(padded, lengths).cpu().double()
         return out
 
     @torch.inference_mode()
@@ -170,7 +170,7 @@ class Evaluator:
             words, classes, lengths = self.words.read(different[start : start + batch])
             device = self.module.mean.device
             classes = None if classes is None else classes.to(device)
-            parts.append(self.module.embed_text(words.to(device), classes, lengths).double().cpu())
+            parts.append(self.module.embed_text(words.to(device), classes, lengths).cpu().double())
         row = {caption: k for k, caption in enumerate(different)}
         return torch.cat(parts)[[row[caption] for caption in captions]]
 
