@@ -3,8 +3,9 @@
 import pytest
 import torch
 
-from moveset.motion.contacts import foot_contacts, stances
-from moveset.motion.skeleton import HML22
+from moveset.motion.contacts import foot_contacts, stances, stands_on
+from moveset.motion.rigs import get_rig
+from moveset.motion.skeleton import HML22, KIT21
 from tests.motions import gait, shaken
 
 
@@ -30,6 +31,16 @@ def test_low_is_not_enough_and_slow_is_not_enough():
     planted = foot_contacts(joints, 20.0, HML22)
     assert planted[:, 1].float().mean() < 0.8
     assert not planted[:, 2:].any()
+
+
+@pytest.mark.parametrize("skeleton", [HML22, KIT21, get_rig("mixamo")], ids=lambda skeleton: skeleton.name)
+def test_whose_hips_are_at_the_ankles_stands_on_no_legs(skeleton):
+    """Squatting, with the knees as high as ever."""
+    standing = skeleton.rest_positions
+    squatting = standing.clone()
+    pelvis = skeleton.children[0]
+    squatting[[0, *pelvis], 1] -= 0.75 * (standing[0, 1] - standing[:, 1].min())
+    assert stands_on(torch.stack((standing, squatting)), skeleton).tolist() == [True, False]
 
 
 def test_jitter_makes_no_flicker():

@@ -73,6 +73,17 @@ def test_straight_limbs_do_not_spin():
     assert step.max() < 6.0
 
 
+@pytest.mark.parametrize("skeleton", [HML22, KIT21], ids=lambda skeleton: skeleton.name)
+def test_a_straight_leg_turns_as_its_foot_points(skeleton):
+    turned = torch.zeros(20, len(skeleton), 4)
+    turned[..., 0] = 1.0
+    hip = skeleton.index("left_hip")
+    turned[:, hip] = rotations.about("y", 40.0)
+    motion = Motion(turned, torch.zeros(20, 3), 20.0, skeleton)
+    found = positions_to_motion(motion.joints, 20.0, skeleton)
+    assert degrees_apart(found, motion)[:, hip].max() < 8.0
+
+
 def test_noise_in_the_positions_is_not_amplified():
     clean = gait(60)
     noisy = clean.joints + 0.003 * smooth_noise(60, 66, 9, 0.1).reshape(60, 22, 3)

@@ -7,6 +7,7 @@ import torch
 
 from moveset.errors import InputError
 from moveset.models.token_vae import TokenVAEConfig
+from moveset.motion.features import Normalizer, get_codec
 from moveset.training import vae
 from moveset.training.trained import TrainedNetwork, load_trained
 from tests.training.hml_folder import write_folder
@@ -35,6 +36,19 @@ def test_motion_is_measured_in_full_precision_whatever_networks_compute_in(tiny_
     for name in ("real_jerk", "real_skating"):
         assert mixed[name] == plain[name]
     assert joints_mixed.equal(joints)
+
+
+@pytest.mark.parametrize("name", ["hml", "kit"])
+def test_whoever_glides_skates_on_any_skeleton(name):
+    codec = get_codec(name)
+    still = codec.skeleton.rest_positions
+    still = still - still[list(codec.skeleton.feet), 1].min() * torch.tensor([0.0, 1.0, 0.0])
+    (features,) = codec.encode_clips([still + torch.arange(40)[:, None, None] * torch.tensor([0.0, 0.0, 0.1])])
+    plain = Normalizer(torch.zeros(codec.dim), torch.ones(codec.dim))
+    store = SimpleNamespace(normalizer=plain, batch=lambda crops: (features[None], torch.tensor([len(features)])))
+    kept = SimpleNamespace(encode=lambda x, lengths: (x,), decode=lambda z, lengths, frames: z)
+    report = vae.reconstruction_report(kept, store, [None], codec, torch.device("cpu"))
+    assert report["skating"] == report["real_skating"] > 0.9
 
 
 def test_a_decoder_has_the_sizes_of_the_autoencoder_that_it_is_of(tiny_run, tmp_path):

@@ -50,11 +50,19 @@ def stands_on(joints: Tensor, skeleton: Skeleton, least: float = _CARRYING) -> T
     Args:
         least: share of the length of thigh and shin. A deep lunge has half, who kneels or sits on the floor has not.
     """
-    ankles = [skeleton.feet[0], skeleton.feet[2]]
-    knees = [skeleton.parents[ankle] for ankle in ankles]
+    ankles, knees = zip(*(_ankle_and_knee(skeleton, foot) for foot in skeleton.feet[::2]), strict=True)
     hips = [skeleton.parents[knee] for knee in knees]
     leg = skeleton.offsets[[*knees, *ankles]].norm(dim=-1).sum() / 2
     return joints[:, hips, 1].mean(dim=1) - joints[:, ankles, 1].amin(dim=1) > least * leg.to(joints)
+
+
+def _ankle_and_knee(skeleton: Skeleton, foot: int) -> list[int]:
+    """Where the two longest bones above a foot end, shin and thigh; the foot may be a heel (``kit21``)."""
+    chain = [foot]
+    while skeleton.parents[chain[-1]] > 0:
+        chain.append(skeleton.parents[chain[-1]])
+    longest = sorted(chain, key=lambda joint: -float(skeleton.offsets[joint].norm()))[:2]
+    return sorted(longest, key=chain.index)
 
 
 def _without_short_runs(marks: Tensor, longest: int, ends: bool) -> Tensor:

@@ -153,7 +153,7 @@ class _Solver:
         sure = sure * sure * (3.0 - 2.0 * sure)
         unsure = 1.0 - sure
         evidence = sure * seen(bend)
-        if end in self.skeleton.feet:
+        if self.skeleton.children[end]:  # an ankle: wrists have none
             toe = self.skeleton.children[end][0]
             evidence = evidence + unsure * _TOE_CONFIDENCE * seen(torch.linalg.cross(self._bone(toe), bone))
         evidence = evidence + unsure * evidence.new_tensor((_PRIOR_CONFIDENCE, 0.0))

@@ -184,6 +184,6 @@ def reconstruction_report(
         for name, joints in (("", made), ("real_", real)):
             clips = [x[:frames] for x, frames in zip(joints, lengths.tolist(), strict=True)]
             columns[f"{name}jerk"] = torch.stack([jerk(clip, codec.fps) for clip in clips])
-            columns[f"{name}skating"] = torch.stack([skating(clip, codec.fps) for clip in clips])
+            columns[f"{name}skating"] = torch.stack([skating(clip, codec.fps, codec.skeleton) for clip in clips])
         rows.append(columns)
     return {name: float(torch.cat([row[name] for row in rows]).mean()) for name in rows[0]}
