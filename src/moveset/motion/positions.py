@@ -153,8 +153,9 @@ class _Solver:
         sure = sure * sure * (3.0 - 2.0 * sure)
         unsure = 1.0 - sure
         evidence = sure * seen(bend)
-        if self.skeleton.children[end]:  # an ankle: wrists have none
-            toe = self.skeleton.children[end][0]
+        below = self.skeleton.children[end]
+        if below and {end, *below} & {*self.skeleton.feet}:  # an ankle, of which kit21's feet begin at the heel
+            toe = below[0]
             evidence = evidence + unsure * _TOE_CONFIDENCE * seen(torch.linalg.cross(self._bone(toe), bone))
         evidence = evidence + unsure * evidence.new_tensor((_PRIOR_CONFIDENCE, 0.0))
         around = gaussian_smooth(evidence, max(_NEIGHBOURS * self.fps, 0.5))
