@@ -64,6 +64,14 @@ def test_the_denoiser_keeps_its_output(batch, guided, padded, carried):
     torch.testing.assert_close(taps[1], taps[0], atol=1e-4, rtol=1e-4)
 
 
+@torch.inference_mode()
+def test_a_sentence_longer_than_any_that_was_learned_is_read_as_far_as_there_are_places():
+    denoiser = perturbed(LatentDenoiserConfig(width=64, hidden=128, blocks=3).build())
+    given, tokens = (torch.randn(1, 16, 32), torch.tensor([999])), torch.randn(1, 128, 384)
+    for network in (denoiser, pack(denoiser)):
+        assert torch.equal(network(*given, condition_of(tokens)), network(*given, condition_of(tokens[:, :64])))
+
+
 @pytest.mark.parametrize("lengths", [[196], [50], [190], [97, 97], [50, 196, 21]])
 @torch.inference_mode()
 def test_the_vae_keeps_its_output(lengths):

@@ -48,6 +48,12 @@ def test_who_is_alone_takes_every_segment_for_a_first_one(model, inputs):
     assert torch.equal(call(alone, **inputs, prepare=True), made)
 
 
+def test_a_sentence_longer_than_any_that_was_learned_is_read_as_far_as_there_are_places(model, inputs):
+    tokens, mask = torch.randn(ROWS, 128, 7), torch.ones(ROWS, 128, dtype=torch.bool)
+    long, cut = ({**inputs, "tokens_BLC": tokens[:, :n], "mask_BL": mask[:, :n]} for n in (128, 64))
+    assert torch.equal(call(model, **long), call(model, **cut))
+
+
 TURN = torch.tensor([0.0, 1.5, float("nan"), -1.5])
 
 

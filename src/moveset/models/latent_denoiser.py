@@ -102,7 +102,8 @@ class LatentDenoiser(Denoiser):
         self.schedule = scaled_linear() if c.carried else None
 
     def prepare(self, condition: Condition) -> TextKeys:
-        tokens_BLC, mask_BL = condition.text.tokens, condition.text.mask
+        said = condition.text.first(len(self.text_position))
+        tokens_BLC, mask_BL = said.tokens, said.mask
         length = tokens_BLC.shape[1]
         text = self.text_norm(self.text_in(tokens_BLC) + self.text_position[:length])
         keep = mask_BL[..., None].to(text.dtype)

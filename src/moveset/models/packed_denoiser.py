@@ -57,7 +57,8 @@ class PackedDenoiser(Denoiser):
         self.schedule = denoiser.schedule
 
     def prepare(self, condition: Condition) -> PackedText:
-        tokens_BLC, mask_BL = condition.text.tokens, condition.text.mask
+        said = condition.text.first(len(self.text_position))
+        tokens_BLC, mask_BL = said.tokens, said.mask
         batch, length, _ = tokens_BLC.shape
         text = self.text_norm(self.text_out(self.text_in(tokens_BLC)) + self.text_position[:length])
         bias = None

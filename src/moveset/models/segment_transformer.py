@@ -135,7 +135,8 @@ class SegmentTransformer(Denoiser):
         past = condition.past
         if past is None:
             raise InputError("a segment transformer needs a past; give one of zeros and index 0 to a first segment")
-        tokens_BLC, mask_BL = condition.text.tokens, condition.text.mask
+        said = condition.text.first(len(self.text_position))
+        tokens_BLC, mask_BL = said.tokens, said.mask
         prev_BnD, prev_t_B, index_B = past.frames, past.level, past.index
         if self.config.alone:
             prev_t_B, index_B = torch.zeros_like(prev_t_B), torch.zeros_like(index_B)

@@ -34,6 +34,10 @@ class TextEmbedding:
         """Some of the sentences; the padding stays as wide as it was."""
         return TextEmbedding(self.tokens[rows], self.mask[rows], self.pooled[rows])
 
+    def first(self, count: int) -> "TextEmbedding":
+        """The first tokens of each sentence; what comes after them is not read."""
+        return TextEmbedding(self.tokens[:, :count], self.mask[:, :count], self.pooled)
+
     def to(self, device: torch.device | str) -> "TextEmbedding":
         return TextEmbedding(self.tokens.to(device), self.mask.to(device), self.pooled.to(device))
 
