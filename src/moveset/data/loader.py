@@ -1,31 +1,53 @@
 """Batches of consecutive steps, made ahead in other processes so that a fast device need not wait for them."""
 
+import signal
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import torch
 from torch.utils.data import DataLoader
 
+from moveset.errors import MovesetError
+
 
 def in_order(make: Callable[[int], Any], numbers: Sequence[int], workers: int) -> Iterator[Any]:
     """``make(number)`` of each number, made ahead by ``workers`` processes; with 0 it is made when it is asked for.
 
-    They are forked, so that what is read exists once; where there is no fork, it has to be small.
+    They are forked, so that what is read exists once; where there is no fork, there are none.
+
+    Raises:
+        MovesetError: what ``make`` raises of it.
     """
-    if not workers:
+    if not workers or "fork" not in torch.multiprocessing.get_all_start_methods():
         return map(make, numbers)
-    context = "fork" if "fork" in torch.multiprocessing.get_all_start_methods() else None
-    return iter(
-        DataLoader(
-            numbers,
-            batch_size=None,
-            collate_fn=make,
-            num_workers=workers,
-            multiprocessing_context=context,
-            # Otherwise the loader would draw from torch's own generator, and dropout would be another.
-            generator=torch.Generator().manual_seed(0),
-        )
-    )
+    return _made_ahead(make, numbers, workers)
+
+
+def _made_ahead(make: Callable[[int], Any], numbers: Sequence[int], workers: int) -> Iterator[Any]:
+    def made_or_error(number: int) -> Any:
+        try:
+            return make(number)
+        except MovesetError as error:  # which the loader would raise again as the traceback that led to it
+            return error
+
+    for made in DataLoader(
+        numbers,
+        batch_size=None,
+        collate_fn=made_or_error,
+        num_workers=workers,
+        multiprocessing_context="fork",
+        worker_init_fn=_ignore_sigterm,
+        # Otherwise the loader would draw from torch's own generator, and dropout would be another.
+        generator=torch.Generator().manual_seed(0),
+    ):
+        if isinstance(made, MovesetError):
+            raise made
+        yield made
+
+
+def _ignore_sigterm(worker: int) -> None:
+    """Whoever stops a training by its process group would kill workers whose next batch it waits for; it ends them."""
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
 
 
 class Ahead:
