@@ -90,6 +90,8 @@ def test_what_no_student_can_learn_is_refused(config, message):
         ("pcm-1", ["trajectory_rows=-1"], "rows that are trajectory_rows = -1 is outside 0"),
         ("pcm-1", ["side_rows=9", "batch=8"], "rows that are side_rows = 9 is outside 0"),
         ("lcm-1", ["phases=2"], "phases=2 is for pcm"),
+        ("pcm-1", ["text_encoder=t5:here"], "knows sentences as 'minilm' encodes them; set text_encoder to that"),
+        ("rdm-student", ["text_encoder=t5:here"], "knows sentences as 'minilm' encodes them; set text_encoder to that"),
     ],
 )
 def test_what_a_student_cannot_learn_is_refused(tiny_run, tmp_path, what, settings, message):

@@ -37,6 +37,18 @@ def test_a_students_discriminator_may_be_shown_the_text_of_others(tiny_run, tmp_
     assert all(mismatched is None for _, _, mismatched, _ in asked[3:])
 
 
+def test_what_comes_after_a_clips_end_is_not_judged(tiny_run, tmp_path, monkeypatch):
+    """There a take has zeros and a student anything, which would tell them apart."""
+    judged, hinge, kept = [], adversarial.hinge_discriminator, []
+    monkeypatch.setattr(adversarial, "hinge_discriminator", lambda *given: judged.append(given) or hinge(*given))
+    valid = rdm_distillation._valid
+    monkeypatch.setattr(rdm_distillation, "_valid", lambda taps, batch: kept.append(batch.valid) or valid(taps, batch))
+    tiny_run.train("rdm-student", tmp_path / "run", "cutting.first_share=0", steps=4)
+    assert not all(valid_Bn.all() for valid_Bn in kept)
+    for (real, fake, *_), valid_Bn in zip(judged, kept[::2], strict=True):
+        assert real.shape[:2] == fake.shape[:2] == (int(valid_Bn.sum()), 1)
+
+
 @pytest.mark.parametrize("phases", [1, 2])
 def test_a_student_that_is_told_its_own_past_resumes_exactly(phases, tiny_run, tmp_path):
     settings = ("rollout_share=0.5", "inference_points=0.5", f"phases={phases}")

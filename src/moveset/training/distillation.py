@@ -42,7 +42,7 @@ from moveset.training.engine import Loop
 from moveset.training.single_network import NetworkConfig
 from moveset.training.tasks import Sources
 from moveset.training.teacher import LatentData, normalised_latents
-from moveset.training.trained import load_trained
+from moveset.training.trained import load_trained, require_same_encoder
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,6 +114,7 @@ class _DistillationTask(AdversarialTask):
     def __init__(self, config: DistillationConfig, sources: Sources, loop: Loop) -> None:
         require_rows(config, "trajectory_rows", "side_rows")
         teacher = load_trained(sources.teacher, "teacher_ema", loop.device)
+        require_same_encoder(config, teacher)
         self.data = LatentData(sources, config.text_encoder, config.augmentation, loop, normalised_latents(teacher))
         self.teacher = teacher.module
         known, made = self.teacher.config.token_dim, self.data.train.mean.shape[-1]

@@ -147,6 +147,9 @@ def _common(
 ) -> tuple[dict[str, Any], FeatureStore, Callable[..., Path]]:
     """What every configuration says, the features, and what writes the folder."""
     encoder, codec = task["text_encoder"], get_codec(task["codec"])
+    for name, network in found.items():
+        if (other := network.task.get("text_encoder", encoder)) != encoder:
+            raise InputError(f"{name!r} reads sentences by {other!r}, not by {encoder!r}; export networks of one kind")
     known = known_captions(dataset)
     pooled = embedded(cache, encoder, known).pooled_of(known)
     steps = {name: f"{what.runs[name]}, {network.path.name.replace('_', ' ')}" for name, network in found.items()}

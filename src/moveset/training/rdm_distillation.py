@@ -39,7 +39,7 @@ from moveset.training.rollout import Rollout
 from moveset.training.segment_data import SegmentData
 from moveset.training.segment_losses import heading_error, placed, side_shortfall
 from moveset.training.tasks import Sources
-from moveset.training.trained import load_trained
+from moveset.training.trained import load_trained, require_same_encoder
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,6 +99,7 @@ class RDMStudentTask(AdversarialTask):
                 "context_noise_rollout is of the student's own streams, and there are none; set rollout_share too"
             )
         teacher = load_trained(sources.teacher, "denoiser_ema", loop.device)
+        require_same_encoder(config, teacher)
         self.teacher = teacher.module
         if not isinstance(self.teacher, SegmentTransformer):
             raise InputError(
@@ -107,7 +108,8 @@ class RDMStudentTask(AdversarialTask):
             )
         flow = None
         if teacher.task["flow"] is not None:
-            flow = load_trained(sources.teacher, "flow_ema", loop.device, part="coupling_flow").module
+            # Without dropout both modes compute the same, but cuDNN differentiates LSTMs in training's alone.
+            flow = load_trained(sources.teacher, "flow_ema", loop.device, part="coupling_flow").module.train()
         self.transport = Transport(flow, teacher.task["depth_cap"])
         if config.heading_change and not self.teacher.config.heading_change:
             raise InputError("heading_change is for a teacher that was trained with heading_change; leave it out")
@@ -117,6 +119,7 @@ class RDMStudentTask(AdversarialTask):
             cutting=config.cutting,
             augmentation=config.augmentation,
             text_encoder=config.text_encoder,
+            max_tokens=teacher.task["max_tokens"],
         )
         self.data = SegmentData(sources, shared, loop)
         self.student = self.teacher.student().requires_grad_(True)
@@ -269,7 +272,10 @@ class RDMStudentTask(AdversarialTask):
         self, heads: DiscriminatorHeads, bound: BoundSegments, batch: SegmentBatch, draws: Draws, z: Tensor,
         made: Tensor, t_B: Tensor, edge_B: Tensor, loop: Loop,
     ) -> tuple[Tensor, dict[str, Tensor]]:  # fmt: skip
-        """How little the discriminator is fooled, after its own step; fake and real are noised to the judged time."""
+        """How little the discriminator is fooled, after its own step; fake and real are noised to the judged time.
+
+        Frames after a clip's end are not judged: there a take's are zeros, which nobody asks a student for.
+        """
         clean = bound.pull(made)
         eps = predict_eps(SCHEDULE, z, clean, t_B)
         if self.config.rollout_share:
@@ -283,8 +289,15 @@ class RDMStudentTask(AdversarialTask):
             real = bound.push(add_noise(SCHEDULE, bound.pull(batch.clean), draws.real_noise_BND, draws.judged_B))
             real_seen = bound.features(real, draws.judged_B)
             mismatched_seen = bound.mismatched().features(real, draws.judged_B) if self.config.mismatched_text else None
+        seen, real_seen = _valid(seen, batch), _valid(real_seen, batch)
+        mismatched_seen = None if mismatched_seen is None else _valid(mismatched_seen, batch)
         report = discriminator_step(heads, real_seen, seen, mismatched_seen, self.config.mismatched_text, loop)
         return hinge_generator(heads(seen)), report
+
+
+def _valid(taps: list[Tensor], batch: SegmentBatch) -> list[Tensor]:
+    """Feature maps (B, n, C) at valid frames alone: (frames, 1, C)."""
+    return [tap_BnC[batch.valid][:, None] for tap_BnC in taps]
 
 
 def _distance(made: Tensor, target: Tensor, weight: Tensor, valid_Bn: Tensor, c: float) -> Tensor:

@@ -7,6 +7,7 @@ from typing import Any
 import torch
 from torch import nn
 
+from moveset.errors import InputError
 from moveset.models.registry import build_model
 from moveset.training import checkpoint
 
@@ -29,6 +30,12 @@ class TrainedNetwork:
     task: dict[str, Any]
     digest: str
     path: Path
+
+
+def require_same_encoder(config: Any, teacher: TrainedNetwork) -> None:
+    """Raises InputError for a student's task that reads sentences by another text encoder than its teacher."""
+    if config.text_encoder != (known := teacher.task["text_encoder"]):
+        raise InputError(f"{teacher.path} knows sentences as {known!r} encodes them; set text_encoder to that")
 
 
 def load_trained(path: Path, name: str, device: torch.device | str = "cpu", part: str = "") -> TrainedNetwork:
