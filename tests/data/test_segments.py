@@ -277,6 +277,15 @@ def test_rows_and_chances_are_those_of_the_clips(corpus):
     assert float(found.weights[composed].sum()) == pytest.approx(0.3)
 
 
+def test_where_there_is_nothing_but_takes_they_are_all_that_is_drawn(corpus):
+    assert isinstance(corpus.source, CorpusDataset)
+    takes = corpus.source.split("train", composed=False)
+    weights = corpus.source.weights(takes, power=0.25, composed_share=1.0)
+    assert bool((weights > 0).all())
+    with pytest.raises(InputError, match=r"cutting.composed_share 1.2 is not in 0 to 1"):
+        CuttingConfig(composed_share=1.2)
+
+
 def test_a_folder_is_cut_like_a_corpus(kit):
     found = kit.cut(ALIGNED)
     assert {len(row.ends) for row in found.rows} == {1}

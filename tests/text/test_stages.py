@@ -17,6 +17,7 @@ from moveset.text.stages import MOST, split_stages
         ("A person walks. Then they wave.", ("A person walks", "wave")),
         ("a man is running and then waving his left hand", ("a man is running", "a man waving his left hand")),
         ("someone runs before bowing", ("someone runs", "someone bowing")),
+        ("a man's left arm waves, then a man's head nods", ("a man's left arm waves", "a man's head nods")),
         ("someone bows after running", ("someone running", "someone bows")),
         ("after walking forward, a person waves", ("a person walking forward", "a person waves")),
         ("the subject walks; finally the subject waves", ("the subject walks", "the subject waves")),

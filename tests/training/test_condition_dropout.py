@@ -5,7 +5,13 @@ import torch
 
 from moveset.motion.features import Normalizer, get_codec
 from moveset.motion.native import NativeCodec
-from moveset.training.condition_dropout import CORRECTED, drop_captions, drop_heading_change, perturb_heading
+from moveset.training.condition_dropout import (
+    CORRECTED,
+    drop_captions,
+    drop_heading_change,
+    perturb_heading,
+    perturb_past,
+)
 
 CODEC = NativeCodec()
 ROWS, FRAMES = 400, 28
@@ -58,6 +64,19 @@ def test_speeds_are_metres_a_second_in_any_codec(name, metres_a_second):
     back = (clean - made)[..., codec.groups["root_yaw"]].sum(dim=(1, 2))
     share = CORRECTED * {0.1: 0.0, 0.4: 0.5}[metres_a_second]
     torch.testing.assert_close(back, share * turned, atol=1e-5, rtol=1e-4)
+
+
+@pytest.mark.parametrize("name", ["native", "hml"])
+def test_turns_are_radians_in_any_codec(name):
+    """What a second's features turn, as the codec itself has it, is spread as it was asked for."""
+    codec = get_codec(name)
+    plain = Normalizer(torch.zeros(codec.dim), torch.ones(codec.dim))
+    still, draws = torch.zeros(ROWS, round(codec.fps) + 1, codec.dim), torch.Generator().manual_seed(0)
+    bent = perturb_past(still, torch.ones(ROWS), 0.2, codec, plain, draws)
+    heading_BF, _ = codec.root_path(bent)
+    assert float((heading_BF[:, -1] - heading_BF[:, 0]).std()) == pytest.approx(0.2, rel=0.15)
+    _, turned = perturb_heading(still, torch.zeros(ROWS), torch.ones(ROWS), 0.3, codec, plain, draws)
+    assert float(turned.std()) == pytest.approx({"native": 0.3, "hml": 0.15}[name], rel=0.15)
 
 
 def test_who_has_just_been_told_cannot_have_gone_astray():

@@ -378,7 +378,8 @@ def _folder_clip(data: HumanML3D, item: Item, number: int) -> Clip:
 
 
 def corpus_weights(corpus: Corpus, records: Sequence[int], power: float, composed_share: float) -> Tensor:
-    """Sampling weights of records: what they show first by count^(1 - power), compositions ``composed_share`` in all.
+    """Sampling weights of records: what they show first by count^(1 - power), compositions ``composed_share`` in all,
+    where there are takes, too.
 
     Takes that are long and alike have less weight of their own, and those whose sentences name a side have more: people
     who describe motion seldom do, and which hand it was is learned of nothing else.
@@ -392,7 +393,7 @@ def corpus_weights(corpus: Corpus, records: Sequence[int], power: float, compose
     ]
     weights = torch.tensor(each, dtype=torch.float64)
     composed = torch.tensor([record.kind in ("in_time", "body", "bent", "going_on", "rising") for record in chosen])
-    for part, share in ((composed, composed_share), (~composed, 1.0 - composed_share)):
-        if part.any():
+    if composed.any() and not composed.all():
+        for part, share in ((composed, composed_share), (~composed, 1.0 - composed_share)):
             weights[part] *= share / weights[part].sum()
     return weights

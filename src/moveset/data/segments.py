@@ -19,6 +19,7 @@ from moveset.data.batch import Batch
 from moveset.data.dataset import Dataset
 from moveset.data.feature_store import FeatureStore
 from moveset.data.splits import Split
+from moveset.errors import InputError
 from moveset.motion.features import FeatureCodec
 from moveset.motion.sides import favoured
 
@@ -44,6 +45,9 @@ class CuttingConfig:
             does: most of a clip lies elsewhere, and to react is what streams are for.
         livelier: when not aligned, share of later segments for which two places are drawn and the one is taken where
             more happens: of a jump that was captured for ten seconds, most shows somebody who stands.
+
+    Raises:
+        InputError: a share that is not in 0 to 1.
     """
 
     aligned: bool = False
@@ -54,6 +58,11 @@ class CuttingConfig:
     take_share: float = 0.0
     changes: float = 0.0
     livelier: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in ("first_share", "whole_caption", "composed_share", "take_share", "changes", "livelier"):
+            if not 0.0 <= getattr(self, name) <= 1.0:
+                raise InputError(f"cutting.{name} {getattr(self, name)} is not in 0 to 1")
 
 
 @dataclass(frozen=True, eq=False)

@@ -46,9 +46,10 @@ class GridConfig:
             two inputs would give the clean data away and sampling diverges.
         condition: level t' of the left neighbour: uniform "below" t, "previous" (t - 1, as published), or "clean"
             (t' = 0: the autoregressive baselines MD-N).
-        entangled: share of cells of later segments that entered as a copy of their neighbour (``anchor="segment"``), at
-            a level r which is uniform in its logarithm, so that late starts are as frequent as early ones; t is uniform
-            in 1 … r. Their noise is what DDPM leaves of the neighbour's, or with ``share_noise`` all of it, as DDIM.
+        entangled: share of cells that entered as a copy of their neighbour (``anchor="segment"``), at a level r which
+            is uniform in its logarithm, so that late starts are as frequent as early ones; t is uniform in 1 … r, of
+            first segments, too, which have no neighbour. Their noise is what DDPM leaves of the neighbour's, or with
+            ``share_noise`` all of it, as DDIM.
         clean_share: share of cells whose neighbour is clean whatever ``condition`` says. A stream in which each segment
             waits for the one before meets nothing else, and "below" hardly ever draws t' = 0.
 

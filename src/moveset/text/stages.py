@@ -123,6 +123,8 @@ def _alone(part: str, who: str) -> str:
             return part
     elif subject := _SUBJECT.match(part):
         who, part = subject.group(), part[subject.end() :].strip()
+        if part.startswith(("'", "’")):  # what moves is theirs
+            return who + part
     part = _BESIDES.sub("", part)
     if limb := _LIMB.fullmatch(part):
         told = who and limb["one"] and _DOES.match(limb["does"])

@@ -49,7 +49,8 @@ def perturb_heading(
 
     Args:
         clean_BnD: normalised.
-        turned_B: how far the way has turned since the sentence began, in radians.
+        turned_B: how far the way has turned since the sentence began, in radians as the codec's yaw steps have them
+            (``hml``: of half the angle).
         begun_B: whether the sentence began before the segment; others cannot have gone astray.
         deviation: of how far astray they are, in radians.
 
@@ -59,7 +60,7 @@ def perturb_heading(
     yaw, planar = codec.groups["root_yaw"], codec.groups["root_velocity"]
     mean, std = normalizer.mean.to(clean_BnD.device), normalizer.std.to(clean_BnD.device)
     astray_B = torch.randn(len(clean_BnD), generator=generator, device=generator.device).to(clean_BnD.device)
-    astray_B = astray_B * deviation * begun_B
+    astray_B = astray_B * deviation * _yaw_of_a_radian(codec) * begun_B
     step_Bn2 = clean_BnD[..., planar] * std[planar] + mean[planar]
     # KIT-ML's lengths are in millimetres.
     unit = codec.convention.unit if isinstance(codec, HmlCodec) else 1.0
@@ -88,8 +89,13 @@ def perturb_past(
         generator: drawn from on its own device.
     """
     yaw = codec.groups["root_yaw"]
-    turn_B = torch.randn(len(previous_BnD), generator=generator, device=generator.device) * rate / codec.fps
+    turn_B = torch.randn(len(previous_BnD), generator=generator, device=generator.device)
+    turn_B = turn_B * rate * _yaw_of_a_radian(codec) / codec.fps
     turn_B = turn_B.to(previous_BnD.device) * (index_B > 0)
     bent = previous_BnD.clone()
     bent[..., yaw] += turn_B[:, None, None] / normalizer.std[yaw].to(previous_BnD.device)
     return bent
+
+
+def _yaw_of_a_radian(codec: FeatureCodec) -> float:
+    return 0.5 if isinstance(codec, HmlCodec) else 1.0

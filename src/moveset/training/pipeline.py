@@ -289,8 +289,8 @@ def _sentences(dataset: Dataset) -> str:
 
 
 def _reads(stage: Stage) -> bool:
-    """Whether a training reads sentences."""
-    return any(hasattr(stage.task, name) for name in ("text_encoder", "words"))
+    """Whether a training reads sentences, or draws clips by them: those that name a side more often."""
+    return any(hasattr(stage.task, name) for name in ("text_encoder", "words", "composed_share"))
 
 
 def _check_texts(todo: Iterable[Stage]) -> None:

@@ -204,8 +204,8 @@ def _gather(tensors: dict[str, Tensor], loop: "Loop") -> list[dict[str, Tensor]]
 
 
 def _load_generators(loop: "Loop", tensors: dict[str, Tensor], path: Path) -> bool:
-    """Whether this kind of device knows all of the states; those that it does not know are left out."""
-    known = True
+    """Whether this is the kind of device whose states they are; those that it does not know are left out."""
+    known = ("cuda" in tensors) == (loop.device.type == "cuda")
     for name, generator in loop.generators.items():
         if f"generator/{name}" not in tensors:
             raise FormatError(f"{path} has no state of the generator {name!r}; it was written by another version")
