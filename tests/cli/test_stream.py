@@ -278,13 +278,24 @@ def test_what_is_printed_is_json_whatever_the_terminal_can_show(stream, monkeypa
 
 def test_a_full_file_is_followed_by_the_next(tmp_path, monkeypatch):
     monkeypatch.setattr(Take, "room", property(lambda take: 60 - take.frames))
-    motion = gait(28)
-    with GrowingFiles([tmp_path / "w.npz"], motion.skeleton, motion.fps, {}) as files:
+    motion, said = gait(28), {"prompt": "a person walks | bows", "starts": "0 | 4"}
+    with GrowingFiles([tmp_path / "w.npz"], motion.skeleton, motion.fps, said) as files:
         for _ in range(5):
             files.append(motion)
     assert [path.name for path in files.paths] == ["w.npz", "w-2.npz", "w-3.npz"]
     assert [len(load(path)) for path in files.paths] == [56, 56, 28]
     assert files.frames == 140
+    notes = [read_metadata(path) for path in files.paths]
+    assert [(of["prompt"], of["starts"]) for of in notes] == [
+        ("a person walks | bows", "0 | 4"), ("a person walks | bows", "0 | 1.2"), ("bows", "0")
+    ]  # fmt: skip
+
+
+def test_what_is_said_again_and_again_begins_more_often_than_a_file_could_tell(stream, tmp_path):
+    stream("walk", "bow", "--seconds", "1.4", "--total", "5.6", "--loop", "-o", "w.npz")
+    notes = read_metadata(tmp_path / "w.npz")
+    assert notes["prompt"] == "walk | bow"
+    assert "starts" not in notes
 
 
 def test_one_file_that_fails_does_not_lose_the_others(tmp_path, monkeypatch):

@@ -31,6 +31,22 @@ def plan_takes(outputs: Sequence[Path]) -> None:
     plan_outputs(outputs, [""])
 
 
+def said_from(notes: Mapping[str, str | int | float], second: float) -> dict[str, str | int | float]:
+    """Metadata of the motion from a second on: the prompt that is followed there, and those that come after it.
+
+    >>> said_from({"prompt": "walk | wave | bow", "starts": "0 | 4.2 | 8.4", "seed": 1}, 5.0)
+    {'prompt': 'wave | bow', 'starts': '0 | 3.4', 'seed': 1}
+    """
+    prompts, starts = (str(notes.get(name, "")).split(" | ") for name in ("prompt", "starts"))
+    if "starts" not in notes or len(starts) != len(prompts):  # somebody says " | "
+        return {**notes}
+    left = [(text, float(start) - second) for text, start in zip(prompts, starts, strict=True)]
+    followed = max(k for k, (_, start) in enumerate(left) if start <= 0)
+    texts, seconds = zip(*left[followed:], strict=True)
+    said = {"prompt": " | ".join(texts), "starts": " | ".join(f"{max(start, 0.0):g}" for start in seconds)}
+    return {**notes, **said}
+
+
 class GrowingFiles:
     """Takes of one motion in several files; leaving the ``with`` block ends them, whatever happened.
 
@@ -77,7 +93,8 @@ class GrowingFiles:
     def _open(self, path: Path) -> "Take":
         from moveset.io.take_writer import open_take
 
-        return open_take(path, self._skeleton, self._fps, metadata=self._metadata)
+        notes = said_from(self._metadata, self.frames / self._fps)
+        return open_take(path, self._skeleton, self._fps, metadata=notes)
 
     def _end(self, take: "Take") -> None:
         if (path := take.close()) is not None and path not in self.paths:

@@ -238,12 +238,11 @@ def _notes(made: "MotionStream", request: "StreamRequest") -> dict[str, str | in
 
 
 def _said(made: "MotionStream", request: "StreamRequest") -> dict[str, str]:
-    """What was said, and from which second on; files are begun before prompts that arrive later are known."""
-    each = made.bundle.config.segment / made.bundle.config.fps
-    return {
-        "prompt": " | ".join(request.timeline.prompts),
-        "starts": " | ".join(f"{each * start:g}" for start in request.timeline.starts),
-    }
+    """What was said, and from which second on, unless it is said again and again; files are begun before prompts that
+    arrive later are known."""
+    each, timeline = made.bundle.config.segment / made.bundle.config.fps, request.timeline
+    said = {"prompt": " | ".join(timeline.prompts)}
+    return said if timeline.loop else said | {"starts": " | ".join(f"{each * start:g}" for start in timeline.starts)}
 
 
 def _tell_durations(request: "StreamRequest", each: float) -> None:

@@ -1,6 +1,7 @@
 """A take as a page that plays it: a line of base64 for each frame, between a head and a tail.
 
-The tail is written again behind every piece, so that the part is a whole page itself between two calls.
+The tail is written again behind every piece, so that between two calls the part, by a name that ends in .html, is a
+whole page itself.
 """
 
 from pathlib import Path
