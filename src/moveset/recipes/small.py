@@ -362,12 +362,12 @@ EXPORTS: tuple[Export, ...] = (
     EvaluatorExport(name="t2m-small", runs={"evaluator": "evaluator"}),
 )  # fmt: skip
 
-# What trainings took on a core that multiplies bfloat16: by these and by how it goes, `moveset train all` says how much
-# is left.
+# What trainings took on a core that multiplies bfloat16, baselines by their share of rdm-7's time on another: by these
+# and by how it goes, `moveset train all` says how much is left.
 HOURS = {
     "movement": 0.12, "evaluator": 0.35, "length": 0.05, "sides": 0.05, "vae": 1.1, "decoder": 0.1, "teacher": 0.9,
     "lcm-1": 0.15, "pcm-1": 0.15, "pcm-2": 0.15, "pcm-4": 0.15,
     "pcm-1-k20": 0.25, "pcm-1-no-ema": 0.15, "pcm-1-no-discriminator": 0.15,
-    "rdm-7": 2.5, "md-7": 1.75, "md-7-alone": 1.75, "rdm-4": 2.5, "rdm-14": 2.5, "md-4": 1.75, "rdm-student": 0.15,
-    "rdm-student-2": 0.15,
+    "rdm-7": 2.5, "md-7": 1.75, "md-7-alone": 1.75, "rdm-4": 2.5, "rdm-14": 2.9, "md-4": 1.75, "rdm-student": 0.15,
+    "rdm-student-2": 0.15, "rdm-1": 2.4, "light-rdm-1": 1.65, "motiondiffuse": 3.0, "dip": 2.8,
 }  # fmt: skip
