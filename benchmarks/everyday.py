@@ -15,7 +15,7 @@ from moveset import TextToMotion
 from moveset.cli.output import check_folder
 from moveset.errors import exit_code_of
 from moveset.io.filmstrip import filmstrip
-from moveset.io.limits import atomic_write
+from moveset.io.limits import atomic_write, make_folder
 from moveset.pipelines.model_config import DEFAULT_MODEL
 from pictures import sheet
 
@@ -34,7 +34,7 @@ def main() -> None:
     parser.add_argument("--sentences", type=Path, default=Path(__file__).with_suffix(".txt"), help="a line each")
     parser.add_argument("--out", type=Path, required=True, help="a folder")
     given = parser.parse_args()
-    check_folder(given.out)
+    check_folder(make_folder(given.out))
     torch.set_num_threads(1)
     t2m = TextToMotion.from_pretrained(given.model, device="cpu")
     how = {"solver": given.solver, "steps": given.steps, "guidance": given.guidance, "seed": given.seed}

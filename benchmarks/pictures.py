@@ -24,7 +24,7 @@ from moveset.cli.output import check_folder
 from moveset.errors import exit_code_of
 from moveset.evaluation.suites import chosen_rows
 from moveset.io.filmstrip import filmstrip
-from moveset.io.limits import atomic_write
+from moveset.io.limits import atomic_write, make_folder
 from moveset.motion.clip import Motion
 from moveset.pipelines.generator import Sampler, open_generator
 from moveset.pipelines.model_config import DEFAULT_MODEL, DEFAULT_STREAM
@@ -99,7 +99,7 @@ def main() -> None:
     parser.add_argument("--figures", action="store_true", help="the papers' figures instead")
     parser.add_argument("models", type=Path, nargs="*", help="model folders for the figures, besides what ships")
     given = parser.parse_args()
-    check_folder(given.out)
+    check_folder(make_folder(given.out))
     torch.set_num_threads(1)
     if given.figures:
         made = {name: figure(name, given.models) for name in FIGURES}

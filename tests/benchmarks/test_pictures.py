@@ -43,3 +43,19 @@ def test_a_figure_has_a_strip_for_every_sentence_and_model(tmp_path, monkeypatch
     assert "one: MD-4: no weights given" in capsys.readouterr().err
     monkeypatch.setitem(pictures.FIGURES, "none", ("rdm", ("md-4",), ("a person walks",), 3.0))
     assert pictures.figure("none", []) is None
+
+
+def test_sheets_make_their_folder(tmp_path, tiny_clips, monkeypatch):
+    import everyday
+    import pictures
+
+    (tmp_path / "said.txt").write_text("a person walks\n")
+    out, said = tmp_path / "new" / "sheets", tmp_path / "said.txt"
+    arguments = ["--out", out, "--model", tiny_clips, "--sentences", said, "--seconds", 1]
+    monkeypatch.setattr("sys.argv", ["everyday.py", *map(str, arguments)])
+    everyday.main()
+    assert [path.name for path in out.iterdir()] == ["pcm-1-0.png"]
+    monkeypatch.setattr(pictures, "figure", lambda name, folders: Image.new("RGB", (8, 8)))
+    monkeypatch.setattr("sys.argv", ["pictures.py", "--figures", "--out", str(tmp_path / "figures")])
+    pictures.main()
+    assert {path.stem for path in (tmp_path / "figures").iterdir()} == set(pictures.FIGURES)

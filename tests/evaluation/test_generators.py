@@ -335,6 +335,17 @@ def test_folders_that_are_none(tmp_path):
         folder_motions(tmp_path, None, 20.0)
 
 
+@pytest.mark.parametrize(
+    ("short", "steps", "network"),
+    [
+        ("teacher", None, "teacher"), ("lcm", None, "lcm-1"), ("pcm", 4, "pcm-4"), ("vae", None, "vae"),
+        ("rdm", 2, "rdm"), ("rdm-pcm", None, "pcm-1"), ("rdm-pcm", 1, "pcm-1"),
+    ],
+)  # fmt: skip
+def test_short_names_mean_what_ships(short, steps, network):
+    assert open_source(EvaluationConfig(model=short, steps=steps, device="cpu")).network == network
+
+
 def test_jobs_open_what_they_name(bundle, streams):
     def opened(**given):
         return open_source(EvaluationConfig(device="cpu", **given))

@@ -96,6 +96,19 @@ def test_folders_that_no_row_asks_for_become_rows(tmp_path: Path):
     ]  # fmt: skip
 
 
+@pytest.mark.parametrize("name", SUITES)
+def test_all_folders_of_a_recipe_may_be_given(tmp_path: Path, name: str):
+    made = [
+        folder(tmp_path / "a", "motionpcm-small", ("vae", "teacher", "pcm-1")),
+        folder(tmp_path / "b", "md-7-small", ("rdm", "md")),
+        folder(tmp_path / "c", "dip-small", ("denoiser",)),
+        tmp_path / "d",
+    ]
+    made[-1].mkdir()
+    (made[-1] / "config.json").write_text(json.dumps({"name": "t2m-small", "task": "evaluator", "model": {}}))
+    assert [row.key for row, _, _ in chosen_rows(name, made)] == [row.key for row in get_suite(name).rows]
+
+
 def test_rows_of_given_folders_take_the_steps_that_a_folder_says(tmp_path: Path):
     mine = folder(tmp_path / "a", "mine", ("rdm", "md", "pcm-1"), sampler_steps=20)
     assert [row.steps for row, _, _ in chosen_rows("rdm", (mine,))[-3:]] == [20, 20, 1]

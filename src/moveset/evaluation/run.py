@@ -40,7 +40,7 @@ SHORT = {
     "lcm": (DEFAULT_MODEL, "lcm"),
     "pcm": (DEFAULT_MODEL, "pcm"),
     "rdm": (DEFAULT_STREAM, "rdm"),
-    "rdm-pcm": (DEFAULT_STREAM, None),
+    "rdm-pcm": (DEFAULT_STREAM, "pcm-1"),
 }
 MAX_PROCESSES, MAX_CORES = 8, 256
 

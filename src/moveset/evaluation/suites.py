@@ -2,7 +2,7 @@
 
 A row names a model folder, one of its networks, and how it is sampled. Folders are found by the name in their
 ``config.json``: those that ship, and any that are given. A row whose weights are not there stays in the table and says
-so. Folders given that no row asks for become rows of their own.
+so. Folders given that no row of any suite asks for become rows of their own, but for those of judges.
 
 N segments, K sampler steps, R steps that a later segment takes (``rdm.staircase``).
 """
@@ -37,8 +37,8 @@ class Row:
         model: name of a model folder, or REAL, TRAINING or NEAREST.
         network: of that folder; RECONSTRUCTION is its autoencoder alone. None where there is no folder.
         steps: K; None where nothing is sampled.
-        settings: of the sampler, where they are not the folder's: start, lag, past_lag, shape, guidance, eta,
-            variance, eps_scale, time_shift, stages.
+        settings: of the sampler, where they are not the folder's: start, lag, past_lag, shape, init_noise, guidance,
+            eta, variance, eps_scale, time_shift, stages.
         repeats: at most so many, for rows that cost much more than others.
         against: keys of the rows that it is compared with.
     """
@@ -272,11 +272,14 @@ def networks(folder: Path) -> tuple[str, ...]:
 
 
 def extra_rows(suite: Suite, folders: Mapping[str, Path]) -> list[Row]:
-    """Rows for folders that no row of a suite asks for, one for each of their denoisers, in the folder's order."""
-    asked = {_stem(row.model) for row in suite.rows}
+    """Rows for folders that no row asks for, one for each of their denoisers, in the folder's order.
+
+    What another suite's rows ask for is no row of this one, and a judge is none: all folders of a recipe may be given.
+    """
+    asked = {_stem(row.model) for make in _SUITES.values() for row in make().rows}
     return [
         given_row(suite, name, network, own_steps(path, network))
-        for name, path in folders.items() if name not in asked
+        for name, path in folders.items() if name not in asked and _config(path).get("task") != "evaluator"
         for network in networks(path) if named(network).role in DENOISERS
     ]  # fmt: skip
 
