@@ -3,6 +3,7 @@
 import json
 import struct
 import tempfile
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -56,6 +57,21 @@ def test_long_clips_keep_every_frame(tmp_path):
     write_glb(long, tmp_path / "a.glb")
     found = read_glb(tmp_path / "a.glb")
     assert torch.equal(found.rotations, rotations.unroll(turns))
+
+
+@pytest.mark.parametrize("fps", [20.0, 24.0, 25.0, 24_000 / 1001, 29.97, 59.94])
+@pytest.mark.parametrize("frames", [600, 50_000])
+def test_frames_of_other_programs_are_kept_at_any_rate_and_for_long(fps, frames, tmp_path):
+    """Times are float32: after half an hour those of two frames lie 0.3 % nearer or farther than they are."""
+    made = wander(frames, seed=2, fps=fps, skeleton=Skeleton("pole", ("base", "top"), (-1, 0), torch.eye(3)[:2]))
+    write_glb(made, tmp_path / "a.glb")
+    tree, binary = unpack((tmp_path / "a.glb").read_bytes())
+    del tree["asset"]["extras"]
+    (tmp_path / "a.glb").write_bytes(pack(tree, binary))
+    found = read_glb(tmp_path / "a.glb")
+    assert found.fps == pytest.approx(fps, rel=2e-6)
+    assert len(found) == frames
+    assert (found.rotations * made.rotations).sum(-1).abs().min() > 1.0 - 1e-5
 
 
 def test_bytes_are_a_correct_glb(data):
@@ -177,7 +193,7 @@ WRONG = {
     "child no number": (put(("nodes", 20, "children"), ["5"]), "no index"),
     "joint outside": (put(("skins", 0, "joints", 3), -1), "no index"),
     "joint twice": (put(("skins", 0, "joints", 3), 4), "twice"),
-    "huge count": (put(("accessors", 0, "count"), 10**9), "no index"),
+    "huge count": (put(("accessors", 0, "count"), 10**9), "exceeds the limit"),
     "negative count": (put(("accessors", 0, "count"), -5), "no index"),
     "view past the end": (put(("bufferViews", 0, "byteOffset"), 2**31), "outside its buffer"),
     "accessor past the end": (put(("accessors", 0, "byteOffset"), 64), "outside its buffer"),
@@ -201,6 +217,58 @@ def test_wrong_trees_are_refused(data, wrong):
     tree, binary = unpack(data)
     change(tree)
     with pytest.raises(FormatError, match=words):
+        _read(pack(tree, binary))
+
+
+def many_channels(joints, keys, shared):
+    """A file with a chain of joints that all turn alike, by one accessor or by one each to the same bytes."""
+    times, turns = (np.arange(keys) / 30).astype("<f4").tobytes(), np.tile((0, 0, 0, 1), (keys, 1)).astype("<f4")
+    part = {"componentType": 5126, "count": keys}
+    outputs = [0] * joints if shared else list(range(joints))
+    tree = {
+        "asset": {"version": "2.0"},
+        "nodes": [{"name": f"n{k}", "children": [k + 1]} for k in range(joints - 1)] + [{"name": "last"}],
+        "buffers": [{"byteLength": 20 * keys}],
+        "bufferViews": [
+            {"buffer": 0, "byteLength": 4 * keys},
+            {"buffer": 0, "byteOffset": 4 * keys, "byteLength": 16 * keys},
+        ],
+        "accessors": [{"bufferView": 0, **part, "type": "SCALAR"}]
+        + [{"bufferView": 1, **part, "type": "VEC4"} for _ in range(max(outputs) + 1)],
+        "animations": [{
+            "samplers": [{"input": 0, "output": 1 + k} for k in range(max(outputs) + 1)],
+            "channels": [{"sampler": outputs[k], "target": {"node": k, "path": "rotation"}} for k in range(joints)],
+        }],
+    }  # fmt: skip
+    return pack(tree, times + turns.tobytes())
+
+
+def test_a_small_file_does_not_fill_the_memory(monkeypatch):
+    tracemalloc.start()
+    with pytest.raises(FormatError, match="600 animated nodes"):
+        _read(many_channels(600, 10_000, shared=True))
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 20e6, "600 times 10,000 quaternions are 192 MB"
+    monkeypatch.setattr("moveset.io.gltf_clip._MAX_NUMBERS", 100_000)
+    with pytest.raises(FormatError, match="more than 100000 numbers; split"):
+        _read(many_channels(600, 10_000, shared=False))
+
+
+def test_what_is_too_much_is_not_called_damaged(motion, data, monkeypatch):
+    tree, binary = unpack(data)
+    # A face with more joints than are read, beside the body that moves.
+    tree["nodes"] += [{"name": f"face {k}"} for k in range(600)]
+    tree["skins"].insert(0, {"joints": [len(tree["nodes"]) - 1 - k for k in range(600)]})
+    assert len(_read(pack(tree, binary)).skeleton) == 22
+    tree["skins"][1]["joints"] += tree["skins"][0]["joints"]
+    with pytest.raises(FormatError, match="622 joints of its skin exceed the limit of 512; simplify"):
+        _read(pack(tree, binary))
+    monkeypatch.setattr("moveset.io.gltf_clip.MAX_FRAMES", 20)
+    with pytest.raises(FormatError, match="keys exceed the limit of 20; split"):
+        _read(data)
+    tree["nodes"] += [{}] * 20_000
+    with pytest.raises(FormatError, match="nodes exceed the limit of 20000; reduce"):
         _read(pack(tree, binary))
 
 

@@ -107,6 +107,17 @@ def test_frames_come_back_to_the_bit(tmp_path):
     assert found.skeleton is motion.skeleton
 
 
+def test_joints_are_called_as_they_were_and_so_that_bvh_can_be_written(walk, tmp_path):
+    """Half a letter, as JSON may hold it, and namespaces of references in references."""
+    space = "figure:" * 14
+    names = tuple(f"{space}{name}" + "\ud83d" * (name == "head") for name in walk.skeleton.joints)
+    save(Motion(walk.rotations, walk.root, walk.fps, replace(walk.skeleton, joints=names)), tmp_path / "a.html")
+    found = load(tmp_path / "a.html")
+    assert found.skeleton.joints == tuple(name.replace("\ud83d", "?") for name in names)
+    again = load(save(found, tmp_path / "b.bvh"))
+    assert {*again.skeleton.joints} == {*found.skeleton.joints}
+
+
 def test_roles_are_told_where_names_do_not(walk):
     page = page_of(html_page([Scene("", (Shown(retarget(walk, "mixamo")),))]))
     skeleton = page["scenes"][0]["skeleton"]

@@ -9,6 +9,7 @@ import torch
 
 from moveset.errors import FormatError, InputError, MovesetError
 from moveset.io import READABLE, WRITABLE, load, read_metadata, save
+from moveset.motion import rotations
 from moveset.motion.cleanup import lock_feet
 from moveset.motion.clip import Motion
 from moveset.motion.join import join
@@ -157,8 +158,20 @@ def test_a_picture_is_drawn_at_the_slowest_rate(tmp_path):
 @pytest.mark.parametrize("name", ["a.bvh", "a.glb", "a.npz", "a.amass.npz", "a.html"])
 def test_rates_are_read_back(name, fps, tmp_path):
     found = load(save(Motion(gait(5).rotations, torch.zeros(5, 3), fps), tmp_path / name))
-    # The time of a frame is written with nine decimals in BVH; in all other formats the rate comes back exactly.
-    assert (len(found), found.fps) == (5, pytest.approx(fps, rel=1e-8) if name == "a.bvh" else fps)
+    # BVH has the time of a frame, with nine decimals; motions of unlike rates could not be joined.
+    assert (len(found), found.fps) == (5, fps)
+
+
+@pytest.mark.parametrize("suffix", sorted(READABLE))
+def test_what_could_not_be_read_back_is_not_written(suffix, tmp_path, monkeypatch):
+    one = Skeleton("one", ("base",), (-1,), torch.zeros(1, 3))
+    with pytest.raises(InputError, match="100001 frames of 1 joints exceed what is read back"):
+        save(Motion(rotations.identity(100_001, 1), torch.zeros(100_001, 3), 20.0, one), tmp_path / f"a{suffix}")
+    assert list(tmp_path.iterdir()) == []
+    monkeypatch.setattr("moveset.io.limits.MAX_POSES", 100)
+    if suffix in (".npz", ".glb", ".gltf"):
+        with pytest.raises(InputError, match="100 poses"):
+            save(gait(5), tmp_path / f"a{suffix}")
 
 
 @pytest.mark.parametrize("size", [1.0, 1.1])

@@ -4,6 +4,7 @@ import gc
 import itertools
 import json
 import pickle
+import signal
 from collections import deque
 from dataclasses import replace
 
@@ -321,6 +322,24 @@ def test_a_buffer_changes_nothing_but_the_time(opened):
     assert more[2].prompt == BOW
     for one, two in zip(plain_ones[2:], take(opened().restore(state), 4), strict=True):
         assert same(one, two)
+
+
+@pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="Windows has no timer that interrupts")
+def test_whoever_is_interrupted_while_waiting_misses_no_segment(opened):
+    def interrupt(*_):
+        raise KeyboardInterrupt
+
+    stream, seen = opened(buffer=1), []
+    before = signal.signal(signal.SIGALRM, interrupt)
+    try:
+        signal.setitimer(signal.ITIMER_REAL, 0.5)
+        with pytest.raises(KeyboardInterrupt), stream._lock:  # nothing is finished as long as it is held
+            seen.extend(made.number for made in iter(stream.__next__, None))
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, before)
+    seen += [made.number for made in take(stream, 3)]
+    assert seen == list(range(len(seen)))
 
 
 @pytest.mark.parametrize("buffer", [0, 2])

@@ -98,7 +98,7 @@ def load(
         as_stored: leave the body standing as it does in the file, whatever its axes.
 
     Raises:
-        InputError: an unknown extension, or a file that cannot be read.
+        InputError: an unknown extension, a rate that is not in 0.01 to 1000, or a file that cannot be read.
         FormatError: a file that is damaged, absurd or not what its extension says.
     """
     motion = _loaded(path, fps, source_fps, animation, body)
@@ -124,8 +124,9 @@ def _loaded(
     suffix = _suffix(path, READABLE, "read")
     if animation is not None and suffix not in (*GLTF, ".npy"):
         raise InputError(f"{path}: {suffix} files hold one motion; leave --animation out")
-    if source_fps is not None and not 0.01 <= source_fps <= 1000:
-        raise InputError(f"a source of {source_fps:g} frames a second is not in 0.01 to 1000; give one such as 30")
+    for what, rate in (("a motion", fps), ("a source", source_fps)):
+        if rate is not None and not 0.01 <= rate <= 1000:
+            raise InputError(f"{what} of {rate:g} frames a second is not in 0.01 to 1000; give one such as 30")
     if body is not None and suffix not in _BODIES:
         raise InputError(f"{path}: unit, axes and joints of {suffix} files are known; leave what says them out")
     if suffix == ".bvh":
@@ -159,10 +160,12 @@ def save(motion: "Motion", path: str | Path, *, metadata: Metadata | None = None
         metadata: what to remember with it (prompt, seed, model, …); ``prompt`` is also the caption of pictures.
 
     Raises:
-        InputError: an unknown extension, a name too long, or a path that cannot be written to.
+        InputError: an unknown extension, a name too long, more frames than ``load`` takes, or a path that cannot be
+            written to.
     """
     suffix, path = _suffix(path, WRITABLE, "write"), Path(path)
     check_name(path)
+    _check_length(motion, path, suffix)
     motion, notes = motion.detached(), dict(metadata or {})
     if suffix in _DRAWN:
         from moveset.motion.reference import resting_upright
@@ -181,6 +184,20 @@ def save(motion: "Motion", path: str | Path, *, metadata: Metadata | None = None
         notes |= still_notes(motion)
     save_beside(notes, path)
     return path
+
+
+def _check_length(motion: "Motion", path: Path, suffix: str) -> None:
+    """Refuse a motion that could not be read from its file again."""
+    from moveset.io.limits import MAX_FRAMES, MAX_POSES
+
+    frames, joints = len(motion), len(motion.skeleton)
+    # Others keep positions, or the joints of another skeleton.
+    whole = suffix in (".bvh", ".npz", ".glb", ".gltf") and not _is_amass(path)
+    if suffix in READABLE and (frames > MAX_FRAMES or (whole and frames * joints > MAX_POSES)):
+        raise InputError(
+            f"{frames} frames of {joints} joints exceed what is read back ({MAX_FRAMES} frames, {MAX_POSES} poses); "
+            "write shorter pieces"
+        )
 
 
 def rate_of(fps: float, path: str | Path) -> float:

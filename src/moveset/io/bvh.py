@@ -240,7 +240,8 @@ def continuous_euler(matrices: np.ndarray, order: str, before: np.ndarray | None
 
 def _hierarchy_text(skeleton: Skeleton) -> tuple[list[str], list[int]]:
     """Lines of the hierarchy and the order in which it names the joints: depth first, without recursion."""
-    names = [re.sub(r"[\s{}]+", "_", name).encode()[:MAX_NAME].decode(errors="ignore") for name in skeleton.joints]
+    plain = [re.sub(r"[\s{}]+", "_", name).encode("utf-8", "replace") for name in skeleton.joints]
+    names = [name[:MAX_NAME].decode(errors="ignore") for name in plain]
     if len(set(names)) < len(names) or not all(names):
         raise InputError(
             f"joint names that are empty, or alike but for spaces or behind {MAX_NAME} bytes, cannot be written as "

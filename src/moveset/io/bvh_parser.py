@@ -23,6 +23,8 @@ _BLOCK = 256
 _MAX_HEADER_LINES = 100_000
 MAX_NAME = 128
 _SECONDS = (1e-3, 100.0)  # of a frame
+_NTSC, _OF_NTSC = 1000.0 / 1001.0, 2e-4  # 29.97, 23.976 and 59.94 frames a second, and how far off they may be
+_ROUNDED = 2e-7  # of a rate, by nine decimals of a frame time and by float32
 # What names are written in: the first that fits all. BVH has no say in it; Japanese and Chinese tools use their own.
 _ENCODINGS = ("utf-8", "cp932", "gb18030", "latin-1")
 
@@ -51,9 +53,21 @@ class BvhFile:
 
     @property
     def fps(self) -> float:
-        """Frames per second, rounded to a whole number where the frame time is within 0.01 % of one."""
-        fps = 1.0 / self.frame_time
-        return float(round(fps)) if abs(fps - round(fps)) < 1e-4 * fps else fps
+        """Frames per second: a whole number where the frame time is within 0.01 % of one."""
+        return meant_rate(1.0 / self.frame_time, 1e-4)
+
+
+def meant_rate(fps: float, off: float) -> float:
+    """The rate that is meant by a measured one: the whole number within a share ``off`` of it, unless it is NTSC's, and
+    else three decimals, where rounding explains the rest.
+
+    >>> [meant_rate(fps, 0.01) for fps in (30.2, 29.97000003, 24000 / 1001)]
+    [30.0, 29.97, 23.976023976023978]
+    """
+    whole, short = float(round(fps)), round(fps, 3)
+    if abs(fps - whole) < off * fps and abs(fps - whole * _NTSC) > _OF_NTSC * fps:
+        return whole
+    return short if abs(fps - short) < _ROUNDED * fps else fps
 
 
 @dataclass

@@ -86,8 +86,10 @@ class Glb:
     def items(self, owner: dict[str, Any], key: str, limit: int = MAX_NODES) -> list[Any]:
         """A list of objects or indices under a key; empty where the key is absent."""
         found = owner.get(key, [])
-        if not isinstance(found, list) or len(found) > limit:
-            self.fail(f"{key!r} is not a list of at most {limit} entries; it is damaged")
+        if not isinstance(found, list):
+            self.fail(f"{key!r} is not a list; it is damaged")
+        if len(found) > limit:
+            self.fail(f"{len(found)} {key} exceed the limit of {limit}; reduce the file")
         return found
 
     def entry(self, key: str, index: object) -> dict[str, Any]:
@@ -117,7 +119,9 @@ class Glb:
         if accessor.get("type") != kind:
             self.fail(f"an accessor is not a plain {kind}; export the file again")
         dtype, width = self._component(accessor), WIDTHS[kind]
-        count = self.index(accessor.get("count"), 3 * MAX_FRAMES + 1, "frames allowed")
+        count = self.index(accessor.get("count"), 2**32, "entries allowed")
+        if count > 3 * MAX_FRAMES:
+            self.fail(f"an accessor of {count} entries exceeds the limit of {3 * MAX_FRAMES}; split the file")
         if count * width > 4 * MAX_POSES:
             self.fail(f"an accessor of {count * width} numbers exceeds the limit of {4 * MAX_POSES}; split the file")
         if "bufferView" in accessor or "sparse" not in accessor:

@@ -7,10 +7,11 @@ import torch
 from torch import Tensor
 
 from moveset.io.glb import Glb
-from moveset.io.limits import MAX_FRAMES
+from moveset.io.limits import MAX_BYTES, MAX_FRAMES
 from moveset.motion import rotations
 
 _STILL = 1.0 - 1e-5  # cosine of half an angle of half a degree
+_MAX_NUMBERS = MAX_BYTES // 4  # of an animation: as many float32 as the largest file has, if each is there once
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +57,7 @@ class Clip:
     @property
     def lively(self) -> bool:
         """Whether a joint turns visibly: T-poses, which often come first in files, hold still."""
-        moving = (c.at for c in self.turns.values() if len(c.keys) > 1)
+        moving = (c.at for c in {id(c.values): c for c in self.turns.values()}.values() if len(c.keys) > 1)
         return any(float((at * at[:1]).sum(dim=-1).abs().min()) < _STILL for at in moving)
 
     def rotation(self, glb: Glb, node: int, times: Tensor, default: Tensor) -> Tensor:
@@ -147,7 +148,9 @@ def _clip(glb: Glb, index: int) -> Clip:
     turns: dict[int, Channel] = {}
     shifts: dict[int, Channel] = {}
     clocks: dict[int, Tensor] = {}
-    morphs = False
+    # Channels may share their numbers: unfolded for each of them, a small file would fill the memory.
+    outputs: dict[tuple[int, str], Tensor] = {}
+    numbers, morphs = 0, False
     for channel in glb.items(animation, "channels"):
         target = channel.get("target") if isinstance(channel, dict) else None
         if not isinstance(target, dict):
@@ -165,7 +168,14 @@ def _clip(glb: Glb, index: int) -> Clip:
         clock = glb.index(sampler.get("input"), 1_000_000, "accessors")
         if clock not in clocks:
             clocks[clock] = _clock(glb, clock)
-        values = torch.from_numpy(glb.accessor(sampler.get("output"), "VEC4" if kind == "rotation" else "VEC3"))
+            numbers += clocks[clock].numel()
+        output = glb.index(sampler.get("output"), 1_000_000, "accessors"), "VEC4" if kind == "rotation" else "VEC3"
+        if output not in outputs:
+            outputs[output] = torch.from_numpy(glb.accessor(*output))
+            numbers += outputs[output].numel()
+            if numbers > _MAX_NUMBERS:
+                glb.fail(f"its animation has more than {_MAX_NUMBERS} numbers; split the file")
+        values = outputs[output]
         if len(values) != len(clocks[clock]) * (3 if interpolation == "CUBICSPLINE" else 1):
             glb.fail("an animation has other numbers of times and values; it is damaged")
         node = glb.index(target["node"], len(glb.items(glb.tree, "nodes")), "nodes")
@@ -175,8 +185,10 @@ def _clip(glb: Glb, index: int) -> Clip:
 
 def _clock(glb: Glb, index: int) -> Tensor:
     keys = torch.from_numpy(glb.accessor(index, "SCALAR"))[:, 0]
-    if not len(keys) or keys[0] < 0 or len(keys) > MAX_FRAMES or not (keys.diff() > 0).all():
-        glb.fail(f"its key times are not 1 to {MAX_FRAMES} increasing seconds from 0 on; it is damaged")
+    if len(keys) > MAX_FRAMES:
+        glb.fail(f"{len(keys)} keys exceed the limit of {MAX_FRAMES}; split the animation")
+    if not len(keys) or keys[0] < 0 or not (keys.diff() > 0).all():
+        glb.fail("its key times are not increasing seconds from 0 on; it is damaged")
     return keys
 
 

@@ -8,6 +8,7 @@ from torch import Tensor
 
 from moveset.io.glb import MAX_NODES, Glb
 from moveset.io.gltf_clip import unit_quaternions
+from moveset.io.limits import MAX_JOINT_NAME, plain_text
 from moveset.motion import rotations
 
 
@@ -87,8 +88,7 @@ def read_nodes(glb: Glb) -> Nodes:
             queue.append(child)
     if len(queue) < count:
         glb.fail("its nodes form a cycle; it is damaged")
-    # Half a surrogate pair, which JSON may spell, is no letter that a file could be written with.
-    names = [str(entry.get("name", ""))[:256].encode("utf-8", "replace").decode() for entry in entries]
+    names = [plain_text(entry.get("name", ""), MAX_JOINT_NAME) for entry in entries]
     names = [name or f"node_{k}" for k, name in enumerate(names)]
     translation, rotation, scale = torch.zeros(count, 3), rotations.identity(count), torch.ones(count)
     translation, rotation, scale = translation.double(), rotation.double(), scale.double()

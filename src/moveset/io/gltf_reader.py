@@ -11,10 +11,11 @@ from torch import Tensor
 
 from moveset.errors import InputError
 from moveset.io.bvh import ROUNDING, STRETCH, warn_of_stretch
+from moveset.io.bvh_parser import meant_rate
 from moveset.io.glb import Glb
 from moveset.io.gltf_clip import Clip, read_clip
 from moveset.io.gltf_nodes import Nodes, read_nodes, turn_of
-from moveset.io.limits import MAX_FRAMES, MAX_JOINTS, MAX_POSES
+from moveset.io.limits import MAX_FRAMES, MAX_JOINTS, MAX_POSES, plain_text
 from moveset.motion import rotations
 from moveset.motion.clip import Motion
 from moveset.motion.rigs import as_skeleton, name_after, roles
@@ -91,12 +92,14 @@ def _read_joints(glb: Glb, nodes: Nodes, clip: Clip) -> tuple[list[int], dict[in
     skins = [glb.entry("skins", k) for k in range(len(glb.items(glb.tree, "skins")))]
 
     def joints_of(skin: dict[str, Any]) -> list[int]:
-        return [glb.index(j, len(nodes.parents), "nodes") for j in glb.items(skin, "joints", MAX_JOINTS)]
+        return [glb.index(j, len(nodes.parents), "nodes") for j in glb.items(skin, "joints")]
 
     skin = max(skins, key=lambda s: (len(clip.turns.keys() & {*joints_of(s)}), len(joints_of(s))), default=None)
     if skin is None or not {*nodes.under(clip.turns)} & {*joints_of(skin)}:
         return _animated_tree(glb, nodes, clip), {}
     joints = joints_of(skin)
+    if len(joints) > MAX_JOINTS:  # of the skin that is read: others, of a face perhaps, may have as many as they want
+        glb.fail(f"{len(joints)} joints of its skin exceed the limit of {MAX_JOINTS}; simplify the skeleton")
     if not joints or len(set(joints)) != len(joints):
         glb.fail("its skin lists no joints or one twice; it is damaged")
     if "inverseBindMatrices" not in skin:
@@ -119,7 +122,7 @@ def vrm_bones(glb: Glb) -> dict[str, int]:
     nodes = [glb.index(bone.get("node") if isinstance(bone, dict) else None, count, "nodes") for bone in found.values()]
     if len(set(nodes)) < len(nodes):
         glb.fail("two of its bones are one node; it is damaged")
-    return dict(zip((str(name)[:64] for name in found), nodes, strict=True))
+    return dict(zip((plain_text(name, 64) for name in found), nodes, strict=True))
 
 
 def _animated_tree(glb: Glb, nodes: Nodes, clip: Clip) -> list[int]:
@@ -290,12 +293,23 @@ def _rate(clocks: list[Tensor]) -> float:
         return _SPARSE
     for gap in (float(keys.diff().median()), float(keys.diff().min())):
         # Over the whole length the rounding of float32 does not matter.
-        rate = max(round(float(keys[-1] / max(gap, 1e-4))), 1) / float(keys[-1])
+        rate = max(round(float(keys[-1] / _longer(keys, max(gap, 1e-4)))), 1) / float(keys[-1])
         beside = (keys * rate - (keys * rate).round()).abs()
         if bool((beside < 0.02 + 1e-6 * keys * rate).all()) and rate < _DENSE:
             rate = rate if rate > _FRAMES else rate * math.ceil(_SPARSE / rate - 1e-3)
-            return float(round(rate)) if abs(rate - round(rate)) < 0.01 * rate else rate
+            return meant_rate(rate, 0.01)
     return float(min(max(_SPARSE, round(1.0 / float(keys.diff().median()))), 120))
+
+
+def _longer(keys: Tensor, gap: float) -> float:
+    """A gap of the grid that keys (K,) from 0 on lie on, measured over ever longer stretches of them: what float32 adds
+    to a single gap is whole frames after a quarter of an hour."""
+    frames = 8.0
+    while frames * gap < float(keys[-1]):
+        if (end := float(keys[keys <= frames * gap][-1])) > 0.0:
+            gap = end / max(round(end / gap), 1)
+        frames *= 8.0
+    return gap
 
 
 def _stated_rate(glb: Glb) -> float | None:
@@ -314,7 +328,7 @@ def _own(glb: Glb) -> dict[str, Any]:
 
 def _name(glb: Glb, path: str | Path) -> str:
     name = _own(glb).get("skeleton")
-    return name[:64] if isinstance(name, str) else name_after(Path(path))
+    return plain_text(name, 64) if isinstance(name, str) else name_after(Path(path))
 
 
 def glb_metadata(path: str | Path) -> dict[str, Any]:

@@ -21,7 +21,15 @@ import torch
 
 from moveset.errors import FormatError, InputError
 from moveset.io import Metadata
-from moveset.io.limits import MAX_BYTES, MAX_JOINTS, MAX_NUMBER, atomic_write, read_limited
+from moveset.io.limits import (
+    MAX_BYTES,
+    MAX_JOINT_NAME,
+    MAX_JOINTS,
+    MAX_NUMBER,
+    atomic_write,
+    plain_text,
+    read_limited,
+)
 from moveset.io.packets import HEADER, MAGIC, VERSION, frame_rows, pack_packet, skeleton_json, unpack_packets
 from moveset.motion.clip import Motion
 from moveset.motion.retarget import retarget
@@ -160,12 +168,12 @@ def read_html(path: str | Path) -> Motion:
         told, data = scene["skeleton"], scene["takes"][0]["data"]
         data = [data] if isinstance(data, str) else data
         packets = b"".join(base64.b64decode(part, validate=True) for part in data)
-        joints = tuple(str(name)[:64] for name in told["joints"][:MAX_JOINTS])
+        joints = tuple(plain_text(name, MAX_JOINT_NAME) for name in told["joints"][:MAX_JOINTS])
         parents = tuple(int(parent) for parent in told["parents"][:MAX_JOINTS])
         offsets = torch.tensor(told["offsets"][:MAX_JOINTS], dtype=torch.float32)
         if not (offsets.abs() <= MAX_NUMBER).all():
             raise ValueError("bones of no length, or of an absurd one")
-        skeleton = as_skeleton(str(told["name"])[:64], joints, parents, offsets)
+        skeleton = as_skeleton(plain_text(told["name"], 64), joints, parents, offsets)
     except (LookupError, TypeError, ArithmeticError, ValueError, RuntimeError, AttributeError, InputError) as error:
         raise FormatError(f"{path} is a damaged page of motions; make it again") from error
     return unpack_packets(packets, skeleton=skeleton).motion

@@ -18,6 +18,7 @@ MAX_FRAMES = 100_000
 # Frames times joints: what may be unfolded from a file whose joints need not have a channel each.
 MAX_POSES = 4_000_000
 MAX_NUMBER = 1e7
+MAX_JOINT_NAME = 256  # characters: namespaces of references in references are long
 BINARY = getattr(os, "O_BINARY", 0)  # Windows would write line ends of its own
 NO_FOLDER, NO_SPACE = "choose a folder that exists and can be written to", "free some space or choose another disk"
 #: What numpy raises for the header of an array, which it parses as Python.
@@ -35,6 +36,14 @@ def system_errors(doing: str, remedy: str, kind: type[MovesetError] = MovesetErr
         yield
     except OSError as error:
         raise kind(f"cannot {doing}: {error.strerror or error}; {remedy}") from error
+
+
+def plain_text(text: object, most: int) -> str:
+    """The first ``most`` characters of what a file's JSON calls something.
+
+    Half a surrogate pair, which JSON may spell, is no letter that a file could be written with: it becomes "?".
+    """
+    return str(text)[:most].encode("utf-8", "replace").decode()
 
 
 def read_limited(path: str | Path, max_bytes: int = MAX_BYTES) -> bytes:

@@ -9,7 +9,7 @@ Shapes: n frames of a segment, D features; in the sampler always one item.
 import threading
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from copy import deepcopy
 from dataclasses import replace
 from pathlib import Path
@@ -136,7 +136,10 @@ class MotionStream(Iterator[Segment]):
         # One segment more than the buffer holds: the one that is about to be taken.
         while len(self._ahead) + len(self._waiting) <= self.settings.buffer:
             self._ahead.append(self._pool.submit(self._make))
-        return self._waiting.popleft() if self._waiting else self._ahead.popleft().result()
+        if self._waiting:
+            return self._waiting.popleft()
+        wait([self._ahead[0]])  # whoever is interrupted here finds the segment still at its place
+        return self._ahead.popleft().result()
 
     def prompt(self, text: str) -> int:
         """Go on with another prompt, until the next call; what was left of a timeline is dropped.
