@@ -102,7 +102,7 @@ def test_frames_that_are_said_to_have_another_rate_are_those_of_the_file(tmp_pat
         found = load(tmp_path / "a.glb", fps=fps, source_fps=60.0)
         assert (found.fps, len(found)) == (60.0, 24)
     for fps in (0.0, -5.0, math.nan):
-        with pytest.raises(InputError, match="a motion of .* frames a second is not in 0.01 to 1000"):
+        with pytest.raises(InputError, match=r"a motion of .* frames a second is not in 0.01 to 1000"):
             load(tmp_path / "a.glb", fps=fps)
 
 
