@@ -2,13 +2,17 @@
 
 import os
 import signal
+import time
 from dataclasses import dataclass
+from multiprocessing import get_context
+from pathlib import Path
 
 import pytest
 import torch
 
 from moveset.data.loader import Ahead
-from moveset.errors import FormatError
+from moveset.errors import FormatError, InputError
+from moveset.io.process import locked
 
 
 @dataclass
@@ -68,3 +72,49 @@ def terminated(step: int) -> Batch:
 def test_who_stops_a_group_of_processes_leaves_the_batch_in_work():
     """A scheduler does: the training then saves, and ends those that work for it."""
     assert Ahead(2, last=20).get(3, terminated).step == 3
+
+
+def sentences(step: int) -> list[str]:
+    return [f"sentence {k} of step {step}, which is as long as those of people" for k in range(2000)]
+
+
+def ahead_of_a_long_step(folder: str) -> None:
+    with locked(Path(folder)):
+        ahead = Ahead(2, last=100)
+        ahead.get(1, sentences)
+        time.sleep(1)  # until more is made than anybody takes
+        Path(folder, "waiting").touch()
+        time.sleep(600)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="kills by POSIX signals")
+def test_whoever_is_killed_leaves_no_workers_that_hold_its_lock(tmp_path):
+    training = get_context("spawn").Process(target=ahead_of_a_long_step, args=(str(tmp_path),))
+    training.start()
+    while not (tmp_path / "waiting").exists():
+        assert training.is_alive()
+        time.sleep(0.01)
+    training.kill()
+    training.join()
+    deadline = time.monotonic() + 60
+    while True:
+        try:
+            with locked(tmp_path, "workers are left"):
+                break
+        except InputError:
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
+
+
+def failing() -> None:
+    Ahead(2, last=20).get(13, make)
+
+
+def test_a_program_that_fails_ends():
+    """Not when somebody ends the workers that it still holds."""
+    training = get_context("spawn").Process(target=failing)
+    training.start()
+    training.join(60)
+    workers_left = training.is_alive()
+    training.kill()
+    assert not workers_left

@@ -295,3 +295,20 @@ def test_dip_says_clean_frames_on_its_own_schedule(tiny_run, tmp_path):
     assert torch.equal(prefix, batch.prefix)
     noise = (noisy - task.schedule.alpha(t)[:, None, None] * batch.clean) / task.schedule.sigma(t)[:, None, None]
     assert abs(float(noise.std()) - 1) < 0.05
+
+
+def test_noise_is_what_is_asked_for_whatever_a_training_goes_on_from(tiny_run, tmp_path):
+    def flat(network):
+        return bool((network.spectrum == 1).all())
+
+    white = tiny_run.runs / "rdm-7"
+    coloured, _ = tiny_run.train("rdm-7", tmp_path / "coloured", "noise=coloured", steps=1, init=white)
+    again, _ = tiny_run.train("rdm-7", tmp_path / "white", steps=1, init=tmp_path / "coloured")
+    assert [flat(task.denoiser) for task in (coloured, again)] == [False, True]
+    assert [flat(task.ema.module) for task in (coloured, again)] == [False, True]
+    student, _ = tiny_run.train(
+        "rdm-student", tmp_path / "student", steps=1, init=tiny_run.runs / "rdm-student",
+        sources={"teacher": tmp_path / "coloured"},
+    )  # fmt: skip
+    assert not flat(student.student)
+    assert torch.equal(student.student.spectrum, student.teacher.spectrum)

@@ -11,7 +11,7 @@ _NOTHING = re.compile(
     r"|sequence|^$",
     re.IGNORECASE,
 )
-_PERSON = re.compile(r"^(?:a|the) (?:person|man|woman|figure)\b|^someone\b", re.IGNORECASE)
+_PERSON = re.compile(r"^(?:(?:a|the) (?:person|man|woman|figure)|someone)(?=\s)", re.IGNORECASE)
 _SHORT = 3  # letters of a part that may be a word
 
 
@@ -51,6 +51,8 @@ def said_otherwise(sentence: str) -> tuple[str, ...]:
 
     >>> said_otherwise("a person jumps over a box")
     ('a person jumps over a box', 'someone jumps over a box', 'the person jumps over a box', 'jumps over a box')
+    >>> said_otherwise("a person's left hand waves")
+    ("a person's left hand waves",)
     """
     if not (found := _PERSON.match(sentence)):
         return (sentence,)

@@ -1,7 +1,11 @@
 """Batches of consecutive steps, made ahead in other processes so that a fast device need not wait for them."""
 
+import atexit
+import os
 import signal
+import threading
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack
 from typing import Any
 
 import torch
@@ -30,24 +34,42 @@ def _made_ahead(make: Callable[[int], Any], numbers: Sequence[int], workers: int
         except MovesetError as error:  # which the loader would raise again as the traceback that led to it
             return error
 
-    for made in DataLoader(
-        numbers,
-        batch_size=None,
-        collate_fn=made_or_error,
-        num_workers=workers,
-        multiprocessing_context="fork",
-        worker_init_fn=_ignore_sigterm,
-        # Otherwise the loader would draw from torch's own generator, and dropout would be another.
-        generator=torch.Generator().manual_seed(0),
-    ):
-        if isinstance(made, MovesetError):
-            raise made
-        yield made
+    # Workers end when the other end of a pipe is closed, however that happens: of a program that was killed they would
+    # wait for ever to hand over what they made, and hold its lock, which forks share.
+    watched, held = os.pipe()
+
+    def begin(worker: int) -> None:
+        # Whoever stops a training by its process group would kill workers whose next batch it waits for.
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)
+        os.close(held)
+        threading.Thread(target=_end_with, args=(watched,), daemon=True).start()
+
+    let_go = ExitStack()
+    for end in (watched, held):
+        let_go.callback(os.close, end)
+    atexit.register(let_go.close)  # a program that ends by an error may still hold them, and would wait for them
+    try:
+        for made in DataLoader(
+            numbers,
+            batch_size=None,
+            collate_fn=made_or_error,
+            num_workers=workers,
+            multiprocessing_context="fork",
+            worker_init_fn=begin,
+            # Otherwise the loader would draw from torch's own generator, and dropout would be another.
+            generator=torch.Generator().manual_seed(0),
+        ):
+            if isinstance(made, MovesetError):
+                raise made
+            yield made
+    finally:
+        atexit.unregister(let_go.close)
+        let_go.close()
 
 
-def _ignore_sigterm(worker: int) -> None:
-    """Whoever stops a training by its process group would kill workers whose next batch it waits for; it ends them."""
-    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+def _end_with(pipe: int) -> None:
+    os.read(pipe, 1)
+    os._exit(0)
 
 
 class Ahead:

@@ -145,12 +145,12 @@ class RDMTask(Task):
         self.data = SegmentData(sources, config, loop)
         self.config = config = _sized(config, self.data)
         self.denoiser = config.model.build().to(loop.device)
-        if config.noise == "coloured":
-            self.denoiser.spectrum.copy_(spectrum(self.data.train))
+        self._spectrum = spectrum(self.data.train) if config.noise == "coloured" else None
         if config.forecast:
             with torch.no_grad():
                 self.denoiser.forecast.copy_(forecast(self.data.train))
         self.ema = Ema(self.denoiser, config.ema)
+        self.take_given()
         self.flow: CouplingFlow | None = None if config.flow is None else config.flow.build().to(loop.device)
         self.flow_ema = None if self.flow is None else Ema(self.flow, config.ema)
         self.transport = Transport(self.flow, config.depth_cap)
@@ -169,6 +169,12 @@ class RDMTask(Task):
 
     def optimizers(self) -> dict[str, torch.optim.Optimizer]:
         return self._optimizers
+
+    def take_given(self) -> None:
+        """The spectrum of these segments, or a flat one: noise is what ``noise`` says, whatever it goes on from."""
+        for network in (self.denoiser, self.ema.module):
+            if isinstance(network, SegmentTransformer):
+                cast(Tensor, network.spectrum).copy_(1.0 if self._spectrum is None else self._spectrum)
 
     def learning_rates(self, step: int, steps: int) -> dict[str, float]:
         config = self.config

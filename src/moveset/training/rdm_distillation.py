@@ -139,6 +139,11 @@ class RDMStudentTask(AdversarialTask):
         self.scale = feature_weights(self.data.codec, config.root).sqrt().to(loop.device)
         self._reference: Tensor | None = None
 
+    def take_given(self) -> None:
+        """The spectrum of the teacher's noise."""
+        for network in (self.student, self.ema.module):
+            network.spectrum.copy_(self.teacher.spectrum)
+
     def state(self) -> dict[str, Any]:
         return self.own.state()
 
