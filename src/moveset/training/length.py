@@ -42,7 +42,7 @@ class LengthTask(SingleNetworkTask):
         self.train, self.val = _pairs(dataset, "train"), _pairs(dataset, "val")
         captions = [text for texts, _ in self.train + self.val for text in texts]
         with loop.fabric.rank_zero_first():
-            self.text = embedded(sources.cache, config.text_encoder, captions).to(loop.device)
+            self.text = embedded(sources.cache, config.text_encoder, captions, loop.device)
         self.config = config = replace(config, model=replace(config.model, text_dim=self.text.widths[1]))
         self.length = config.model.build().to(loop.device)
         self.optimizer = torch.optim.AdamW(self.length.parameters(), config.lr, weight_decay=0.01)

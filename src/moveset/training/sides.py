@@ -48,7 +48,7 @@ class SidesTask(SingleNetworkTask):
             store = FeatureStore.cached(dataset, codec, sources.cache, loop.rank == 0, loop.config.workers)
             self.train, self.val = _pairs(dataset, "train", store), _pairs(dataset, "val", store)
             captions = [text for texts, _ in self.train + self.val for text in texts]
-            self.text = embedded(sources.cache, config.text_encoder, captions).to(loop.device)
+            self.text = embedded(sources.cache, config.text_encoder, captions, loop.device)
         self.config = config = replace(config, model=replace(config.model, text_dim=self.text.widths[0]))
         self.sides = config.model.build().to(loop.device)
         self.noise = loop.generator("noise", device=loop.device)
