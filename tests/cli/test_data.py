@@ -68,6 +68,7 @@ def test_folders_that_cannot_be_made_are_said(corpus, tmp_path, capsys, argument
         (["info", "{corpus}", "--captions", "-1"], "-1 sentences of each source cannot be shown; give 0 or more"),
         (["info", "README.md"], "corpus"),
         (["info", "{folder}"], "new_joint_vecs"),
+        (["export", "{folder}", "{folder}/made"], "is a folder; give the file that 'moveset data build' wrote"),
         (["build", "--raw", "{folder}"], "raw data"),
         (["build", "--workers", "0"], "0 workers"),
         (["build", "--compositions", "-1"], "-1 compositions"),

@@ -175,6 +175,16 @@ def test_corrupt_weights(model, tmp_path, monkeypatch, capsys):
     assert main(["generate", PROMPT, "--seconds", "1", "--model", str(folder), "--steps", "2", "-o", "w.bvh"]) == 0
 
 
+def test_a_sentence_without_quotes_is_told(generate, tmp_path):
+    code, _, err = generate("a", "person", "walks", "--seconds", "1")
+    assert code == 0
+    assert (
+        'moveset: 3 prompts of a word each follow one another; one sentence is put in quotes: "a person walks"' in err
+    )
+    assert "in quotes" not in generate("a person walks", "bow", "--seconds", "1")[2]
+    assert "in quotes" not in generate("walk", "--seconds", "1")[2]
+
+
 def test_flags_with_several_values_do_not_swallow_a_prompt():
     assert prepare(["--seconds", "3", "a person walks"]) == ["--seconds", "3", "a person walks"]
     assert prepare(["-o", "a.bvh", "b.glb", "walk to the glb"]) == ["-o", "a.bvh", "-o", "b.glb", "walk to the glb"]

@@ -217,6 +217,28 @@ def test_a_closed_standard_input_has_no_prompts(stream, monkeypatch):
     assert stream("a person walks", "--prompts", "-", "--total", "1.4")[0] == 0
 
 
+def test_a_source_without_prompts_is_told(stream, tmp_path, monkeypatch):
+    (tmp_path / "lines.txt").write_text("\n  \n")
+    code, _, err = stream("--prompts", "lines.txt", "-o", "w.npz")
+    assert code == 0
+    assert "moveset: there is no prompt in 'lines.txt'; write one a line\n" in err
+
+    def breaks_off(*arguments):
+        raise OSError(5, "Input/output error")
+
+    monkeypatch.setattr("moveset.cli.prompt_lines.os.read", breaks_off)
+    code, _, err = stream("a person bows", "--prompts", "lines.txt", "-o", "w.npz")
+    assert code == 0
+    assert "no more prompts can be read from 'lines.txt': Input/output error; give a file, a pipe or -\n" in err
+
+
+def test_motion_that_nobody_keeps_is_told(stream):
+    said = "moveset: this motion is not kept; give -o FILE to write it, or --json to be told of it\n"
+    assert said in stream("walk", "--total", "1.4")[2]
+    assert "not kept" not in stream("walk", "--total", "1.4", "--json")[2]
+    assert "not kept" not in stream("walk", "--total", "1.4", "-o", "w.npz")[2]
+
+
 @pytest.mark.parametrize(("source", "number", "code"), [("-", signal.SIGINT, 130), ("a.txt", signal.SIGTERM, 1)])
 def test_prompts_arrive_while_it_runs_and_a_signal_keeps_what_was_made(process, tmp_path, source, number, code):
     (tmp_path / "a.txt").write_text("a person waves\n")

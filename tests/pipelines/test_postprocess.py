@@ -32,6 +32,15 @@ def test_a_loop_at_another_rate_passes_through_the_same_poses():
     torch.testing.assert_close(fast.joints[::2], slow.joints, atol=1e-4, rtol=0)
 
 
+@pytest.mark.parametrize("fps", [None, 30.0])
+def test_a_loop_in_place_ends_where_and_as_it_began(fps):
+    turning = wander(60, seed=2, bend=0.5, turn=1.0)
+    ends = [float(rotations.heading_angle(turning.rotations[k, 0])) for k in (0, -1)]
+    assert abs(ends[1] - ends[0]) > 0.2
+    loop = Postprocess(fps=fps, loop=True, in_place=True)(turning)
+    torch.testing.assert_close(loop.joints[-1], loop.joints[0], atol=2e-3, rtol=0)
+
+
 def test_a_loop_too_short_for_its_rate_keeps_its_ends():
     loop = Postprocess(fps=1.0, loop=True)(wander(4, seed=1))
     assert (len(loop), loop.fps) == (2, 1.0)

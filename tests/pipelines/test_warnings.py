@@ -61,4 +61,10 @@ def test_several_people_and_what_is_not_done_are_told():
 def test_a_prompt_that_is_cut_is_told():
     encoder = SimpleNamespace(max_tokens=4, token_count=lambda text: len(text.split()))
     [said] = too_long(encoder, ("he walks away", "he wanders and then flees"))  # type: ignore[arg-type]
-    assert said == "the prompt has 5 tokens, of which the text encoder reads 4; its end has no effect"
+    assert said == "the prompt 'he wanders and then flees' has 5 tokens, of which the text encoder reads 4; " + (
+        "its end has no effect"
+    )
+    # Each of several is told, by how it begins.
+    one, two = too_long(encoder, ("he walks " * 20, "she bows " * 20))  # type: ignore[arg-type]
+    assert one.startswith("the prompt 'he walks he walks he walks he walks he …' has 40 tokens")
+    assert two.startswith("the prompt 'she bows ")

@@ -142,6 +142,10 @@ def export(
     from moveset.data.humanml3d import HUMANML3D, KIT, HumanML3D
     from moveset.data.humanml3d_writer import write_humanml3d
 
+    if corpus.is_dir():
+        raise InputError(
+            f"{corpus} is a folder; give the file that 'moveset data build' wrote, such as corpus.safetensors"
+        )
     layout = KIT if format == "kit-ml" else HUMANML3D
     write_humanml3d(Corpus.open(corpus), output, layout, progress=not json)
     made = HumanML3D.open(output)

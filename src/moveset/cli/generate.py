@@ -86,6 +86,7 @@ def generate(
     requests = check_request(t2m.bundle.config, prompt, seconds or None, seed, num)
     names = [""] if num == 1 else [str(k) for k in range(num)]
     planned = plan_outputs(outputs, names)
+    tell_unquoted(prompt)
 
     timings: Counter[str] = Counter()
     files: list[Path] = []
@@ -155,6 +156,18 @@ def skating(made: "Generation", written: "Motion") -> dict[str, float]:
 
     before, after = (float(measure(m.joints, m.fps, skeleton=m.skeleton)) for m in (made.raw[0], written))
     return {"before": round(before, 4), "after": round(after, 4)}
+
+
+def tell_unquoted(prompts: Sequence[str]) -> None:
+    """Say what several prompts without a blank are: a shell that was given no quotes makes them of one sentence."""
+    if len(prompts) > 1 and not any(re.search(r"\s", text.strip()) for text in prompts):
+        whole = " ".join(prompts)
+        meant = f"{whole[:57]}…" if len(whole) > 60 else whole
+        print(
+            f"moveset: {len(prompts)} prompts of a word each follow one another; one sentence is put in quotes: "
+            f'"{meant}"',
+            file=sys.stderr,
+        )
 
 
 def warn(warnings: Iterable[str]) -> None:

@@ -13,7 +13,8 @@ _LONGEST = 64 * 1024
 
 
 class PromptLines:
-    """Lines as they come, read in a thread; empty ones are skipped.
+    """Lines as they come, read in a thread; empty ones are skipped. That a source broke off, or had none, is told on
+    stderr.
 
     Args:
         source: "-" for standard input, or a path.
@@ -29,6 +30,7 @@ class PromptLines:
         # A named pipe ends when its last writer does: with this process among them the next one is heard, too.
         self._mode = os.O_RDWR if source.is_fifo() else os.O_RDONLY
         self._over = threading.Event()
+        self._count = 0
         # A daemon: nobody can call off a read of standard input.
         threading.Thread(target=self._read, daemon=True).start()
 
@@ -55,15 +57,27 @@ class PromptLines:
                 for line in lines:
                     self._put(line)
             self._put(rest)
-        except (OSError, ValueError):
-            pass  # a source that breaks off has no more prompts
+            if not self._count:
+                _say(f"there is no prompt in {self._named}; write one a line")
+        except (OSError, ValueError) as error:  # a source that breaks off has no more prompts
+            reason = getattr(error, "strerror", None) or error
+            _say(f"no more prompts can be read from {self._named}: {reason}; give a file, a pipe or -")
         finally:
             self._over.set()
+
+    @property
+    def _named(self) -> str:
+        return "standard input" if str(self._source) == "-" else repr(str(self._source))
 
     def _put(self, line: bytes) -> None:
         # Editors of Windows begin a file with a mark of its byte order.
         if text := line.decode(errors="replace").removeprefix("\ufeff").strip():
             self._lines.put(text)
+            self._count += 1
+
+
+def _say(text: str) -> None:
+    print(f"moveset: {text}", file=sys.stderr)
 
 
 def _standard_input() -> int:

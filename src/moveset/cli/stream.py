@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from moveset.cli.generate import prepare as prepare
-from moveset.cli.generate import warn
+from moveset.cli.generate import tell_unquoted, warn
 from moveset.errors import InputError, MovesetError
 
 if TYPE_CHECKING:
@@ -129,6 +129,10 @@ def stream(
         signals = stack.enter_context(noted_signals())
         notes = _notes(made, request) | (_said(made, request) if lines is None else {})
         files = stack.enter_context(GrowingFiles(output, made.codec.skeleton, bundle.config.fps, notes))
+        tell_unquoted(prompt)
+        if not (output or json):
+            print("moveset: this motion is not kept; give -o FILE to write it, or --json to be told of it",
+                  file=sys.stderr)  # fmt: skip
         _tell_durations(request, bundle.config.segment / bundle.config.fps)
         _tell_unseen(request, frames, bundle.config.segment)
         latencies = _run(

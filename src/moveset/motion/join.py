@@ -107,6 +107,16 @@ def make_loop(motion: Motion, blend_seconds: float = 0.5) -> Motion:
     return Motion(loop.rotations.float(), loop.root.float(), motion.fps, motion.skeleton)
 
 
+def without_net_turn(motion: Motion) -> Motion:
+    """The motion ending as it began in its heading: the turn between first and last frame is taken back evenly."""
+    heading_F = rotations.heading_angle(motion.rotations[:, 0].double())
+    turn = rotations.heading_angle(rotations.yaw(heading_F[-1] - heading_F[0]))
+    back_F = -turn * torch.linspace(0.0, 1.0, len(motion), dtype=torch.float64)
+    turned = motion.rotations.clone()
+    turned[:, 0] = rotations.yawed(turned[:, 0].double(), back_F).to(turned)
+    return replace(motion, rotations=turned)
+
+
 def _knees_known(skeleton: Skeleton) -> bool:
     """Whether its feet can be locked; a name alone promises no joints."""
     hinges = HINGES.get(skeleton.name, {})

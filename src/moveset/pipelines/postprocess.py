@@ -51,9 +51,11 @@ class Postprocess:
 
     def __call__(self, motion: "Motion") -> "Motion":
         if self.loop:
-            from moveset.motion.join import make_loop
+            from moveset.motion.join import make_loop, without_net_turn
 
             motion = make_loop(motion)
+            if self.in_place:  # who goes on from cycle to cycle goes on turning; who stays must end as it began
+                motion = without_net_turn(motion)
         if self.in_place:
             motion = motion.in_place()
         if self.fps is not None:

@@ -43,9 +43,15 @@ def unfamiliar(bundle: ModelFolder[Any], prompts: tuple[str, ...], pooled: Tenso
 
 def too_long(encoder: TextEncoder, prompts: tuple[str, ...]) -> list[str]:
     """One warning for every prompt whose end the text encoder does not see."""
-    counts = [encoder.token_count(prompt) for prompt in prompts]
+    counts = [(prompt, encoder.token_count(prompt)) for prompt in prompts]
     return [
-        f"the prompt has {count} tokens, of which the text encoder reads {encoder.max_tokens}; its end has no effect"
-        for count in counts
+        f"the prompt {_beginning(prompt)!r} has {count} tokens, of which the text encoder reads {encoder.max_tokens}; "
+        "its end has no effect"
+        for prompt, count in counts
         if count > encoder.max_tokens
     ]
+
+
+def _beginning(prompt: str, most: int = 40) -> str:
+    """A prompt by as much as tells it from others."""
+    return f"{prompt[: most - 1]}…" if len(prompt) > most else prompt
