@@ -114,7 +114,7 @@ def test_words_that_are_not_here_are_missed_before_anything_is_trained(tiny_run,
 def test_a_stage_needs_what_it_stands_on(tiny_run, tmp_path):
     for only, words in (
         (["pcm-1"], "pcm-1 needs vae, which is not done"),
-        (["pcm-3"], "there is no stage or model 'pcm-3'"),
+        (["pcm-3"], "there is no stage or model 'pcm-3'; .* rdm-1, .*, motionpcm-tiny"),
     ):
         with pytest.raises(InputError, match=words):
             train_all("tiny", tiny_run.corpus, tmp_path, only=only)

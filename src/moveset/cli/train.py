@@ -79,8 +79,8 @@ def train(
         corpus: What `moveset data build` wrote, or a HumanML3D or KIT-ML folder.
         raw: Of all: the archives that the corpus is built from first, if it is not there, as by `moveset data build`.
         out: Of all: where runs, models and the log go; by default runs/RECIPE.
-        only: Of all: a model, with all that it needs; a stage; or the beginning of the names of several, such as rdm;
-            may be given several times.
+        only: Of all: a model by its whole name, such as rdm-small, with all that it needs; a stage; or the beginning
+            of the names of several stages, such as rdm; may be given several times.
         share: Of all: this share of the steps of every training, to see soon how far it gets.
         jobs: Of all: trainings side by side.
         tables: Of all: evaluate the models, too, and write the papers' tables to OUT/results.

@@ -109,7 +109,8 @@ def choose(every: Sequence[Stage], only: Sequence[str]) -> list[Stage]:
         else:
             asked = {name} & set(by_name) or {stage for stage in by_name if stage.startswith(name)}
         if not asked:
-            raise InputError(f"there is no stage or model {name!r}; there are {', '.join(by_name)}")
+            known = ", ".join(one.removeprefix("export ") for one in by_name)
+            raise InputError(f"there is no stage or model {name!r}; there are {known}")
         found |= asked
     return [stage for stage in every if not only or stage.name in found]
 
