@@ -253,6 +253,8 @@ def test_of_a_take_that_is_too_long_for_a_file_the_newest_part_is_taken_home(stu
         return [take.frames, take.root(take.frames - 1)];
     })()""")
     studio.click("#open-downloads")
+    for chosen in ("#skeleton", "#fps"):  # as made, whatever was chosen before
+        studio.page.select_option(chosen, "")
     with studio.page.expect_download() as download:
         studio.click("[data-format=npz]")
     download.value.save_as(tmp_path / "long.npz")
