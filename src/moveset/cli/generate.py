@@ -161,11 +161,11 @@ def skating(made: "Generation", written: "Motion") -> dict[str, float]:
 def tell_unquoted(prompts: Sequence[str]) -> None:
     """Say what several prompts without a blank are: a shell that was given no quotes makes them of one sentence."""
     if len(prompts) > 1 and not any(re.search(r"\s", text.strip()) for text in prompts):
-        whole = " ".join(prompts)
-        meant = f"{whole[:57]}…" if len(whole) > 60 else whole
+        from moveset.pipelines.warnings import beginning
+
         print(
             f"moveset: {len(prompts)} prompts of a word each follow one another; one sentence is put in quotes: "
-            f'"{meant}"',
+            f'"{beginning(" ".join(prompts), 60)}"',
             file=sys.stderr,
         )
 

@@ -45,13 +45,13 @@ def too_long(encoder: TextEncoder, prompts: tuple[str, ...]) -> list[str]:
     """One warning for every prompt whose end the text encoder does not see."""
     counts = [(prompt, encoder.token_count(prompt)) for prompt in prompts]
     return [
-        f"the prompt {_beginning(prompt)!r} has {count} tokens, of which the text encoder reads {encoder.max_tokens}; "
+        f"the prompt {beginning(prompt)!r} has {count} tokens, of which the text encoder reads {encoder.max_tokens}; "
         "its end has no effect"
         for prompt, count in counts
         if count > encoder.max_tokens
     ]
 
 
-def _beginning(prompt: str, most: int = 40) -> str:
-    """A prompt by as much as tells it from others."""
+def beginning(prompt: str, most: int = 40) -> str:
+    """A prompt, cut after ``most`` characters: as much as tells it from others."""
     return f"{prompt[: most - 1]}…" if len(prompt) > most else prompt
