@@ -33,6 +33,8 @@ def test_mirroring_twice_changes_nothing_but_the_spelling_of_counterclockwise(te
         ("walks clockwise", "walks counterclockwise"),
         ("walks counter-clockwise", "walks clockwise"),
         ("anti clockwise turn", "clockwise turn"),
+        ("turns counter clock wise", "turns clockwise"),
+        ("in a clock-wise motion", "in a counterclockwise motion"),
         ("both hands", "both hands"),
     ],
 )

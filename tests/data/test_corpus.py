@@ -2,6 +2,7 @@
 
 import json
 import tracemalloc
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -9,7 +10,8 @@ import torch
 
 from moveset.data.captions import mirror_text
 from moveset.data.corpus import Corpus, CorpusWriter
-from moveset.data.records import ClipRecord
+from moveset.data.records import ClipRecord, Part, Recipe
+from moveset.data.weights import corpus_weights
 from moveset.errors import FormatError, InputError, MovesetError
 from tests.synthetic import TakeEntry, add_take, synthetic_corpus, synthetic_motion
 
@@ -43,6 +45,21 @@ def test_what_is_written_is_read(tmp_path):
         read = corpus.motion(k)
         assert (read.root - motion.root).abs().max() < 1e-3
         assert (read.joints - motion.joints).norm(dim=-1).max() < 1e-3
+
+
+def test_clips_of_who_is_down_are_drawn_more_often(tmp_path):
+    motion, writer = synthetic_motion("walk", 60, seed=1), CorpusWriter()
+    down = motion.root - torch.tensor([0.0, 0.6, 0.0]) * (torch.arange(60) > 30)[:, None]
+    add_take(writer, entry("up", motion))
+    add_take(writer, entry("falls", replace(motion, root=down)))
+    recipe = Recipe((Part(1, 0, 20), Part(0, 0, 40)), blend=4)
+    record = replace(writer.records[1], name="then", kind="in_time", run=None, frames=56, recipe=recipe)
+    writer.add_clip(record, ("a person walks",))
+    corpus = Corpus.open(writer.write(tmp_path / "c.safetensors"))
+    for clip, least in ((0, motion.root[:, 1].min()), (1, down[:, 1].min()), (2, motion.root[:40, 1].min())):
+        assert corpus.lowest(clip) == pytest.approx(float(least), abs=1e-5)
+    up, falls = corpus_weights(corpus, (0, 1), power=0.25, composed_share=0.3).tolist()
+    assert falls == pytest.approx(3 * up)
 
 
 def test_clips_of_a_run_may_overlap_and_start_above_the_origin(tmp_path):

@@ -11,9 +11,10 @@ from moveset.cli.__main__ import main
 from moveset.data import feature_store
 from moveset.data.corpus import Corpus
 from moveset.data.crops import CropSampler
-from moveset.data.dataset import CorpusDataset, FolderDataset, corpus_weights, open_for_training
+from moveset.data.dataset import CorpusDataset, FolderDataset, open_for_training
 from moveset.data.feature_store import FeatureStore
 from moveset.data.latents import LatentSet
+from moveset.data.weights import corpus_weights
 from moveset.errors import InputError
 from moveset.io.process import locked
 from moveset.motion.features import get_codec

@@ -66,11 +66,31 @@ def test_a_foot_that_is_down_costs_what_it_slides():
     assert float(found["feet"]) == pytest.approx(0.01 * 39 / 59, rel=0.01)
 
 
-@pytest.mark.parametrize("name", ["features", "positions", "velocity", "acceleration", "path", "heading", "feet"])
+def test_a_body_in_the_floor_costs_what_was_not_there_before():
+    real = replace(walk(), root=walk().root - torch.tensor([0.0, 0.6, 0.0]))  # up to the knees in it
+    deeper = replace(real, root=real.root - torch.tensor([0.0, 0.1, 0.0]))
+    encoded, made = CODEC.encode(real), CODEC.encode(deeper)
+    lengths, under = torch.tensor([FRAMES]), (real.joints[..., 1] < 0).float().mean()
+    cost = [
+        float(
+            reconstruction_loss(x[None], encoded[None], lengths, CODEC, NORMALIZER, ReconstructionWeights())[1]["floor"]
+        )
+        for x in (encoded, made, CODEC.encode(walk()))
+    ]
+    assert cost[0] == pytest.approx(0.0, abs=1e-6)
+    assert 0.1 * float(under) <= cost[1] <= 0.1
+    assert cost[2] == pytest.approx(0.0, abs=1e-6)
+
+
+NAMES = ["features", "positions", "velocity", "acceleration", "path", "heading", "feet", "floor"]
+
+
+@pytest.mark.parametrize("name", NAMES)
 def test_every_weight_counts(name):
     made, real = CODEC.encode(walk(swing=0.5))[None], CODEC.encode(walk())[None]
     made[..., CODEC.groups["root_yaw"]] += 0.01
-    none = dict.fromkeys(("features", "positions", "velocity", "acceleration", "path", "heading", "feet"), 0.0)
+    made[..., CODEC.groups["root_height"]] -= 0.5
+    none = dict.fromkeys(NAMES, 0.0)
     total, found = reconstruction_loss(
         made, real, torch.tensor([FRAMES]), CODEC, NORMALIZER, ReconstructionWeights(**(none | {name: 3.0}))
     )

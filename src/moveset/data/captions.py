@@ -4,7 +4,7 @@ import re
 
 _SIDE = {"left": "right", "right": "left"}
 _SIDE_WORD = re.compile(r"(?<![a-z])(left|right)(?=(?:wards?|most|hand(?:ed|er)?|y)?(?![a-z]))", re.IGNORECASE)
-_CLOCK_WORD = re.compile(r"(?<![a-z])(?:(?:counter|anti)[- ]?)?clockwise(?![a-z])", re.IGNORECASE)
+_CLOCK_WORD = re.compile(r"(?<![a-z])(?:(?:counter|anti)[- ]?)?clock[- ]?wise(?![a-z])", re.IGNORECASE)
 
 
 def _with_case_of(word: str, model: str) -> str:
@@ -23,5 +23,5 @@ def mirror_text(text: str) -> str:
     """
     text = _SIDE_WORD.sub(lambda m: _with_case_of(_SIDE[m[0].lower()], m[0]), text)
     return _CLOCK_WORD.sub(
-        lambda m: _with_case_of("counterclockwise" if m[0].lower() == "clockwise" else "clockwise", m[0]), text
+        lambda m: _with_case_of("counterclockwise" if m[0].lower().startswith("clock") else "clockwise", m[0]), text
     )

@@ -106,14 +106,20 @@ class Corpus:
         """
         record = self._record(i)
         if record.recipe is None:
-            assert record.run is not None
-            start = self._starts[record.run] + record.first_frame - self.runs[record.run].first_frame
-            span = slice(start, start + record.frames)
+            span = self._span(record)
             turned, root = unpack(self._packed[span]), self._root[span].clone()
             motion = Motion(turned, root, record.fps, self.skeleton).canonical()
         else:
             motion = compose(record.kind, record.recipe, [self._part(p) for p in record.recipe.parts])
         return motion.mirrored() if mirrored else motion
+
+    def lowest(self, i: int) -> float:
+        """The lowest that the root of clip ``i`` is over the floor, metres; of a composition, of what it is made of."""
+        record = self._record(i)
+        if record.recipe is None:
+            return float(self._root[self._span(record), 1].amin())
+        spans = ((self._span(self.records[p.clip]).start, p) for p in record.recipe.parts)
+        return min(float(self._root[start + p.start : start + p.stop, 1].amin()) for start, p in spans)
 
     def captions(self, i: int, mirrored: bool = False) -> tuple[str, ...]:
         """Sentences for clip ``i``."""
@@ -153,6 +159,12 @@ class Corpus:
     @cached_property
     def _starts(self) -> tuple[int, ...]:
         return tuple(accumulate((run.frames for run in self.runs), initial=0))
+
+    def _span(self, record: ClipRecord) -> slice:
+        """Where the frames of a take's clip are."""
+        assert record.run is not None
+        start = self._starts[record.run] + record.first_frame - self.runs[record.run].first_frame
+        return slice(start, start + record.frames)
 
     def _record(self, i: int) -> ClipRecord:
         if not 0 <= i < len(self.records):

@@ -5,7 +5,6 @@ A dataset numbers its clips as networks see them: a mirror image is a clip of it
 
 import hashlib
 import os
-from collections import Counter
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -19,6 +18,7 @@ from moveset.data.corpus import Corpus
 from moveset.data.humanml3d import Caption, HumanML3D, Item
 from moveset.data.records import in_a_row
 from moveset.data.splits import Split
+from moveset.data.weights import corpus_weights
 from moveset.errors import InputError
 from moveset.io.manifest import sha256
 from moveset.io.numpy_file import array_shape
@@ -26,7 +26,6 @@ from moveset.motion.clip import Motion
 from moveset.motion.features import FeatureCodec, Normalizer, get_codec
 
 _END = 4096  # bytes of a file that are looked at
-_SIDED = 2.0  # times as often
 
 
 @dataclass(frozen=True)
@@ -375,25 +374,3 @@ def _folder_clip(data: HumanML3D, item: Item, number: int) -> Clip:
         tagged=item.captions,
         stored=layout.codec,
     )
-
-
-def corpus_weights(corpus: Corpus, records: Sequence[int], power: float, composed_share: float) -> Tensor:
-    """Sampling weights of records: what they show first by count^(1 - power), compositions ``composed_share`` in all,
-    where there are takes, too.
-
-    Takes that are long and alike have less weight of their own, and those whose sentences name a side have more: people
-    who describe motion seldom do, and which hand it was is learned of nothing else.
-    """
-    chosen = [corpus.records[k] for k in records]
-    counts = Counter(record.contents[:1] for record in chosen)
-    sided = [corpus.captions(k) != corpus.captions(k, mirrored=True) for k in records]
-    each = [
-        r.weight * counts[r.contents[:1]] ** -power * (_SIDED if named else 1.0)
-        for r, named in zip(chosen, sided, strict=True)
-    ]
-    weights = torch.tensor(each, dtype=torch.float64)
-    composed = torch.tensor([record.kind in ("in_time", "body", "bent", "going_on", "rising") for record in chosen])
-    if composed.any() and not composed.all():
-        for part, share in ((composed, composed_share), (~composed, 1.0 - composed_share)):
-            weights[part] *= share / weights[part].sum()
-    return weights

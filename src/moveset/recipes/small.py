@@ -28,17 +28,20 @@ from moveset.training.sides import SidesConfig
 from moveset.training.tasks import Recipe, variants
 from moveset.training.teacher import TeacherConfig
 from moveset.training.vae import VAETrainingConfig
+from moveset.training.vae_loss import ReconstructionWeights
 
 
 def vae() -> Recipe:
     """4.1 M parameters; 16 latent tokens of 64 numbers: what people do is more than walking."""
     # Gradients are of norm 8 to 12: a lower limit would be a constant step.
-    return Recipe(task=VAETrainingConfig(model=_VAE), engine=_engine(9000, grad_clip=20.0))
+    return Recipe(task=VAETrainingConfig(model=_VAE, weights=_ON_FLOOR), engine=_engine(9000, grad_clip=20.0))
 
 
 def decoder() -> Recipe:
     """The decoder again, on slightly wrong latents: it runs while the teacher learns the finished latents."""
-    task = VAETrainingConfig(model=_VAE, batch=32, lr=5e-4, latent_noise=0.3, balance=0.5)
+    task = VAETrainingConfig(
+        model=_VAE, weights=_ON_FLOOR, batch=32, lr=5e-4, latent_noise=0.3, balance=0.5
+    )  # fmt: skip
     return Recipe(task=task, engine=_engine(1500, grad_clip=20.0))
 
 
@@ -216,6 +219,7 @@ STREAMS = 25_200  # of RDM-7
 # No words go missing: "left" and "right" are words too, and sentences of people are many.
 AUGMENTATION = TextAugmentation(embedding_noise=0.05)
 _VAE = TimedVAEConfig(token_dim=64)
+_ON_FLOOR = ReconstructionWeights(floor=300.0)
 # Streams walk straight and stand still (docs/streaming.md).
 HEADING, BENT = 5.0, 0.1
 # Half of the segments are told how far their way has turned (docs/decisions/streams.md).

@@ -32,6 +32,14 @@ def foot_error(made_BnJ3: Tensor, real_BnJ3: Tensor, valid_Bn: Tensor, fps: floa
     return (error_Bn * steps_Bn).sum(dim=1) / steps_Bn.sum(dim=1).clamp_min(1)
 
 
+def below_floor(made_y: Tensor, real_y: Tensor) -> Tensor:
+    """How deep joints (..., J) are under the floor y = 0 where those of the take are not: mean (...), metres.
+
+    In a mean over all motion somebody who lies in the floor hardly counts, and who watches sees nothing else.
+    """
+    return (real_y.clamp(max=0.0) - made_y).relu().mean(dim=-1)
+
+
 def heading_error(
     made_BnD: Tensor, real_BnD: Tensor, valid_Bn: Tensor, codec: FeatureCodec, normalizer: Normalizer
 ) -> Tensor:

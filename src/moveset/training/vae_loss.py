@@ -9,6 +9,7 @@ from torch.nn import functional as fn
 from moveset.motion.contacts import TOE_HEIGHT
 from moveset.motion.features import FeatureCodec, Normalizer
 from moveset.motion.native import NativeCodec
+from moveset.training.segment_losses import below_floor
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -22,6 +23,7 @@ class ReconstructionWeights:
     path: float = 1.5
     heading: float = 1.5
     feet: float = 0.0
+    floor: float = 0.0
 
 
 def reconstruction_loss(
@@ -37,7 +39,8 @@ def reconstruction_loss(
     Features alone do not see what a viewer sees: an error at the hip moves the whole leg, an error in the root's speed
     adds up over the clip, and small independent errors from frame to frame are jitter. So joints are judged after
     forward kinematics: their posture, and their world velocity and acceleration (which also keeps planted feet still,
-    and a weight for ``feet`` more so).
+    and a weight for ``feet`` more so). Who is down is in few frames, so a little in all of them is a body in the floor:
+    ``floor`` counts what is under it and was not.
 
     Args:
         made: (B, F, D) normalised features.
@@ -63,6 +66,7 @@ def reconstruction_loss(
     step = error[:, 1:] - error[:, :-1]
     parts["velocity"] = _mean(step.abs().mean((-1, -2)), valid[:, 1:])
     parts["acceleration"] = _mean((step[:, 1:] - step[:, :-1]).abs().mean((-1, -2)), valid[:, 2:])
+    parts["floor"] = _mean(below_floor(posture[..., 1], true_posture[..., 1]), valid)
     parts["feet"] = _mean(_planted_error(step, true_world[..., 1], codec), valid[:, 1:])
     total = sum(
         (getattr(weights, name) * part for name, part in parts.items()), start=torch.zeros((), device=made.device)
