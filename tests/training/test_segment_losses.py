@@ -7,7 +7,7 @@ import torch
 
 from moveset.motion.features import Normalizer, get_codec
 from moveset.training.condition_dropout import perturb_past
-from moveset.training.segment_losses import KNEE, heading_error, placed, side_shortfall
+from moveset.training.segment_losses import KNEE, below_floor, heading_error, placed, side_shortfall
 from tests.evaluation.test_sides import moving
 from tests.synthetic import synthetic_motion
 
@@ -47,6 +47,13 @@ def test_bends_are_as_wide_as_asked_for(walks):
     made = perturb_past(still, torch.ones(4000), 0.1, CODEC, normalizer, generator)
     steps = normalizer.denormalize(made)[:, 0, CODEC.groups["root_yaw"]] - normalizer.mean[CODEC.groups["root_yaw"]]
     assert float(steps.std() * CODEC.fps) == pytest.approx(0.1, rel=0.05)
+
+
+def test_only_what_is_deeper_in_the_floor_than_the_take_counts():
+    take = torch.tensor([0.4, 0.0, -0.1, -0.1])
+    made = torch.tensor([0.1, -0.2, -0.1, -0.3])
+    assert float(below_floor(made, take)) == pytest.approx((0.2 + 0.2) / 4)
+    assert float(below_floor(take, take)) == 0.0
 
 
 def test_the_error_of_a_steady_turn_in_closed_form(walks):

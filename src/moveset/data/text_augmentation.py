@@ -14,6 +14,3 @@ class TextAugmentation:
 
     token_dropout: float = 0.0
     embedding_noise: float = 0.0
-
-
-AS_WRITTEN = TextAugmentation()

@@ -133,7 +133,6 @@ def train_rdm(segments: int = 7) -> Recipe:
         isometry=0.0,
         frozen_flow=0.0,
         text_encoder=CLIP,
-        max_tokens=77,
     )
     return Recipe(task=task, engine=replace(_engine(115_000), grad_clip=0.0))
 
@@ -166,7 +165,6 @@ def train_dip() -> Recipe:
         cutting=CuttingConfig(whole_caption=1.0),
         constant_lr=True,
         text_encoder=CLIP,
-        max_tokens=77,
     )
     return Recipe(task=task, engine=_engine(600_000))
 

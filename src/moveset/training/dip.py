@@ -28,7 +28,6 @@ from moveset.training.condition_dropout import drop_captions
 from moveset.training.ema import Ema, ema_warmup
 from moveset.training.engine import Loop
 from moveset.training.rdm import feature_weights
-from moveset.training.reading import MAX_TOKENS
 from moveset.training.segment_data import SegmentData
 from moveset.training.single_network import NetworkConfig, SingleNetworkTask
 from moveset.training.tasks import Sources
@@ -47,7 +46,6 @@ class DiPConfig(NetworkConfig):
         condition_dropout: share of captions replaced by "", for guidance.
         standing: share of pieces that are a clip's first frames, after a person who stands: how sampling begins.
         root: weight of the four root features.
-        max_tokens: as in ``RDMConfig``.
     """
 
     model: DipDecoderConfig = field(default_factory=DipDecoderConfig)
@@ -64,7 +62,6 @@ class DiPConfig(NetworkConfig):
     root: float = 1.0
     text_encoder: str = "minilm"
     augmentation: TextAugmentation = field(default_factory=TextAugmentation)
-    max_tokens: int = MAX_TOKENS
 
 
 @dataclass(frozen=True, eq=False)

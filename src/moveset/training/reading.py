@@ -12,7 +12,6 @@ from moveset.text.cache import EmbeddingCache, cache_file
 from moveset.text.encoder import TextEmbedding, get_text_encoder
 from moveset.text.sides import forget
 
-MAX_TOKENS = 32
 T = TypeVar("T")
 
 
@@ -42,7 +41,7 @@ def read_captions(
     Given a generator, words go missing and states are blurred: the corpus has few words, and a network that may rely on
     each of them does not understand a prompt that says the same in others.
     """
-    found = text.lookup(captions, MAX_TOKENS)
+    found = text.lookup(captions)
     if augmented_by is None:
         return found
     at = augmented_by.device

@@ -10,13 +10,12 @@ from moveset.data.feature_store import FeatureStore
 from moveset.data.loader import Ahead
 from moveset.data.segments import SegmentSet
 from moveset.data.splits import Split
-from moveset.data.text_augmentation import AS_WRITTEN
 from moveset.diffusion.coloured import temporal_spectrum
 from moveset.errors import InputError
 from moveset.text.cache import EmbeddingCache
 from moveset.text.encoder import TextEmbedding
 from moveset.training.engine import Loop
-from moveset.training.reading import MAX_TOKENS, embedded, read_captions
+from moveset.training.reading import embedded, read_captions
 from moveset.training.tasks import Sources
 
 
@@ -27,14 +26,11 @@ class SegmentData:
         config: the task's; another task's has the same fields where it gives another ``cut``.
 
     Raises:
-        InputError: disturbed captions that are to be read further than that is possible, or an encoder that is
-            not here.
+        InputError: an encoder that is not here.
     """
 
     def __init__(self, sources: Sources, config: Any, loop: Loop) -> None:
-        if config.max_tokens != MAX_TOKENS and config.augmentation != AS_WRITTEN:
-            raise InputError(f"disturbed captions are read to {MAX_TOKENS} tokens; set max_tokens to that")
-        self.augmentation, self.max_tokens = config.augmentation, config.max_tokens
+        self.augmentation = config.augmentation
         self.seed = loop.seed
         self.device = loop.device
         self._ahead = Ahead(loop.config.workers, loop.config.steps)
@@ -60,8 +56,6 @@ class SegmentData:
 
     def read(self, captions: list[str], augmented_by: torch.Generator | None = None) -> TextEmbedding:
         """Token states of captions, and their pooled vectors; roughened if given a generator."""
-        if self.augmentation == AS_WRITTEN:
-            return self.text.lookup(captions, self.max_tokens)
         return read_captions(self.text, captions, self.augmentation, augmented_by)
 
     def pooled(self, captions: list[str]) -> Tensor:

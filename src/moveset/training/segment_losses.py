@@ -28,8 +28,7 @@ def foot_error(made_BnJ3: Tensor, real_BnJ3: Tensor, valid_Bn: Tensor, fps: floa
     feet = list(skeleton.feet)
     made, real = (x[..., feet, :].diff(dim=1) * fps for x in (made_BnJ3, real_BnJ3))
     error_Bn = (made - real).square().sum(dim=-1).mean(dim=-1)
-    steps_Bn = (valid_Bn[:, 1:] & valid_Bn[:, :-1]).to(error_Bn.dtype)
-    return (error_Bn * steps_Bn).sum(dim=1) / steps_Bn.sum(dim=1).clamp_min(1)
+    return valid_mean(error_Bn, valid_Bn[:, 1:] & valid_Bn[:, :-1])
 
 
 def below_floor(made_y: Tensor, real_y: Tensor) -> Tensor:
@@ -38,6 +37,11 @@ def below_floor(made_y: Tensor, real_y: Tensor) -> Tensor:
     In a mean over all motion somebody who lies in the floor hardly counts, and who watches sees nothing else.
     """
     return (real_y.clamp(max=0.0) - made_y).relu().mean(dim=-1)
+
+
+def valid_mean(x_Bn: Tensor, valid_Bn: Tensor) -> Tensor:
+    """Mean (B,) over the frames that are valid."""
+    return (x_Bn * valid_Bn).sum(dim=1) / valid_Bn.sum(dim=1).clamp_min(1)
 
 
 def heading_error(
@@ -49,8 +53,7 @@ def heading_error(
     """
     yaw = codec.groups["root_yaw"]
     steps_Bn = ((made_BnD - real_BnD)[..., yaw].float() * normalizer.std[yaw].to(made_BnD.device))[..., 0]
-    error_Bn = huber((steps_Bn * valid_Bn).cumsum(dim=1), KNEE) * valid_Bn
-    return error_Bn.sum(dim=1) / valid_Bn.sum(dim=1).clamp_min(1)
+    return valid_mean(huber((steps_Bn * valid_Bn).cumsum(dim=1), KNEE), valid_Bn)
 
 
 def side_shortfall(

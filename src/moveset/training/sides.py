@@ -13,7 +13,7 @@ from moveset.data.feature_store import FeatureStore
 from moveset.data.splits import Split
 from moveset.models.sides import SidePredictorConfig
 from moveset.training.engine import Loop
-from moveset.training.reading import MAX_TOKENS, draw_told, embedded
+from moveset.training.reading import draw_told, embedded
 from moveset.training.single_network import NetworkConfig, SingleNetworkTask
 from moveset.training.tasks import Sources
 
@@ -56,7 +56,7 @@ class SidesTask(SingleNetworkTask):
 
     def training_step(self, step: int, loop: Loop) -> dict[str, Tensor]:
         captions, sides = draw_told(self.train, self.config.batch, loop.seed, step)
-        text = self.text.lookup(captions, MAX_TOKENS)
+        text = self.text.lookup(captions)
         noise = torch.randn(text.tokens.shape, generator=self.noise, device=loop.device)
         text = replace(text, tokens=text.tokens + self.config.noise * noise)
         true_B3 = torch.stack(sides).to(loop.device)
@@ -68,7 +68,7 @@ class SidesTask(SingleNetworkTask):
         """Share of captions of which it says a side, and how often the motion favours that one and not the other."""
         captions = [text for texts, _ in self.val for text in texts]
         true_B3 = torch.stack([sides for texts, sides in self.val for _ in texts])
-        made_B3 = self.sides.predict(self.text.lookup(captions, MAX_TOKENS)).cpu()
+        made_B3 = self.sides.predict(self.text.lookup(captions)).cpu()
         said = ~made_B3.isnan()
         judged = said & (true_B3 != 0)
         right = (made_B3 == true_B3)[judged]
