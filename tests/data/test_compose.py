@@ -1,12 +1,13 @@
 """Compositions: what sentences say of them is done, and nothing jumps."""
 
 import math
+from functools import partial, reduce
 from itertools import pairwise
 
 import pytest
 import torch
 
-from moveset.data.augment import bent, quiet_moments
+from moveset.data.augment import bent, compose_in_time, quiet_moments
 from moveset.data.compose import add_compositions
 from moveset.data.corpus import Corpus, CorpusWriter
 from moveset.data.passages import find_rises
@@ -138,6 +139,27 @@ def test_a_gait_goes_on_straight_at_its_own_pace(corpus):
         assert (path[-1] - path[0]).norm() / (len(path) - 1) == pytest.approx(float(source), rel=0.1)
         steps = motion.joints.diff(dim=0).norm(dim=-1).amax(dim=1)
         assert steps.max() < 1.2 * corpus.motion(one.clip).joints.diff(dim=0).norm(dim=-1).max() + 0.01
+
+
+def test_a_gait_in_place_is_one_that_gets_nowhere(corpus):
+    for i in composed(corpus, "in_place"):
+        record, motion = corpus.records[i], corpus.motion(i)
+        source = reduce(
+            partial(compose_in_time, blend_frames=record.recipe.blend),
+            [corpus.motion(part.clip)[part.start : part.stop] for part in record.recipe.parts],
+        )
+        assert len(motion) == len(source) == record.frames >= 40
+        assert any(way in said for said in corpus.captions(i) for way in ("in place", "spot", "one place", "without"))
+        assert not any("forward" in said and "without" not in said for said in corpus.captions(i))
+        assert (motion.root - motion.root[0])[:, [0, 2]].norm(dim=1).max() < 0.1
+        torch.testing.assert_close(motion.root[:, 1], source.root[:, 1], atol=1e-4, rtol=0)
+        toes = motion.joints[:, [10, 11]]
+        assert (toes - toes.mean(dim=0))[..., [0, 2]].norm(dim=-1).max() < 0.15
+        rises = toes[..., 1] - source.joints[:, [10, 11], 1]
+        assert rises.min() > -0.02
+        assert (rises.amax(dim=0) > 0.05).all()  # of a stride of half a metre and more
+        planted = source.joints[:, [10, 11]].diff(dim=0).norm(dim=-1) < 0.01
+        assert (toes.diff(dim=0).norm(dim=-1)[planted] < 0.03).all()  # 0.6 m/s
 
 
 def test_who_stands_sets_off_and_goes_on(corpus):

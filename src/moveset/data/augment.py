@@ -1,4 +1,5 @@
-"""New clips out of takes: one after the other, the arms of one on the legs of another, bent ways, other paces.
+"""New clips out of takes: one after the other, the arms of one on the legs of another, bent ways, other paces, gaits
+on the spot.
 
 F frames, J joints. All of it works on ``hml22`` at one frame rate.
 """
@@ -13,10 +14,11 @@ from torch import Tensor
 from moveset.data.posture import standing
 from moveset.errors import InputError
 from moveset.motion import bend, rotations
+from moveset.motion.cleanup import move_feet
 from moveset.motion.clip import Motion, between_frames, concatenate
 from moveset.motion.native import NativeCodec
 from moveset.motion.skeleton import HML22
-from moveset.motion.smoothing import spans
+from moveset.motion.smoothing import gaussian_smooth, spans
 
 MAX_FRAMES = 196
 
@@ -25,6 +27,10 @@ _HANGING = 0.15  # metres over the pelvis that no wrist is
 _WRISTS = [HML22.index(f"{side}_wrist") for side in ("left", "right")]
 _CORNER = 0.6  # metres of the radius of a corner, at least
 _TURNING = math.radians(100.0)  # a second
+
+_TOES = [HML22.index(f"{side}_foot") for side in ("left", "right")]
+_STRIDE = 0.4  # seconds over which the way of a gait is smoothed: what is left of it is how the body sways
+_LIFTED, _HIGHEST = 0.12, 0.3  # of a stride, and metres, by which a foot rises more that goes nowhere
 
 Arms = Literal["left", "right", "both"]
 
@@ -179,3 +185,34 @@ def legs_differ(a: Motion, b: Motion) -> bool:
     tilt = [rotations.rotate(m.global_rotations[:frames, 0], down)[:, 1].amax() for m in (a, b)]
     height = [m.root[:frames, 1].amin() for m in (a, b)]
     return bool(max(tilt) > -0.9 or min(height) < 0.75)
+
+
+def on_the_spot(motion: Motion) -> Motion:
+    """A gait without its way: the body sways as it did, and each foot rises and comes down where it is.
+
+    Feet keep their height over the floor and their angle; one that went far rises higher.
+
+    Args:
+        motion: (F, J) somebody who walks or runs ahead; ways may be bent.
+    """
+    toes, level = motion.joints[:, _TOES].double(), motion.root.new_tensor((1.0, 0.0, 1.0)).double()
+    line = torch.lerp(*(motion.root[end].double().expand(len(motion), 3) for end in (0, -1)), _shares(len(motion)))
+    way = (line + gaussian_smooth(motion.root.double() - line, _STRIDE * motion.fps)) * level
+    ahead = torch.gradient(way, dim=0)[0]
+    pace = float(ahead.norm(dim=-1).mean())
+    ahead = torch.nn.functional.normalize(ahead, dim=-1)[:, None]
+    along = ((toes - way[:, None]) * ahead).sum(dim=-1)
+    shift = (along.mean(dim=0) - along)[..., None] * ahead
+    gone = torch.gradient(toes * level, dim=0)[0].norm(dim=-1)
+    for side in (0, 1):
+        for start, stop in spans(gone[:, side] > pace):
+            stride = float((toes[stop - 1, side] - toes[start, side]).norm())
+            rise = torch.sin(_shares(stop - start)[:, 0] * math.pi).square()
+            shift[start:stop, side, 1] += min(_LIFTED * stride, _HIGHEST) * rise
+    moved = move_feet(replace(motion, root=motion.root - (way - way[0]).to(motion.root)), shift)
+    return replace(moved, rotations=moved.rotations.float(), root=moved.root.float()).canonical()
+
+
+def _shares(count: int) -> Tensor:
+    """(count, 1) float64 from 0 to 1."""
+    return torch.linspace(0.0, 1.0, count, dtype=torch.float64)[:, None]

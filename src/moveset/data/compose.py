@@ -25,11 +25,13 @@ from moveset.data.english import inflect
 from moveset.data.passages import STRAIGHT, find_gait, find_rises
 from moveset.data.records import ClipRecord, Kind, Part, Recipe
 from moveset.data.verbs import LOCOMOTION, STANDING
+from moveset.data.wordings import BACK, CIRCLE, CORNER, CURVE, HOW, SPOT, STARTS, STOPS, SUBJECTS, THEN, UP, WHILE
 from moveset.motion import rotations
 from moveset.motion.clip import Motion
 
 _BLEND = 12
 _SHORTEST = 24
+_LEAST = 40  # frames that a gait takes to be seen for one
 _WORDS = 12  # of a sentence that becomes half of another
 _ORDER = re.compile(r"\b(then|after|before|while|finally|first|next|again|start|begin|end|stop)", re.IGNORECASE)
 _FAR = 1.6  # metres of a way that can be bent
@@ -39,44 +41,9 @@ _ASIDE = re.compile(
     r"circle|turn|left|right|back|diagonal|curve|stop|start|steps|paces|side|stair|speeds|slows|few", re.IGNORECASE
 )
 
-_THEN = ("{a} and then {b}", "{a}, then {b}", "{a} and {b}", "{a}. then {b}", "first {a}, then {b}")
-_STOPS = (
-    "{a} and stops", "{a}, then stops", "{a} and then stands still", "{a}, stops and stands still",
-    "{a} and comes to a halt", "{a} and ends up standing still",
-)  # fmt: skip
-_STARTS = ("{s} stands still, then {b}", "{s} stands and then {b}", "after standing still {s} {b}")
-_WHILE = ("{b} while {a}", "{b} and {a} at the same time", "{b}, {a}")
-_CIRCLE = (
-    "{s} {v} in a circle to the {side}", "{s} {v} in a circle {clock}", "{s} {v} {clock} in a circle",
-    "{s} {v} around in a circle, turning {side}", "{s} {v} a full circle to the {side}",
-)  # fmt: skip
-_CORNER = (
-    "{s} {v} forward and turns {side}", "{s} {v} around a corner to the {side}", "{s} {v}, turns {side} and {v} on",
-    "{s} {v} and makes a {side} turn", "{s} {v} ahead, then turns {side}",
-)  # fmt: skip
-_BACK = (
-    "{s} {v} forward, turns around and {v} back", "{s} {v}, turns around to the {side} and comes back",
-    "{s} {v} and turns around", "{s} {v} away, turns back and returns", "{s} {v}, makes a u-turn and {v} back",
-)  # fmt: skip
-_CURVE = ("{s} {v} in a curve to the {side}", "{s} {v} and veers {side}", "{s} {v} forward, bending to the {side}")
-# Of who does not just walk, the clip's own sentence says how.
-_HOW = {
-    _CIRCLE: (
-        "{a} in a circle to the {side}",
-        "{a}, {clock} in a circle",
-        "{a}, going around in a circle to the {side}",
-    ),
-    _CORNER: ("{a} and turns {side}", "{a}, then turns {side}", "{a}, around a corner to the {side}"),
-    _BACK: ("{a}, turns around and comes back", "{a} and turns around to the {side}", "{a}, then turns around"),
-    _CURVE: ("{a} in a curve to the {side}", "{a} and veers {side}", "{a}, bending to the {side}"),
-}
-_UP = (
-    "{s} stands up", "{s} gets up", "{s} stands back up", "{s} gets back up", "{s} rises", "{s} gets up and stands",
-    "{s} rises and stands still", "{s} stands up and stands still",
-)  # fmt: skip
 _PLAIN = 7  # words of a sentence that says no more than that somebody walks, and where
 _WAY = re.compile(r"straight|line|circle|turn|left|right|back|diagonal|curve", re.IGNORECASE)
-_SUBJECTS = ("a person", "a person", "someone", "a man", "the person", "a woman")
+_ONWARD = re.compile(_WAY.pattern + r"|forward|ahead|across|away|toward|along|around", re.IGNORECASE)
 
 
 @dataclass(frozen=True, eq=False)
@@ -245,19 +212,19 @@ def _then(pool: _Pool, chance: random.Random) -> _Made | None:
         return None
     left = MAX_FRAMES - round(0.7 * a.record.frames)
     b = pool.pick(chance, lambda r: 0.7 * r.frames <= left and r.contents != a.record.contents)
-    return _told(a, b, _THEN, chance)
+    return _told(a, b, THEN, chance)
 
 
 def _stop(pool: _Pool, chance: random.Random) -> _Made | None:
     a = pool.pick(chance, lambda r: r.frames <= 160 and STANDING not in r.contents)
     b = pool.pick(chance, lambda r: r.contents == (STANDING,))
-    return _told(a, b, _STOPS, chance)
+    return _told(a, b, STOPS, chance)
 
 
 def _start(pool: _Pool, chance: random.Random) -> _Made | None:
     a = pool.pick(chance, lambda r: r.contents == (STANDING,) and r.frames <= 80)
     b = pool.pick(chance, lambda r: r.frames <= 160 and STANDING not in r.contents)
-    return _told(a, b, _STARTS, chance)
+    return _told(a, b, STARTS, chance)
 
 
 def _told(a: _Clip | None, b: _Clip | None, ways: Sequence[str], chance: random.Random) -> _Made | None:
@@ -270,7 +237,7 @@ def _told(a: _Clip | None, b: _Clip | None, ways: Sequence[str], chance: random.
     said = []
     for way in chance.sample(ways, 3):
         halves = {"a": chance.choice(first).rstrip(". "), "b": chance.choice(second).rstrip(". ")}
-        said.append(way.format(s=chance.choice(_SUBJECTS), **halves))
+        said.append(way.format(s=chance.choice(SUBJECTS), **halves))
     return _Made("in_time", *found, (*a.record.contents, *b.record.contents), tuple(dict.fromkeys(said)))
 
 
@@ -287,8 +254,8 @@ def _body(pool: _Pool, chance: random.Random) -> _Made | None:
     verb = lower.record.contents[0]
     way = inflect(verb, "ing") if verb != STANDING else "standing"
     said = (
-        wording.format(a=way, b=f"{chance.choice(_SUBJECTS)} {chance.choice(arms).rstrip('. ')}")
-        for wording in chance.sample(_WHILE, 2)
+        wording.format(a=way, b=f"{chance.choice(SUBJECTS)} {chance.choice(arms).rstrip('. ')}")
+        for wording in chance.sample(WHILE, 2)
     )
     parts = (Part(upper.number, 0, frames, upper.mirrored), Part(lower.number, 0, frames, lower.mirrored))
     contents = (*upper.record.contents, verb)
@@ -306,21 +273,21 @@ def _bent(pool: _Pool, chance: random.Random) -> _Made | None:
     if way < _FAR or reach < STRAIGHT * way or float(ahead[2]) < STRAIGHT * reach:
         return None
     radius = corner_radius(motion[:frames])
-    choices = [(_CURVE, 0.33, False)]
-    choices += [(w, half, True) for w, half in ((_CORNER, 0.5), (_BACK, 1.0)) if 1.3 * half * math.pi * radius < way]
+    choices = [(CURVE, 0.33, False)]
+    choices += [(w, half, True) for w, half in ((CORNER, 0.5), (BACK, 1.0)) if 1.3 * half * math.pi * radius < way]
     if way > 2 * math.pi * radius:
-        choices += [(_CIRCLE, 2.0, False)] * 2
+        choices += [(CIRCLE, 2.0, False)] * 2
     wordings, half_turns, sharp = chance.choice(choices)
     told = [sentence.rstrip(". ") for sentence in clip.short() if not _WAY.search(sentence)]
     if any(len(sentence.split()) > _PLAIN for sentence in clip.sentences):
-        wordings = _HOW[wordings]
+        wordings = HOW[wordings]
         if not told:
             return None
     left = chance.random() < 0.5
     side, clock = ("left", "counterclockwise") if left else ("right", "clockwise")
     verb = inflect(clip.record.contents[0], "present")
     said = (
-        w.format(s=chance.choice(_SUBJECTS), v=verb, a=chance.choice(told or [""]), side=side, clock=clock)
+        w.format(s=chance.choice(SUBJECTS), v=verb, a=chance.choice(told or [""]), side=side, clock=clock)
         for w in chance.sample(wordings, 3)
     )
     turn = math.pi * half_turns * (1.0 if left else -1.0)
@@ -352,6 +319,27 @@ def _going_on(pool: _Pool, chance: random.Random) -> _Made | None:
     return _Made("going_on", recipe, count * longer + _BLEND, clip.record.contents, tuple(_ahead(clip)))
 
 
+def _in_place(pool: _Pool, chance: random.Random) -> _Made | None:
+    """Who walks or runs and gets nowhere, which hardly anybody was asked to do."""
+    if not pool.gaits:
+        return None
+    clip, start, stop = chance.choice(pool.gaits)
+    longer = stop - start - _BLEND
+    count = chance.randint(1, (MAX_FRAMES - _BLEND) // longer)
+    told = [sentence.rstrip(". ") for sentence in _ahead(clip) if not _ONWARD.search(sentence)]
+    wordings = SPOT if all(len(sentence.split()) <= _PLAIN for sentence in clip.sentences) else HOW[SPOT]
+    frames = count * longer + _BLEND
+    if frames < _LEAST or (wordings != SPOT and not told):
+        return None
+    verb = clip.record.contents[0]
+    forms = {"v": inflect(verb, "present"), "g": inflect(verb, "ing")}
+    said = (
+        w.format(s=chance.choice(SUBJECTS), a=chance.choice(told or [""]), **forms) for w in chance.sample(wordings, 3)
+    )
+    recipe = Recipe((Part(clip.number, start, stop),) * count, blend=_BLEND)
+    return _Made("in_place", recipe, frames, clip.record.contents, tuple(dict.fromkeys(said)))
+
+
 def _setting_off(pool: _Pool, chance: random.Random) -> _Made | None:
     """Who stands goes straight ahead and goes on: of takes that begin so, much is told it that still stands."""
     still = pool.pick(chance, lambda r: r.contents == (STANDING,) and r.frames <= 80)
@@ -370,7 +358,7 @@ def _setting_off(pool: _Pool, chance: random.Random) -> _Made | None:
         return None
     count = (MAX_FRAMES - frames) // longer
     parts = (standing, Part(gait.number, going.start, stop), *(Part(gait.number, start, stop),) * count)
-    said = (way.format(s=chance.choice(_SUBJECTS), b=chance.choice(told).rstrip(". ")) for way in _STARTS)
+    said = (way.format(s=chance.choice(SUBJECTS), b=chance.choice(told).rstrip(". ")) for way in STARTS)
     contents = (STANDING, *gait.record.contents)
     return _Made("in_time", Recipe(parts, blend=_BLEND), frames + count * longer, contents, tuple(dict.fromkeys(said)))
 
@@ -383,7 +371,7 @@ def _rising(pool: _Pool, chance: random.Random) -> _Made | None:
     still = pool.pick(chance, lambda r: r.contents == (STANDING,))
     if still is None or (found := _joined(clip, still, (start, stop))) is None:
         return None
-    said = (way.format(s=chance.choice(_SUBJECTS)) for way in chance.sample(_UP, 3))
+    said = (way.format(s=chance.choice(SUBJECTS)) for way in chance.sample(UP, 3))
     return _Made("rising", *found, ("rise", STANDING), tuple(dict.fromkeys(said)))
 
 
@@ -392,4 +380,7 @@ def _ahead(clip: _Clip) -> list[str]:
     return [told for told in clip.short() if not _ASIDE.search(told)]
 
 
-_WAYS = {_then: 6, _stop: 3, _start: 1, _body: 1, _bent: 4, _paced: 4, _going_on: 4, _setting_off: 6, _rising: 4}
+_WAYS = {
+    _then: 6, _stop: 3, _start: 1, _body: 1, _bent: 4, _paced: 4, _going_on: 4, _in_place: 3, _setting_off: 6,
+    _rising: 4,
+}  # fmt: skip

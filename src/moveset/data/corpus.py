@@ -19,7 +19,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from moveset.data.augment import bent, compose_body, compose_in_time, stretched
+from moveset.data.augment import bent, compose_body, compose_in_time, on_the_spot, stretched
 from moveset.data.captions import mirror_text
 from moveset.data.quantize import pack, unpack
 from moveset.data.records import ClipRecord, Part, Recipe, Run, record_from_json, record_to_json, run_from_json
@@ -179,12 +179,18 @@ class Corpus:
 
 def compose(kind: str, recipe: Recipe, parts: Sequence[Motion]) -> Motion:
     if kind in ("in_time", "going_on", "rising"):
-        return reduce(lambda first, second: compose_in_time(first, second, recipe.blend), parts)
+        return _in_turn(recipe, parts)
+    if kind == "in_place":
+        return on_the_spot(_in_turn(recipe, parts))
     if kind == "bent":
         return bent(parts[0], recipe.turn, recipe.sharp)
     if kind == "paced":
         return stretched(parts[0], max(2, round(len(parts[0]) / recipe.speed)))
     return compose_body(*parts, recipe.arms)
+
+
+def _in_turn(recipe: Recipe, parts: Sequence[Motion]) -> Motion:
+    return reduce(lambda first, second: compose_in_time(first, second, recipe.blend), parts)
 
 
 def _read(path: Path) -> tuple[dict[str, Any], dict[str, Tensor]]:

@@ -225,7 +225,7 @@ class CorpusDataset:
             contents=contents,
             parts=parts,
             # A window of a clip that shows two things may miss half of what its caption says.
-            croppable=len(contents) == 1 and record.kind in ("take", "going_on", "paced"),
+            croppable=len(contents) == 1 and record.kind in ("take", "going_on", "in_place", "paced"),
             take=record.group,
         )
 

@@ -9,8 +9,9 @@ from moveset.data.splits import Split
 from moveset.errors import FormatError
 
 _LEAST_NEW = 20  # frames: what goes on has more to show than the end of what was shown
-Kind = Literal["take", "in_time", "body", "bent", "going_on", "rising", "paced"]
-_PARTS = {"in_time": (2, 100), "body": (2, 2), "going_on": (2, 100), "rising": (2, 2)}  # of recipes; others have one
+Kind = Literal["take", "in_time", "body", "bent", "going_on", "in_place", "rising", "paced"]
+# Of recipes; others have one.
+_PARTS = {"in_time": (2, 100), "body": (2, 2), "going_on": (2, 100), "in_place": (1, 100), "rising": (2, 2)}
 
 
 @dataclass(frozen=True)
@@ -73,6 +74,7 @@ class ClipRecord:
         take: name of the take it was cut from; of the first part's, for a composition.
         group: takes of one group show the same seconds of one performance, such as the two partners of a dance.
         kind: "take" as captured; composed "in_time", of two bodies ("body"), of one gait over and over ("going_on"),
+            of one that gets nowhere ("in_place"),
             of somebody who gets up and then stands ("rising"), or of one clip "bent" or "paced".
         contents: what is shown, one label for each thing that its sentences tell; none where nothing is told. Two for
             compositions (first, second; upper body, legs) that do not show the same thing over and over.

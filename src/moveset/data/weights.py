@@ -31,7 +31,7 @@ def corpus_weights(corpus: Corpus, records: Sequence[int], power: float, compose
         for k, record in zip(records, chosen, strict=True)
     ]
     weights = torch.tensor(each, dtype=torch.float64)
-    composed = torch.tensor([record.kind in ("in_time", "body", "bent", "going_on", "rising") for record in chosen])
+    composed = torch.tensor([record.kind not in ("take", "paced") for record in chosen])
     if composed.any() and not composed.all():
         for part, share in ((composed, composed_share), (~composed, 1.0 - composed_share)):
             weights[part] *= share / weights[part].sum()
