@@ -43,11 +43,19 @@ def test_who_is_not_on_the_feet_is_left_alone(real_data, kind):
     carried = stands_on(decoded.joints, HML22)[:, None]
     free = far_from(stances(decoded.joints, decoded.fps, HML22) & carried, 5)
     assert free.sum() >= 4
-    assert (locked.joints - decoded.joints)[free].norm(dim=-1).max() < 0.01
+    moved = locked.joints - decoded.joints
+    deep = (-decoded.joints[..., 1].amin(dim=1)).clamp_min(0.0)  # floors of captures are not all level
+    assert (moved[free].norm(dim=-1).amax(dim=1) < 0.02)[deep[free] == 0].all()
+    assert (moved[free, :, 1].abs().amax(dim=1) < 2 * deep[free] + 0.02).all()
+    assert locked.joints[free, :, 1].min() > -0.001
     # Hips and all above them stay where they are, on the feet or not; a held root goes its own way off them.
     legs = [joint for joint, name in enumerate(HML22.joints) if name.endswith(("knee", "ankle", "foot"))]
-    still = [joint for joint in range(len(HML22)) if joint not in legs]
-    assert (locked.joints - decoded.joints)[:, still].norm(dim=-1).max() < 0.02
+    arms = [joint for joint, name in enumerate(HML22.joints) if name.endswith(("elbow", "wrist"))]
+    trunk = [joint for joint in range(len(HML22)) if joint not in (*legs, *arms)]
+    assert (moved[:, trunk].norm(dim=-1).amax(dim=1) < 1.5 * deep + 0.02).all()
+    assert (
+        moved[:, arms].norm(dim=-1).amax(dim=1) < 2.5 * deep + 0.02
+    ).all()  # elbows bend where arms are in the floor
     contacts = features[:, codec.groups["contacts"]] > PLANTED
     held = codec.decode(hold_root(features, contacts, codec))
     free = far_from(contacts & carried, 2)

@@ -67,7 +67,7 @@ def evaluate(
         items: At most so many items, drawn at random, for a quick look.
         composed: Judge compositions of takes too, as well as takes.
         mirrored: Judge mirror images too.
-        foot_lock: Judge motion with planted feet held, as users get it.
+        foot_lock: Judge motion as users get it, with planted feet held and bodies above the floor.
         suite: Evaluate all rows of a paper's tables, and write the tables; models are folders of more rows.
         row: Only this row of the suite; may be given several times.
         sanity: Check the evaluator itself: real, jittered, reversed and frozen motion, shuffled and wrong sentences.

@@ -57,7 +57,7 @@ def generate(
         skeleton: Retarget to smpl, mixamo, vrm, ue5, hml22 or kit21.
         in_place: Without travel over the ground.
         loop: Blend the end into the beginning.
-        foot_lock: Hold planted feet in place.
+        foot_lock: Hold planted feet in place, and bodies above the floor.
         prompts: Bulk: a JSONL file or - (standard input), one {"prompt": …, "seconds": …, "seed": …, "name": …} a
             line; finished files are skipped, and under torchrun each process takes its share (of a file).
         batch: Bulk: clips evaluated at once; worth raising on a GPU.

@@ -1,4 +1,4 @@
-"""Repairs of finished motions: feet that hold still while they stand, feet above the floor. F frames."""
+"""Repairs of finished motions: feet that hold still while they stand, bodies above the floor. F frames."""
 
 from itertools import pairwise
 from math import dist
@@ -10,6 +10,7 @@ from moveset.errors import InputError
 from moveset.motion import rotations
 from moveset.motion.clip import Motion
 from moveset.motion.contacts import stances, stands_on
+from moveset.motion.floor import above_floor
 from moveset.motion.hover import SOLE, set_down
 from moveset.motion.kinematics import global_to_local
 from moveset.motion.positions import HINGES
@@ -32,8 +33,8 @@ def lock_feet(motion: Motion, contacts: Tensor | None = None) -> Motion:
     Each stance is pinned to where its foot moves least; on the way into and out of it the shift dies away smoothly. A
     foot that the body carries far off takes a step instead of sliding. Planted feet above the floor y = 0 come down to
     it, and feet below it are lifted onto it; otherwise they keep their height, and their orientation as long as legs
-    reach (``move_feet``). A body that hovers is set down (``hover.set_down``); else nothing above the hips moves.
-    Feet of somebody who sits, kneels, lies or is upside down are free, under the floor too.
+    reach (``move_feet``). A body that hovers is set down (``hover.set_down``), and who sits, kneels, lies or is upside
+    down, whose feet are free, comes out of the floor (``floor.above_floor``); else nothing above the hips moves.
 
     Args:
         motion: on a skeleton with feet and known knees (hml22, kit21).
@@ -67,7 +68,7 @@ def lock_feet(motion: Motion, contacts: Tensor | None = None) -> Motion:
         up = height - down + _lift((lowest - down) * carried, motion.fps)
         shifts.append(_pinned(joints[:, pair], planted[:, own], blend) + _upward(up))
     locked = move_feet(motion, torch.stack(shifts, dim=1))
-    return Motion(locked.rotations.float(), motion.root, motion.fps, motion.skeleton)
+    return above_floor(Motion(locked.rotations.float(), motion.root, motion.fps, motion.skeleton))
 
 
 def move_feet(motion: Motion, shifts: Tensor) -> Motion:

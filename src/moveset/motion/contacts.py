@@ -48,12 +48,17 @@ def stands_on(joints: Tensor, skeleton: Skeleton, least: float = _CARRYING) -> T
     """(F,) bool: whether the hips of (F, J, 3) are so high above the lower foot that legs carry the body.
 
     Args:
-        least: share of the length of thigh and shin. A deep lunge has half, who kneels or sits on the floor has not.
+        least: as ``leg_share``. A deep lunge has half, who kneels or sits on the floor has not.
     """
+    return leg_share(joints, skeleton) > least
+
+
+def leg_share(joints: Tensor, skeleton: Skeleton) -> Tensor:
+    """How high (F,) the hips of (F, J, 3) are above the lower foot, as a share of the length of thigh and shin."""
     ankles, knees = zip(*(_ankle_and_knee(skeleton, foot) for foot in skeleton.feet[::2]), strict=True)
     hips = [skeleton.parents[knee] for knee in knees]
     leg = skeleton.offsets[[*knees, *ankles]].norm(dim=-1).sum() / 2
-    return joints[:, hips, 1].mean(dim=1) - joints[:, ankles, 1].amin(dim=1) > least * leg.to(joints)
+    return (joints[:, hips, 1].mean(dim=1) - joints[:, ankles, 1].amin(dim=1)) / leg.to(joints)
 
 
 def _ankle_and_knee(skeleton: Skeleton, foot: int) -> list[int]:

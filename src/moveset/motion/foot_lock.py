@@ -3,7 +3,7 @@
 A foot is pinned where it lands, with whatever shift it still has from its last stance, so that nothing jumps; when it
 leaves, its shift dies away. A foot that stays planted while the body drifts off is let go before its leg is stretched.
 On its way to where it should be a foot rises, the higher the further, if the other one stands. A planted foot above the
-floor comes down to it, and a body that hovers sinks (``hover``).
+floor comes down to it, a body that hovers sinks (``hover``), and one that is in the floor rises (``floor``).
 F frames of a piece.
 """
 
@@ -19,6 +19,7 @@ from moveset.errors import InputError
 from moveset.motion.cleanup import ALONE, LANDING, move_feet, step_heights
 from moveset.motion.clip import Motion
 from moveset.motion.contacts import stances, stands_on
+from moveset.motion.floor import above_floor
 from moveset.motion.hover import SOLE, Hovering, lowered
 from moveset.motion.skeleton import Skeleton
 from moveset.motion.smoothing import decay
@@ -93,7 +94,7 @@ class FootLock:
                 foot.lift = max(foot.drop - low[side], self._kept * foot.lift)
                 step = foot.rising.pop(0) if foot.rising else 0.0
                 shifts.append((shift[0], foot.lift - foot.drop + step, shift[1]))
-        return move_feet(piece, torch.tensor(shifts, dtype=torch.float64).reshape(-1, 2, 3))
+        return above_floor(move_feet(piece, torch.tensor(shifts, dtype=torch.float64).reshape(-1, 2, 3)))
 
     def state(self) -> dict[str, Any]:
         """Everything that the next piece depends on, as numbers and lists that survive JSON exactly."""
