@@ -11,7 +11,7 @@ from moveset.errors import InputError
 from moveset.pipelines.model_folder import ModelFolder
 from moveset.pipelines.text_to_motion import TextToMotion
 from moveset.training import checkpoint
-from moveset.training.distillation import DistillationConfig, PCMTask
+from moveset.training.distillation import DistillationConfig
 from moveset.training.export import ClipExport, export
 
 
@@ -68,25 +68,6 @@ def test_a_student_may_be_asked_for_more(tiny_run, tmp_path, what, setting, name
         _, result = tiny_run.train(what, tmp_path / f"{rows}", f"{setting}={rows}", f"batch={batch}", steps=1)
         assert all((name in row) == bool(rows) for row in rows_of(tmp_path / f"{rows}"))
     assert differs("student", tmp_path / "0" / "step_1", result.checkpoint)
-
-
-@pytest.mark.parametrize("rows", ["trajectory_rows=4", "side_rows=4"])
-def test_a_student_may_be_asked_to_stay_above_the_floor(tiny_run, tmp_path, monkeypatch, rows):
-    """In what it makes of noise; a student of two phases only where it makes whole clips."""
-    in_floor = PCMTask._in_floor
-    monkeypatch.setattr(PCMTask, "_in_floor", lambda *given: seen.append(given[2]) or in_floor(*given))
-    for phases in (1, 2):
-        weights, seen = [], []
-        for weight in (0, 100):
-            settings = (rows, "batch=32", f"phases={phases}", f"floor={weight}")
-            _, result = tiny_run.train("pcm-1", tmp_path / f"{phases} {weight}", *settings, steps=2)
-            weights.append(result.checkpoint)
-        assert differs("student", *weights)
-        assert seen
-        if rows == "trajectory_rows=4":
-            assert (
-                sum(len(frames) for frames in seen) < 2 * 4 if phases == 2 else {len(frames) for frames in seen} == {4}
-            )
 
 
 @pytest.mark.parametrize(

@@ -170,31 +170,11 @@ def test_variants_train(tiny_run, tmp_path):
     tiny_run.train("light-rdm-1", tmp_path / "light", *nothing, steps=1)  # it has nobody to listen to
 
 
-def test_who_is_in_the_floor_pays_for_it(tiny_run, tmp_path):
-    """As deep as joints are, by how little noise hides them; who is above it pays nothing."""
-    plain, _ = tiny_run.train("rdm-7", tmp_path / "plain", "floor=0", steps=1)
-    minds, _ = tiny_run.train("rdm-7", tmp_path / "minds", "floor=2", steps=1)
-    height = plain.data.codec.groups["root_height"]
-
-    def at(lift):
-        def says(x, t):
-            made = plain.data.train.batch(32, 0, 0).clean.clone()
-            made[..., height] += lift / plain.normalizer.std[height]
-            return made
-
-        return loss_of(minds, says)[2] - loss_of(plain, says)[2]
-
-    assert at(0.0) == pytest.approx(0.0, abs=1e-4)
-    assert at(0.5) == pytest.approx(0.0, abs=1e-4)
-    assert at(-3.0) - at(-2.0) == pytest.approx((at(-4.0) - at(-2.0)) / 2, rel=1e-3)
-    assert at(-3.0) > at(-2.0) > 0
-
-
 @pytest.mark.parametrize(
     ("what", "settings", "message"),
     [
         ("rdm-7", ["predict=eps"], "without a flow"),
-        ("motiondiffuse", ["sides=0.5", "side_weight=1"], "velocity, feet, floor, heading and side_weight 0"),
+        ("motiondiffuse", ["sides=0.5", "side_weight=1"], "velocity, feet, heading and side_weight 0"),
         ("rdm-7", ["md_condition=none"], "without a flow"),
         ("rdm-1", ["jacobian=1"], "jacobian 1 is of the flow"),
         ("rdm-7", ["joint=true", "flow=null"], "joint 1 is of the flow"),

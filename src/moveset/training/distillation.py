@@ -39,7 +39,6 @@ from moveset.text.sides import forget, with_sides
 from moveset.training.adversarial import AdversarialTask, discriminator_step, of_another
 from moveset.training.ema import Ema
 from moveset.training.engine import Loop
-from moveset.training.segment_losses import below_floor, valid_mean
 from moveset.training.single_network import NetworkConfig
 from moveset.training.tasks import Sources
 from moveset.training.teacher import LatentData, normalised_latents
@@ -101,14 +100,11 @@ class DistillationConfig(StudentConfig):
         side_rows: rows of a batch that are asked, besides, to move that arm or leg more which they are told: decoded
             from where sampling begins, and judged as motion; 0 leaves it out.
         side_weight: of that.
-        floor: weight of how deep joints are in the floor in what is made of noise for ``trajectory_rows`` and
-            ``side_rows``; 0 leaves it out.
     """
 
     sides: float = 0.0
     side_rows: int = 0
     side_weight: float = 0.15
-    floor: float = 0.0
     model: LatentDenoiserConfig | TokenDenoiserConfig | None = None
 
 
@@ -153,7 +149,7 @@ class _DistillationTask(AdversarialTask):
         report = {"consistency": loss.detach()}
         loss = loss + self._trajectory(batch, draws, report)
         if config.side_rows:
-            loss = loss + self._on_sides(batch, draws, report)
+            loss = loss + config.side_weight * self._on_sides(batch, draws, report)
         if self.heads is not None and config.adversarial:
             fooled = hinge_generator(self.heads(self._judged(self.heads, batch, text, draws, made, report, loop)))
             report["generator"] = fooled.detach()
@@ -206,13 +202,10 @@ class _DistillationTask(AdversarialTask):
         made = self.predict(student, z, point_B)
         loss = pseudo_huber(made, target, self.config.huber)
         report["trajectory"] = loss.detach()
-        if self.config.floor and len(whole := (phase_B == 0).nonzero()[:, 0]):
-            joints_BFJ3 = self.data.joints(made[whole], frames[whole])
-            loss = loss + self.config.floor * self._in_floor(joints_BFJ3, frames[whole], report)
         return loss
 
     def _on_sides(self, batch: LatentBatch, draws: Draws, report: dict[str, Tensor]) -> Tensor:
-        """By how much arms and legs that are told to move more fail to, in what is made of noise; reported, weighted.
+        """By how much arms and legs that are told to move more fail to, in what is made of noise; reported.
 
         Of a distance in the latent an arm is a hundredth: what is asked for is looked at where it shows, in the motion,
         as the control of MotionLCM is (arXiv 2404.19759).
@@ -233,15 +226,7 @@ class _DistillationTask(AdversarialTask):
         short_B2 = shortfall(more_left(made_BFJ3, frames, self.data.codec.skeleton), told_B2) * told_B2.abs()
         loss = short_B2.sum() / told_B2.abs().sum().clamp(min=1.0)
         report["sides"] = loss.detach()
-        loss = self.config.side_weight * loss
-        return loss + self.config.floor * self._in_floor(made_BFJ3, frames, report) if self.config.floor else loss
-
-    def _in_floor(self, made_BFJ3: Tensor, frames_B: Tensor, report: dict[str, Tensor]) -> Tensor:
-        """How deep joints are in the floor, mean, metres; reported."""
-        valid_BF = torch.arange(made_BFJ3.shape[1], device=frames_B.device) < frames_B[:, None]
-        under = valid_mean(below_floor(made_BFJ3[..., 1], torch.zeros_like(made_BFJ3[..., 1])), valid_BF).mean()
-        report["floor"] = under.detach()
-        return under
+        return loss
 
     def _judged(
         self, heads: DiscriminatorHeads, batch: LatentBatch, text: TextEmbedding, draws: Draws, made: Tensor,

@@ -35,7 +35,7 @@ from moveset.training.momo import MomoAdam
 from moveset.training.optim import cosine_lr
 from moveset.training.reading import told_sides
 from moveset.training.segment_data import SegmentData, forecast, spectrum
-from moveset.training.segment_losses import below_floor, foot_error, heading_error, placed, side_shortfall, valid_mean
+from moveset.training.segment_losses import foot_error, heading_error, placed, side_shortfall
 from moveset.training.single_network import NetworkConfig
 from moveset.training.tasks import Sources
 
@@ -73,7 +73,6 @@ class RDMConfig(NetworkConfig):
             (``diffusion.coloured``).
         forecast: start the segment transformer's forecast from a fit to the data instead of from zero.
         feet: weight of the error of the feet's velocities in the world, for clean predictions.
-        floor: weight of how deep joints are in the floor that a take's are not, likewise (``segment_losses``).
         heading: weight of the error of the turn that a segment's steps add up to, likewise (``segment_losses``).
         past_perturbation: deviation, in radians a second, of a steady turn that is added to the segment before, as it
             is told.
@@ -118,7 +117,6 @@ class RDMConfig(NetworkConfig):
     noise: Noise = "white"
     forecast: bool = False
     feet: float = 0.0
-    floor: float = 0.0
     heading: float = 0.0
     past_perturbation: float = 0.0
     velocity: float = 0.0
@@ -292,15 +290,12 @@ class RDMTask(Task):
                 made * root_B, clean * root_B, last * root_B[:, 0], later, batch.valid
             )
         seen_B = SCHEDULE.alpha(cell.t_B).square()  # what noise still hides has no feet to judge, and no course
-        if config.feet or config.floor or asked is not None:
+        if config.feet or asked is not None:
             codec = self.data.codec
             joints, real = (placed(x, codec, self.normalizer) for x in (made, clean))
         if config.feet:
             feet_B = foot_error(joints, real, batch.valid, codec.fps, codec.skeleton)
             loss = loss + config.feet * (feet_B * seen_B).mean()
-        if config.floor:
-            under_B = valid_mean(below_floor(joints[..., 1], real[..., 1]), batch.valid)
-            loss = loss + config.floor * (under_B * seen_B).mean()
         if asked is not None:
             short = side_shortfall(joints, real, batch.valid, asked[0], seen_B, codec.skeleton)
             loss = loss + asked[1] * short
@@ -367,11 +362,11 @@ def _check(config: RDMConfig) -> None:
                 kind = describe(config.model)[0]
                 raise InputError(f"{name}={value} is for the segment transformer, not for a {kind}; leave it out")
     asked = config.sides and config.side_weight  # who is told no sides is asked for none
-    judged = config.velocity or config.feet or config.floor or config.heading or asked
+    judged = config.velocity or config.feet or config.heading or asked
     if config.predict == "eps" and (config.flow is not None or judged or config.weight != "x0"):
         raise InputError(
-            'predict="eps" is for models without a flow, with velocity, feet, floor, heading and side_weight 0 and '
-            'weight "x0"; change these'
+            'predict="eps" is for models without a flow, with velocity, feet, heading and side_weight 0 and weight '
+            '"x0"; change these'
         )
     for name in ("jacobian", "joint"):
         if getattr(config, name) and config.flow is None:

@@ -37,7 +37,7 @@ from moveset.training.engine import Loop
 from moveset.training.rdm import SCHEDULE, RDMConfig, feature_weights, require_heading_told
 from moveset.training.rollout import Rollout
 from moveset.training.segment_data import SegmentData
-from moveset.training.segment_losses import below_floor, heading_error, placed, side_shortfall, valid_mean
+from moveset.training.segment_losses import heading_error, placed, side_shortfall
 from moveset.training.tasks import Sources
 from moveset.training.trained import load_trained, require_same_encoder
 
@@ -60,7 +60,6 @@ class RDMStudentConfig(StudentConfig):
         heading_change, heading_noise: as in the teacher's training, for a teacher that was told how far its way has
             turned; streams of ``rollout_share`` are told it where the takes are that they begin with, or whose
             sentences they are given.
-        floor: as in the teacher's training.
         sides, side_weight: as in the teacher's training; streams of ``rollout_share`` are told the sides of the takes
             whose sentences they are given.
         codec, frames: filled in from the teacher's.
@@ -79,7 +78,6 @@ class RDMStudentConfig(StudentConfig):
     rollout_share: float = 0.0
     heading_change: float = 0.0
     heading_noise: float = 0.0
-    floor: float = 0.0
     sides: float = 0.0
     side_weight: float = 0.0
     cutting: CuttingConfig = field(default_factory=CuttingConfig)
@@ -188,13 +186,8 @@ class RDMStudentTask(AdversarialTask):
             turn_B = heading_error(made, target, batch.valid, self.data.codec, self.normalizer)
             loss = loss + config.heading * (turn_B * share_B).mean()
             report["heading"] = turn_B.mean().detach()
-        if config.side_weight or config.floor:
-            joints, real = (placed(x, self.data.codec, self.normalizer) for x in (made, batch.clean))
-        if config.floor:
-            under_B = valid_mean(below_floor(joints[..., 1], real[..., 1]), batch.valid)
-            loss = loss + config.floor * under_B.mean()
-            report["floor"] = under_B.mean().detach()
         if config.side_weight:
+            joints, real = (placed(x, self.data.codec, self.normalizer) for x in (made, batch.clean))
             evenly_B = torch.ones_like(batch.turned)
             short = side_shortfall(joints, real, batch.valid, batch.sides, evenly_B, self.data.codec.skeleton)
             loss = loss + config.side_weight * short
