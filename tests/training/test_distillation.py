@@ -87,7 +87,7 @@ def test_what_no_student_can_learn_is_refused(config, message):
     ("what", "settings", "message"),
     [
         ("pcm-1", ["trajectory_rows=9", "batch=8"], "rows that are trajectory_rows = 9 is outside 0"),
-        ("pcm-1", ["trajectory_rows=-1"], "rows that are trajectory_rows = -1 is outside 0"),
+        ("pcm-1", ["trajectory_rows=-1"], "trajectory_rows = -1 is below 0"),
         ("pcm-1", ["side_rows=9", "batch=8"], "rows that are side_rows = 9 is outside 0"),
         ("lcm-1", ["phases=2"], "phases=2 is for pcm"),
         ("pcm-1", ["text_encoder=t5:here"], "knows sentences as 'minilm' encodes them; set text_encoder to that"),

@@ -178,9 +178,9 @@ def test_only_a_segment_transformer_teaches_streams(teacher, tiny_run, tmp_path)
         tiny_run.train("rdm-student", tmp_path / "run", sources={"teacher": tiny_run.runs / teacher})
 
 
-@pytest.mark.parametrize("rows", [-1, 5])
-def test_no_more_rows_follow_a_trajectory_than_a_batch_has(rows, tiny_run, tmp_path):
-    with pytest.raises(InputError, match=f"trajectory_rows = {rows} is outside 0 to 4"):
+@pytest.mark.parametrize(("rows", "said"), [(-1, "-1 is below 0"), (5, "5 is outside 0 to 4")])
+def test_no_more_rows_follow_a_trajectory_than_a_batch_has(rows, said, tiny_run, tmp_path):
+    with pytest.raises(InputError, match=f"trajectory_rows = {said}"):
         tiny_run.train("rdm-student", tmp_path / "run", f"trajectory_rows={rows}")
 
 

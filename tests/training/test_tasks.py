@@ -84,6 +84,10 @@ def test_a_wrong_setting_is_one_sentence(setting, message):
         ("rdm-student", "sides=7", "sides = 7.0 is outside 0"),
         ("movement", "window=30", "window modulo 4 = 2"),
         ("evaluator", "batch=1", "batch = 1 is outside 2"),
+        ("evaluator", "max_words=0", "max_words=0 trains nothing"),
+        ("movement", "window=0", "window=0 trains nothing"),
+        ("dip", "levels=0", "levels=0 trains nothing"),
+        ("rdm-7", "cutting.horizon=0", "cutting.horizon 0"),
     ],
 )
 def test_a_name_is_a_known_one_and_a_share_within_the_whole(what, setting, message):
@@ -100,7 +104,11 @@ def test_unknown_names_are_refused():
     nowhere = Sources(corpus=Path(), vae=Path(), teacher=Path(), cache=Path())
     with pytest.raises(InputError, match=f"choose one of {', '.join(TASKS)}"):
         task_maker("gan", None, nowhere)
-    for setting, said in (("batch=0", "batch=0 trains nothing"), ("lr=0", "lr=0 trains"), ("lr=-1", "lr=-1 trains")):
+    for setting, said in (
+        ("batch=0", "batch=0 trains nothing"),
+        ("lr=0", "lr=0 trains"),
+        ("lr=-1", "lr = -1.0 is below 0"),
+    ):
         with pytest.raises(InputError, match=said):
             task_maker("vae", with_settings(load_recipe("tiny", "vae").task, [setting]), nowhere)
     with pytest.raises(InputError, match="no recipe 'huge'"):

@@ -47,7 +47,7 @@ class CuttingConfig:
             more happens: of a jump that was captured for ten seconds, most shows somebody who stands.
 
     Raises:
-        InputError: a share that is not in 0 to 1.
+        InputError: a share that is not in 0 to 1, or a horizon of no frames.
     """
 
     aligned: bool = False
@@ -63,6 +63,8 @@ class CuttingConfig:
         for name in ("first_share", "whole_caption", "composed_share", "take_share", "changes", "livelier"):
             if not 0.0 <= getattr(self, name) <= 1.0:
                 raise InputError(f"cutting.{name} {getattr(self, name)} is not in 0 to 1")
+        if self.horizon < 1:
+            raise InputError(f"cutting.horizon {self.horizon} is no number of frames")
 
 
 @dataclass(frozen=True, eq=False)

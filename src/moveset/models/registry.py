@@ -5,6 +5,7 @@ unpickled: an unknown kind, an unknown key, a wrong type or an absurd size is a 
 """
 
 import dataclasses
+import math
 import types
 import typing
 from collections.abc import Callable, Mapping
@@ -104,7 +105,7 @@ def require_range(name: str, value: float, low: float, high: float) -> None:
         InputError: value outside [low, high] (or not a number).
     """
     if not low <= value <= high:
-        raise InputError(f"{name} = {value} is outside {low} to {high}")
+        raise InputError(f"{name} = {value} is {f'outside {low} to {high}' if high < math.inf else f'below {low:g}'}")
 
 
 def require_sizes(config: ModelConfig, **limits: tuple[float, float]) -> None:

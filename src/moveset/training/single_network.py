@@ -1,5 +1,6 @@
 """Trainings of one network: what the engine saves and steps, by one name."""
 
+import math
 from dataclasses import dataclass, field, fields
 from typing import Any, Literal, get_args, get_origin
 
@@ -16,6 +17,7 @@ _SHARES = {
     "condition_dropout", "sides", "heading_change", "frozen_flow", "standing", "smoothing", "composed_share",
     "inference_points", "mismatched_text", "discriminator_max_noise", "rollout_share",
 }  # fmt: skip
+_NEEDED = {"batch", "lr", "points", "phases", "levels", "window", "max_words"}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,7 +34,7 @@ class NetworkConfig:
 
 
 def require_sense(config: Any) -> None:
-    """For ``__post_init__`` of trainings' settings: names are known ones, and shares within 0 to 1.
+    """For ``__post_init__`` of trainings' settings: names are known ones, shares within 0 to 1, no number below 0.
 
     Raises:
         InputError: one that is not.
@@ -41,8 +43,10 @@ def require_sense(config: Any) -> None:
         value, known = getattr(config, each.name), get_args(each.type)
         if get_origin(each.type) is Literal and value not in known:
             raise InputError(f"{each.name} {value!r} is not one of {', '.join(known)}")
-        if each.name in _SHARES:
-            require_range(each.name, value, 0.0, 1.0)
+        if isinstance(value, int | float):
+            require_range(each.name, value, 0.0, 1.0 if each.name in _SHARES else math.inf)
+            if each.name in _NEEDED and not value:
+                raise InputError(f"{each.name}=0 trains nothing; give more than 0")
 
 
 class SingleNetworkTask(Task):
