@@ -123,6 +123,16 @@ def test_a_bent_knee_turns_about_its_own_axis(tmp_path, leg):
     )
 
 
+@pytest.mark.parametrize("word", [b"rad", b"Radians"])
+def test_a_skeleton_in_radians_is_the_same(tmp_path, leg, word):
+    turned = ASF.replace(b"angle deg", b"angle " + word)
+    for degrees in (b"30 -20 40", b"0 0 90"):
+        turned = turned.replace(degrees, b" ".join(b"%.12f" % np.radians(float(x)) for x in degrees.split()))
+    (tmp_path / "radians.asf").write_bytes(turned)
+    said, same = (load(tmp_path, asf, AMC) for asf in (leg, read_asf(tmp_path / "radians.asf")))
+    assert torch.allclose(said.rotations, same.rotations)
+
+
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [

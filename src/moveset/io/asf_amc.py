@@ -165,7 +165,7 @@ def read_asf(path: str | Path) -> AsfSkeleton:
                 if not 1e-4 <= length <= 1e4:
                     lines.fail(f"a unit length of {length:g} is not in [0.0001, 10000]; the file is damaged", number)
             elif key == "angle":
-                degrees = float(np.degrees(1.0)) if rest[:1] == ["rad"] else 1.0
+                degrees = float(np.degrees(1.0)) if rest and rest[0].lower().startswith("rad") else 1.0
         elif section == ":root":
             if key == "order":
                 root_order = tuple(token.lower() for token in rest)

@@ -182,6 +182,10 @@ def read_bvh(path: str | Path, *, fps: float | None = None) -> BvhFile:
     reader = _Reader(path, data)
     reader.expect(b"HIERARCHY")
     joints, end_sites = _hierarchy(reader)
+    after = reader.token()
+    if after.upper() == b"ROOT":
+        reader.fail("a second ROOT: there are several bodies in this file; export each to a file of its own")
+    reader.tokens.insert(0, after)
     reader.expect(b"MOTION")
     frames, frame_time = _timing(reader, fps)
     values = _frames(reader, frames, len(joints), sum(len(joint.channels or ()) for joint in joints))
