@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import replace
 
 import pytest
 import torch
@@ -12,7 +13,7 @@ from moveset.motion.cleanup import lock_feet
 from moveset.motion.clip import Motion
 from moveset.motion.contacts import stances
 from moveset.motion.foot_lock import FootLock
-from moveset.motion.hover import LONGEST, Hovering, clearance, lasting, set_down
+from moveset.motion.hover import LONGEST, Hovering, clearance, lasting, seated, set_down
 from moveset.motion.skeleton import HML22
 from tests.motions import gait
 
@@ -40,7 +41,20 @@ def hover(frames: int, start: int, stop: int, height: float) -> torch.Tensor:
     return height * ramp.clamp(0.0, 1.0)
 
 
-def streamed(motion: Motion, size: int, planted: torch.Tensor | None = None, carried: bool = True) -> torch.Tensor:
+def seated_at(heights: torch.Tensor) -> Motion:
+    """Thighs level and shins straight down, feet ``heights`` (F,) above the floor."""
+    motion = above(heights)
+    turned = motion.rotations.clone()
+    for side in ("left", "right"):
+        turned[:, HML22.index(f"{side}_hip")] = rotations.about("x", torch.tensor(-90.0))
+        turned[:, HML22.index(f"{side}_knee")] = rotations.about("x", torch.tensor(90.0))
+    sitting = replace(motion, rotations=turned)
+    root = motion.root.clone()
+    root[:, 1] += heights - sitting.joints[..., 1].amin(dim=1)
+    return replace(sitting, root=root)
+
+
+def streamed(motion: Motion, size: int, planted: torch.Tensor | None = None) -> torch.Tensor:
     """What a stream takes off, in pieces; by default of a body that plants no foot."""
     planted = torch.zeros(len(motion), 2, dtype=torch.bool) if planted is None else planted
     feet = motion.joints[:, list(HML22.feet), 1].unflatten(1, (2, 2)).amin(dim=2)
@@ -49,16 +63,29 @@ def streamed(motion: Motion, size: int, planted: torch.Tensor | None = None, car
     parts = []
     for k in range(0, len(motion), size):
         piece = slice(k, k + size)
-        legs = torch.full_like(planted[piece, 0], carried)
-        parts.append(held(low[piece], feet[piece], planted[piece], legs))
+        parts.append(held(low[piece], feet[piece], planted[piece]))
         held = Hovering(FPS, **json.loads(json.dumps(held.state())))
     return torch.cat(parts)
 
 
-def test_a_stream_leaves_alone_who_is_not_carried_by_legs():
-    up = above(jump(120, 20, 4 * LONGEST))
-    assert streamed(up, 14).max() > 0.1
-    assert not streamed(up, 14, carried=False).any()
+@pytest.mark.parametrize("height", [0.0, 0.15, 0.35])
+def test_who_sits_on_nothing_is_set_down(height):
+    """In a clip exactly, in a stream after the length of a jump; nobody floats, and nothing else moves."""
+    up = seated_at(hover(120, 20, 100, height))
+    down = seated(up)
+    assert down.joints[30:90, :, 1].amin(dim=1).max() < 0.07
+    assert torch.equal(down.root[:, [0, 2]], up.root[:, [0, 2]])
+    assert torch.equal(down.rotations, up.rotations)
+    assert torch.equal(down.root[:15], up.root[:15])
+    low = up.joints[..., 1].amin(dim=1) - streamed(up, 14)
+    assert low[45:95].max() < 0.07
+
+
+def test_who_stands_jumps_or_is_high_up_is_not_seated():
+    for motion in (
+        above(hover(120, 20, 100, 0.2)), seated_at(jump(60, 20, 0.9 * LONGEST)), seated_at(hover(120, 20, 100, 0.6))
+    ):  # fmt: skip
+        assert seated(motion) is motion
 
 
 def test_who_stands_walks_or_jumps_is_left_alone():

@@ -10,6 +10,7 @@ TOE_HEIGHT = 0.05
 ANKLE_HEIGHT = 0.12
 SPEED = 0.5
 _CARRYING = 0.5
+_DOWN, _UP = 0.5, 0.65  # hips over the lower foot, of the legs' length: who is down, and whom legs carry
 #: Above this a network's contact feature is a planted foot: far below one half, since what blurs feet blurs contacts
 #: too, and a doubtful foot is better held than let slide (docs/decisions/motion.md).
 PLANTED = 0.15
@@ -59,6 +60,12 @@ def leg_share(joints: Tensor, skeleton: Skeleton) -> Tensor:
     hips = [skeleton.parents[knee] for knee in knees]
     leg = skeleton.offsets[[*knees, *ankles]].norm(dim=-1).sum() / 2
     return (joints[:, hips, 1].mean(dim=1) - joints[:, ankles, 1].amin(dim=1)) / leg.to(joints)
+
+
+def off_legs(joints: Tensor, skeleton: Skeleton) -> Tensor:
+    """How far (F,), 0 to 1, somebody is off the legs, as who sits, kneels, lies or is upside down; of (F, J, 3)."""
+    off = ((_UP - leg_share(joints, skeleton)) / (_UP - _DOWN)).clamp(0.0, 1.0)
+    return off * off * (3.0 - 2.0 * off)
 
 
 def _ankle_and_knee(skeleton: Skeleton, foot: int) -> list[int]:

@@ -14,14 +14,13 @@ from torch import Tensor
 
 from moveset.motion import rotations
 from moveset.motion.clip import Motion
-from moveset.motion.contacts import leg_share
+from moveset.motion.contacts import off_legs
 from moveset.motion.kinematics import global_to_local
 from moveset.motion.positions import HINGES
 from moveset.motion.skeleton import Skeleton
 from moveset.motion.two_bone_ik import two_bone
 
 _NEAR = 0.02  # metres: what is lower is held back, the more the lower, so that nothing stops at once
-_DOWN, _UP = 0.5, 0.65  # hips over the lower foot, of the legs' length: who is down, and whom legs carry
 
 
 def above_floor(motion: Motion) -> Motion:
@@ -32,9 +31,8 @@ def above_floor(motion: Motion) -> Motion:
     """
     skeleton, joints = motion.skeleton, motion.joints.double().clone()
     trunk, limbs = _parts(skeleton)
-    down = ((_UP - leg_share(joints, skeleton)) / (_UP - _DOWN)).clamp(0.0, 1.0)
     share = torch.ones_like(joints[..., 1])
-    share[:, _legs(skeleton, trunk)] = (down * down * (3.0 - 2.0 * down))[:, None]
+    share[:, _legs(skeleton, trunk)] = off_legs(joints, skeleton)[:, None]
     if not bool((share * (joints[..., 1] < _NEAR)).any()):
         return motion
     rise = _missing(joints[:, trunk, 1].amin(dim=1, keepdim=True))

@@ -79,7 +79,7 @@ class FootLock:
         feet = joints[:, list(self.skeleton.feet)].unflatten(1, (2, 2))
         lowest = feet[..., 1].amin(dim=2)
         stands = standing.unflatten(1, (2, 2)).any(dim=2)
-        height = self._hovering(joints[..., 1].amin(dim=1), lowest, stands, carried)
+        height = self._hovering(joints[..., 1].amin(dim=1), lowest, stands)
         if bool(height.any()):
             piece, lowest = lowered(piece, height), lowest - height[:, None]
         shifts = []

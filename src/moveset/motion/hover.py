@@ -16,12 +16,13 @@ from torch import Tensor
 from torch.nn.functional import max_pool1d, pad
 
 from moveset.motion.clip import Motion
-from moveset.motion.contacts import SPEED, stands_on
+from moveset.motion.contacts import SPEED, off_legs, stands_on
 from moveset.motion.smoothing import gaussian_smooth, spans
 
 SOLE = 0.02  # metres over the floor, below which the lowest joint of a standing foot is
 LONGEST = 0.6  # seconds in the air: a jump of 0.44 m
 _HIGHEST = 0.2  # metres: who is higher for longer than that is on something
+_SEAT = 0.4  # the same of who sits or lies
 _FLIGHT = 0.25  # seconds, longer than the flights of somebody who runs; a jump of 8 cm
 _STANDING = 0.05  # metres over the floor, below which the lowest joint of a body on the floor is
 _SMOOTH = 0.05  # seconds
@@ -69,6 +70,22 @@ def set_down(motion: Motion) -> Motion:
     return lowered(motion, gaussian_smooth(height[:, None], _SMOOTH * motion.fps)[:, 0])
 
 
+def seated(motion: Motion) -> Motion:
+    """The clip with whoever sits, lies or kneels set down until something rests on the floor: the root sinks.
+
+    In takes people sit on stools that their feet hang from, and networks learn it; in what they make there are no
+    stools. Who stands, jumps, or is higher than a seat (``_SEAT``) stays where they are.
+    """
+    joints = motion.joints
+    height = lasting(clearance(joints) * off_legs(joints, motion.skeleton), motion.fps)
+    for start, stop in spans(height > 0):
+        if float(height[start:stop].max()) > _SEAT:
+            height[start:stop] = 0.0
+    return (
+        lowered(motion, gaussian_smooth(height[:, None], _SMOOTH * motion.fps)[:, 0]) if bool(height.any()) else motion
+    )
+
+
 def lowered(motion: Motion, height_F: Tensor) -> Motion:
     """The motion with its root lower by ``height_F`` metres."""
     down = torch.zeros_like(motion.root)
@@ -77,7 +94,7 @@ def lowered(motion: Motion, height_F: Tensor) -> Motion:
 
 
 class Hovering:
-    """``set_down`` for motion that never ends, piece by piece, with planted feet to go by.
+    """``set_down`` and ``seated`` for motion that never ends, piece by piece, with planted feet to go by.
 
     The floor comes up to a body that has been in the air for longer than a jump takes, and slowly to one whose planted
     feet are far above it; the rest is for the legs (``foot_lock``). It goes down again with the body.
@@ -93,19 +110,18 @@ class Hovering:
         self._ease, self._settle = (1.0 - exp(-1.0 / (seconds * fps)) for seconds in (_EASE, _SETTLE))
         self._height, self._aloft = height, aloft
 
-    def __call__(self, lowest: Tensor, feet: Tensor, planted: Tensor, carried: Tensor) -> Tensor:
+    def __call__(self, lowest: Tensor, feet: Tensor, planted: Tensor) -> Tensor:
         """How much (F,) of the next frames is to be taken off, metres, float64.
 
         Args:
             lowest: (F,) height of the body's lowest joint.
             feet: (F, 2) that of the lowest joint of each foot.
             planted: (F, 2) bool, which of them stand.
-            carried: (F,) bool, whether legs carry the body: who sits, lies or kneels does not hover.
         """
         heights = []
-        for low, at, stands, legs in zip(*(x.tolist() for x in (lowest, feet, planted, carried)), strict=True):
+        for low, at, stands in zip(*(x.tolist() for x in (lowest, feet, planted)), strict=True):
             standing = [height for height, stand in zip(at, stands, strict=True) if stand]
-            down = standing or not legs or low - self._height < _STANDING
+            down = standing or low - self._height < _STANDING
             self._aloft = 0 if down else self._aloft + 1
             if standing:
                 self._height += self._settle * max(min(standing) - _STANDING - self._height, 0.0)

@@ -18,14 +18,17 @@ def assembled(clips: "Sequence[tuple[Motion, Tensor]]", foot_lock: bool) -> "tup
     Args:
         clips: with the feet (F, 4) that each has planted by the model's own account: a foot that slides is not found
             planted by its speed, which is what is to be mended.
+        foot_lock: also set down who sits or lies on nothing.
     """
     import torch
 
     from moveset.motion.cleanup import lock_feet
+    from moveset.motion.hover import seated
     from moveset.motion.join import join
 
     raw = join([motion for motion, _ in clips])
-    return raw, lock_feet(raw, contacts=torch.cat([planted for _, planted in clips])) if foot_lock else raw
+    planted = torch.cat([planted for _, planted in clips])
+    return raw, lock_feet(seated(raw), contacts=planted) if foot_lock else raw
 
 
 @dataclass(frozen=True)
