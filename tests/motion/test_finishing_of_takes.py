@@ -53,9 +53,8 @@ def test_who_is_not_on_the_feet_is_left_alone(real_data, kind):
     arms = [joint for joint, name in enumerate(HML22.joints) if name.endswith(("elbow", "wrist"))]
     trunk = [joint for joint in range(len(HML22)) if joint not in (*legs, *arms)]
     assert (moved[:, trunk].norm(dim=-1).amax(dim=1) < 1.5 * deep + 0.02).all()
-    assert (
-        moved[:, arms].norm(dim=-1).amax(dim=1) < 2.5 * deep + 0.02
-    ).all()  # elbows bend where arms are in the floor
+    # Elbows bend where arms are in the floor.
+    assert (moved[:, arms].norm(dim=-1).amax(dim=1) < 2.5 * deep + 0.02).all()
     contacts = features[:, codec.groups["contacts"]] > PLANTED
     held = codec.decode(hold_root(features, contacts, codec))
     free = far_from(contacts & carried, 2)

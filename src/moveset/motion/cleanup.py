@@ -33,8 +33,9 @@ def lock_feet(motion: Motion, contacts: Tensor | None = None) -> Motion:
     Each stance is pinned to where its foot moves least; on the way into and out of it the shift dies away smoothly. A
     foot that the body carries far off takes a step instead of sliding. Planted feet above the floor y = 0 come down to
     it, and feet below it are lifted onto it; otherwise they keep their height, and their orientation as long as legs
-    reach (``move_feet``). A body that hovers is set down (``hover.set_down``), and who sits, kneels, lies or is upside
-    down, whose feet are free, comes out of the floor (``floor.above_floor``); else nothing above the hips moves.
+    reach (``move_feet``). A body that hovers is set down (``hover.set_down``), and what is in the floor comes
+    out of it (``floor.above_floor``); else nothing above the hips moves. Feet of somebody who sits, kneels, lies or is
+    upside down are free.
 
     Args:
         motion: on a skeleton with feet and known knees (hml22, kit21).

@@ -10,7 +10,7 @@ TOE_HEIGHT = 0.05
 ANKLE_HEIGHT = 0.12
 SPEED = 0.5
 _CARRYING = 0.5
-_DOWN, _UP = 0.5, 0.65  # hips over the lower foot, of the legs' length: who is down, and whom legs carry
+_SURELY = 0.65
 #: Above this a network's contact feature is a planted foot: far below one half, since what blurs feet blurs contacts
 #: too, and a doubtful foot is better held than let slide (docs/decisions/motion.md).
 PLANTED = 0.15
@@ -64,7 +64,7 @@ def leg_share(joints: Tensor, skeleton: Skeleton) -> Tensor:
 
 def off_legs(joints: Tensor, skeleton: Skeleton) -> Tensor:
     """How far (F,), 0 to 1, somebody is off the legs, as who sits, kneels, lies or is upside down; of (F, J, 3)."""
-    off = ((_UP - leg_share(joints, skeleton)) / (_UP - _DOWN)).clamp(0.0, 1.0)
+    off = ((_SURELY - leg_share(joints, skeleton)) / (_SURELY - _CARRYING)).clamp(0.0, 1.0)
     return off * off * (3.0 - 2.0 * off)
 
 

@@ -65,9 +65,7 @@ def set_down(motion: Motion) -> Motion:
         up = slice(start, stop)
         if start == 0 or not flies[up].any() or float(height[up].max()) > _HIGHEST:
             height[up] = 0.0
-    if not bool(height.any()):
-        return motion
-    return lowered(motion, gaussian_smooth(height[:, None], _SMOOTH * motion.fps)[:, 0])
+    return _eased(motion, height)
 
 
 def seated(motion: Motion) -> Motion:
@@ -81,9 +79,14 @@ def seated(motion: Motion) -> Motion:
     for start, stop in spans(height > 0):
         if float(height[start:stop].max()) > _SEAT:
             height[start:stop] = 0.0
-    return (
-        lowered(motion, gaussian_smooth(height[:, None], _SMOOTH * motion.fps)[:, 0]) if bool(height.any()) else motion
-    )
+    return _eased(motion, height)
+
+
+def _eased(motion: Motion, height_F: Tensor) -> Motion:
+    """``lowered``, as smoothly as somebody sinks."""
+    if not bool(height_F.any()):
+        return motion
+    return lowered(motion, gaussian_smooth(height_F[:, None], _SMOOTH * motion.fps)[:, 0])
 
 
 def lowered(motion: Motion, height_F: Tensor) -> Motion:
