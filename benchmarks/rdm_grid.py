@@ -65,7 +65,7 @@ class Variant:
     @property
     def overlaps(self) -> bool:
         """Whether segments are sampled by a staircase, not one after the other."""
-        return self.what == "rdm-7"
+        return self.what == "rdm-7" or "overlapping=true" in self.settings
 
 
 # Aligned as published, and told of no sides, which nothing here reads off a sentence.
@@ -79,6 +79,8 @@ ENTANGLED = ("grid.entangled=0.5",)
 ALGORITHM_2 = ("grid.anchor=first", "grid.share_noise=true", "grid.condition=previous")
 # Eq. 13 and 31 weigh by 1 / |det|, which overflows for 28 frames of 269 features: here its mean for a number of them.
 JOINT = ("joint=true", "weight=x0", f"jacobian={1 / (SEGMENT_FRAMES[N] * 269):.3g}")
+# What tells noisy pasts in another way goes.
+OVERLAPPING = ("overlapping=true", "context_noise_rollout=false")
 BARE = ("heading_change=0", "heading_noise=0", "model.heading_change=false")
 
 VARIANTS = {
@@ -104,7 +106,16 @@ VARIANTS = {
         for teacher in ("entangled", "entangled-identity")
         for k in (1, 2, 4)
     },
-}
+    # The same, told the segment before as a staircase has it, each a step behind; in one evaluation it is finished.
+    **{
+        f"{teacher}-pcm-{k}-overlapping": Variant(
+            what="rdm-student", base=f"{teacher}-pcm-{k}", teacher=teacher,
+            settings=(*ALIGNED, *OVERLAPPING, f"phases={k}"),
+        )
+        for teacher in ("entangled", "entangled-identity")
+        for k in (2, 4)
+    },
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -180,7 +191,9 @@ def measure(name: str, seed: int, point: Point, given: argparse.Namespace) -> No
     if (given.out / "points" / f"{key}.json").is_file():
         return
     print(f"rdm_grid: measuring {key}", file=sys.stderr, flush=True)
-    settings = {} if variant.teacher else point.settings(variant.overlaps)
+    settings = point.settings(variant.overlaps)
+    if variant.teacher:
+        settings = {"lag": 1} if variant.overlaps else {}
     config = replace(
         common(given), model=str(given.out / "models" / f"{name}.{seed}"), network=variant.network, steps=point.steps,
         settings=tuple(settings.items()), name=key,
@@ -248,14 +261,16 @@ def draw(found: dict[str, Any], metric: str, label: str, path: Path) -> None:
     from matplotlib.figure import Figure
     from matplotlib.ticker import LogLocator, NullFormatter, ScalarFormatter
 
-    def sampler(curve: dict[str, Any]) -> tuple[bool, int, str]:
-        return bool(VARIANTS[curve["variant"]].teacher), curve["K"], curve["variance"]
+    def sampler(curve: dict[str, Any]) -> tuple[str, int, str]:
+        variant = VARIANTS[curve["variant"]]
+        student = ("overlapping student, " if variant.overlaps else "student, ") if variant.teacher else ""
+        return student, curve["K"], curve["variance"]
 
     samplers = sorted({sampler(curve) for curve in found["curves"]})
     panels = {name: [c for c in found["curves"] if (VARIANTS[c["variant"]].teacher or c["variant"]) == name]
               for name in VARIANTS}  # fmt: skip
     panels = {name: shown for name, shown in panels.items() if shown}
-    names = [f"{'student, ' * student}K = {k}{', ' * bool(v)}{v}" for student, k, v in samplers]
+    names = [f"{student}K = {k}{', ' * bool(v)}{v}" for student, k, v in samplers]
     colours = {kind: COLOURS[k % len(COLOURS)] for k, kind in enumerate(samplers)}
     with matplotlib.rc_context(STYLE):
         columns = min(4, len(panels))

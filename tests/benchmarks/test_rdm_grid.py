@@ -48,6 +48,7 @@ def test_variants_differ_from_each_other_in_what_they_are_named_by(grid):
         ("md", "md-bare", told),
         ("md", "md-alone", {"md_condition"}),
         ("anchored-identity", "md", {"grid.condition", "grid.clean_share"}),
+        ("entangled-pcm-4", "entangled-pcm-4-overlapping", {"overlapping", "context_noise_rollout"}),
     ):
         assert set(differing(made[one], made[other])) == names, (one, other)
     assert [made[f"entangled-pcm-{k}"].phases for k in (1, 2, 4)] == [1, 2, 4]
@@ -63,7 +64,7 @@ def test_every_point_of_the_paper_is_there_once(grid):
     assert [p.name for p in grid.points(grid.VARIANTS["md"], (10, 1000))] == [
         "K10-R10-parallelogram", "K1000-R1000-parallelogram-posterior", "K1000-R1000-parallelogram-beta"
     ]  # fmt: skip
-    assert [p.steps for p in grid.points(grid.VARIANTS["entangled-pcm-4"], grid.STEPS)] == [4]
+    assert [p.steps for p in grid.points(grid.VARIANTS["entangled-pcm-4-overlapping"], grid.STEPS)] == [4]
 
 
 def test_a_student_is_trained_after_its_teacher_and_exported_with_it(grid, tmp_path, monkeypatch):

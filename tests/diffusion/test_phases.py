@@ -43,6 +43,8 @@ def test_every_point_lies_in_the_phase_it_is_assigned_to(points, data):
     assert torch.equal(grid.time(grid.highest(i)), high)
     # the teacher's step reaches the edge exactly at the first point of each phase
     assert torch.equal(previous == low, torch.isin(i, starts))
+    assert torch.equal(grid.below(t), low)
+    assert torch.equal(grid.below(high), low)
     assert len(grid.jumps) == phases
     assert all(edge == 0 or edge in t.tolist() for edge in grid.edges)
 

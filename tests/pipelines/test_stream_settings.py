@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 import torch
 
+from moveset.diffusion.phases import PhaseGrid
 from moveset.errors import InputError
 from moveset.pipelines.stream_settings import check_stream
 from moveset.pipelines.timeline import share_evenly
+from moveset.rdm.staircase import Staircase
 
 WALK, BOW = "a person walks", "a person bows"
 BOTH = "a person walks, then bows"
@@ -35,7 +37,9 @@ ONE_BY_ONE = {"network": "rdm", "start": 6, "lag": 6}
         ({"steps": 3}, "no student for 3 steps; choose 1, 2, or network 'rdm' or 'md'"),
         ({"network": "pcm-2", "steps": 4}, "takes 2 steps"),
         ({"network": "pcm-2", "eta": 0.5}, "eta 0.5"),
-        ({"network": "pcm-2", "lag": 1}, "leave them out"),
+        ({"network": "pcm-2", "start": 1}, "start is its 2 steps, and lag 1 to 2; leave them out"),
+        ({"network": "pcm-2", "lag": 3}, "lag 1 to 2; leave them out"),
+        ({"network": "md", "lag": 1}, "leave them out"),
         ({"network": "md", "start": 2}, "leave them out"),
         ({"network": "rdm", "steps": 0}, "0 steps"),
         ({"network": "rdm", "start": 9}, "start 9"),
@@ -90,6 +94,17 @@ def test_numbers_of_numpy_become_those_that_a_state_can_hold(bundle):
     request = check_stream(bundle.config, WALK, np.float64(2.8), network="rdm", **as_numpy)
     assert request == check_stream(bundle.config, WALK, 2.8, network="rdm", **given)
     assert json.loads(json.dumps([request.seed, vars(request.settings)])) == [7, vars(request.settings)]
+
+
+def test_a_student_may_overlap_and_is_told_what_it_was_taught(bundle):
+    """The segment before at the lower edge of the phase in which it is asked (``rdm_distillation``)."""
+    settings = check_stream(bundle.config, WALK, network="pcm-2", lag=1).settings
+    assert not settings.one_by_one
+    assert settings.staircase() == Staircase(2, None, 2, lag=1)
+    levels = settings.solver(bundle.config, None).levels
+    asked, before = torch.tensor(levels[:-1]), torch.tensor(levels[1:])  # it is a step ahead
+    assert torch.equal(PhaseGrid(bundle.config.points, 2, bundle.config.timesteps).below(asked), before)
+    assert check_stream(bundle.config, WALK, network="pcm-2").settings.sequential
 
 
 @pytest.mark.parametrize(

@@ -89,6 +89,29 @@ def test_a_teacher_may_be_told_a_noisy_past_of_streams_alone(tiny_run, tmp_path,
                 assert not torch.allclose(previous[row], bound.batch.previous[row], atol=1e-2)
 
 
+def test_who_overlaps_is_told_the_past_at_the_lower_edge_of_its_phase(tiny_run, tmp_path, monkeypatch):
+    told, bind = [], BoundSegments._condition
+    monkeypatch.setattr(
+        BoundSegments,
+        "_condition",
+        lambda self, text, t_B, **more: told.append((self, t_B, bind(self, text, t_B, **more))) or told[-1][-1],
+    )
+    monkeypatch.setattr(rdm_distillation, "levels", lambda steps: levels(3))
+    settings = ("overlapping=true", "phases=2", "trajectory_rows=3", "adversarial=0.1", "cutting.first_share=0")
+    _, result = tiny_run.train("rdm-student", tmp_path / "run", *settings, steps=2, validate_every=2)
+    assert result.validation["student_gap"] > 0
+    assert {len(t_B) for _, t_B, _ in told} == {3, 4, 64}
+    levels_seen = set()
+    for bound, t_B, condition in told:
+        past, given = condition.past, bound.batch.previous
+        assert torch.equal(past.level, (t_B > 499) * 499)
+        levels_seen |= set(past.level.tolist())
+        for row, level in enumerate(past.level.tolist()):
+            same = torch.allclose(past.frames[row], given[row], atol=1e-3)
+            assert same == (level == 0)
+    assert levels_seen == {0, 499}
+
+
 def test_validation_is_of_takes_with_finished_pasts(tiny_run, tmp_path, monkeypatch):
     settings = ("context_noise_rollout=true", "rollout_share=0.5")
     told, init = [], BoundSegments.__init__
@@ -184,6 +207,14 @@ def test_no_more_rows_follow_a_trajectory_than_a_batch_has(rows, said, tiny_run,
         tiny_run.train("rdm-student", tmp_path / "run", f"trajectory_rows={rows}")
 
 
-def test_a_noisy_past_of_streams_asks_for_streams(tiny_run, tmp_path):
-    with pytest.raises(InputError, match="set rollout_share too"):
-        tiny_run.train("rdm-student", tmp_path / "run", "context_noise_rollout=true")
+@pytest.mark.parametrize(
+    ("settings", "said"),
+    [
+        (["context_noise_rollout=true"], "set rollout_share too"),
+        (["overlapping=true"], "in one the segment before is finished; set phases=2 or 4"),
+        (["overlapping=true", "phases=2", "rollout_share=0.5", "context_noise_rollout=true"], "leave context_noise"),
+    ],
+)
+def test_noisy_pasts_that_nobody_would_be_told_are_refused(settings, said, tiny_run, tmp_path):
+    with pytest.raises(InputError, match=said):
+        tiny_run.train("rdm-student", tmp_path / "run", *settings)

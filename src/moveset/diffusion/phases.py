@@ -95,6 +95,17 @@ class PhaseGrid:
         """s_{m+1}, the upper edge of the phase of point i."""
         return self._edge(self.phase(i) + 1)
 
+    def below(self, t: Tensor) -> Tensor:
+        """The lower edge of the phase that times t, of any solver, lie in or above which they end; 0 of 0.
+
+        >>> PhaseGrid(points=10, phases=2).below(torch.tensor([0, 1, 499, 500, 1000])).tolist()
+        [0, 0, 0, 499, 499]
+        """
+        below = torch.zeros_like(t)
+        for edge in self.edges[1:-1]:
+            below = below.masked_fill(t > edge, edge)
+        return below
+
     def _edge(self, m: Tensor) -> Tensor:
         # Arithmetic instead of a table: nothing to copy to the device in every training step.
         start = (m * self.points).div(self.phases, rounding_mode="floor")

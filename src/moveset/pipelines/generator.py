@@ -131,7 +131,7 @@ def _stream(
     request = check_stream(bundle.config, network=network, steps=sampler.steps, foot_lock=foot_lock, **given)
     if shape != "parallelogram" and named(request.settings.network).role is not Role.DENOISER:
         raise InputError(
-            f"network {request.settings.network!r} makes one segment after the other, so there is no {shape}; "
+            f"network {request.settings.network!r} begins every segment from noise, so there is no {shape}; "
             "leave shape out or choose --network rdm"
         )
     plan = request.settings

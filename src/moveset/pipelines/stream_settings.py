@@ -128,8 +128,8 @@ def check_stream(
         loop: begin again after the last prompt, which is held otherwise.
         network: a denoiser of the folder; by default the model's choice.
         steps: K, for networks that are no students; without ``network`` it may also name a student by its steps.
-        start: R, for networks that see a noisy predecessor.
-        lag: for the same.
+        start: R, for networks that see a noisy predecessor and are no students.
+        lag: for networks that see a noisy predecessor: a student does that was trained with ``overlapping=true``.
         past_lag: for the same where lag is all of the steps: how many steps the finished segment before is told to be
             ahead, noised again to that level; all of the steps tell it clean.
         eta: 0 to 1, for networks that are no students.
@@ -257,11 +257,13 @@ def _plan(
         if not least <= start <= steps or not 1 <= lag <= steps:
             raise InputError(f"start {start} is not in {least} to {steps} steps, or lag {lag} not in 1 to {steps}; "
                              "leave them out for the model's own")  # fmt: skip
-    elif start not in (None, steps) or lag not in (None, steps):
-        raise InputError(f"network {network!r} makes one segment after the other, so start and lag are its {steps} "
-                         "steps; leave them out or choose network 'rdm'")  # fmt: skip
     else:
-        start = lag = steps
+        lag = steps if lag is None else lag
+        least = 1 if of.role is Role.STUDENT else steps
+        if start not in (None, steps) or not least <= lag <= steps:
+            raise InputError(f"network {network!r} begins every segment from noise, so start is its {steps} steps, and "
+                             f"lag {least} to {steps}; leave them out or choose network 'rdm'")  # fmt: skip
+        start = steps
     eta = default_eta if eta is None else eta
     if not 0.0 <= eta <= 1.0:
         raise InputError(

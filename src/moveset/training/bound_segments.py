@@ -3,7 +3,9 @@
 Shapes: B rows, n frames of a segment, D features, C text width.
 """
 
-from dataclasses import replace
+from collections.abc import Callable
+from copy import copy
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import torch
@@ -17,30 +19,41 @@ from moveset.text.encoder import TextEmbedding
 from moveset.training.adversarial import of_another
 from moveset.training.rdm import SCHEDULE
 
-NEARER = 0.75
-"""Share of the level at which the teacher is asked that a noisy past is told at."""
+
+@dataclass(frozen=True, eq=False)
+class NoisyPast:
+    """How previous segments are told that are not told finished.
+
+    Args:
+        noise: (B, n, D) to the level that they are told at.
+        pooled: their sentence embeddings (B, C).
+        level: that level (B,), int64, of the one (B,) at which a network is asked.
+        to_all: student and judge are told so too, not the guided teacher alone.
+    """
+
+    noise: Tensor
+    pooled: Tensor
+    level: Callable[[Tensor], Tensor]
+    to_all: bool
 
 
 class BoundSegments:
     """Networks and flow with a batch's text, previous segments and indices bound.
 
     Args:
-        past: noise (B, n, D) of the previous segments as the guided teacher is told them, their sentence embeddings
-            (B, C), and which of them are told so (B,), bool; the others, and all where it is None, are told finished,
-            as to the student.
+        past: how previous segments are told; None tells all finished.
     """
 
     def __init__(
         self, batch: SegmentBatch, text: TextEmbedding, empty: TextEmbedding, transport: Transport, teacher: Denoiser,
-        past: tuple[Tensor, Tensor, Tensor] | None = None,
+        past: NoisyPast | None = None,
     ) -> None:  # fmt: skip
         self.batch, self.text, self.empty, self.transport, self.teacher = batch, text, empty, transport, teacher
-        self.past: tuple[Tensor, ...] | None = None
+        self.past = past
         if past is not None:
-            noise, pooled, noisy_B = past
-            before_B = (batch.index - 1).clamp_min(0)
-            # Carried back once: the teacher is asked at many levels.
-            self.past = (transport.pull(batch.previous, before_B, pooled), noise, before_B, pooled, noisy_B)
+            self.before_B = (batch.index - 1).clamp_min(0)
+            # Carried back once: networks are asked at many levels.
+            self.y_past = transport.pull(batch.previous, self.before_B, past.pooled)
         self.clean_level = torch.zeros_like(batch.index)
 
     def mismatched(self) -> "BoundSegments":
@@ -48,16 +61,16 @@ class BoundSegments:
 
         Sentences are compared, not labels as for clips: another wording of the same counts as something else.
         """
-        told = [(caption,) for caption in self.batch.captions]
-        others = self.text[torch.tensor(of_another(told), device=self.batch.index.device)]
-        return BoundSegments(self.batch, others, self.empty, self.transport, self.teacher)
+        told, other = [(caption,) for caption in self.batch.captions], copy(self)
+        other.text = self.text[torch.tensor(of_another(told), device=self.batch.index.device)]
+        return other
 
     def alone(self, rows_B: Tensor) -> "BoundSegments":
         """The same with some segments as first ones: without a past, and in the coordinates of such."""
         # Their example is of the sentence and of no way before it.
-        turned_B = self.batch.turned.masked_fill(rows_B, torch.nan)
-        batch = replace(self.batch, index=self.batch.index.masked_fill(rows_B, 0), turned=turned_B)
-        return BoundSegments(batch, self.text, self.empty, self.transport, self.teacher)
+        turned_B, other = self.batch.turned.masked_fill(rows_B, torch.nan), copy(self)
+        other.batch = replace(self.batch, index=self.batch.index.masked_fill(rows_B, 0), turned=turned_B)
+        return other
 
     def push(self, y: Tensor) -> Tensor:
         """x of y."""
@@ -71,36 +84,35 @@ class BoundSegments:
         """The teacher's clean segment under classifier-free guidance."""
 
         def predict(x: Tensor, t_B: Tensor) -> Tensor:
-            condition = self._condition(self.text, *self._past_at(t_B))
-            return guided(self.teacher, condition, w_B, self.empty)(x, t_B)
+            return guided(self.teacher, self._condition(self.text, t_B, noisy=True), w_B, self.empty)(x, t_B)
 
         return predict
 
     def by(self, network: Denoiser, w_B: Tensor, text: TextEmbedding | None = None) -> Prediction:
         """A student, given another reading of the captions if there is one."""
-        return guided(network, self._condition(self.text if text is None else text), w_B)
+        read = self.text if text is None else text
+        return lambda x, t_B: guided(network, self._condition(read, t_B), w_B)(x, t_B)
 
     def features(self, x: Tensor, t_B: Tensor) -> list[Tensor]:
         """What the frozen teacher's blocks make of x."""
         taps: list[Tensor] = []
-        self.teacher(x, t_B, self._condition(self.text), taps)
+        self.teacher(x, t_B, self._condition(self.text, t_B), taps)
         return taps
 
-    def _condition(
-        self, text: TextEmbedding, previous: Tensor | None = None, level_B: Tensor | None = None
-    ) -> Condition:
-        """Of a clean past, unless another is given."""
+    def _condition(self, text: TextEmbedding, t_B: Tensor, *, noisy: bool = False) -> Condition:
+        """Of who is asked at these levels, told a finished past or, if there is one for it, a ``noisy`` one."""
         b = self.batch
-        previous, level_B = (b.previous, self.clean_level) if previous is None else (previous, level_B)
+        previous, level_B = b.previous, self.clean_level
+        if self.past is not None and (noisy or self.past.to_all):
+            previous, level_B = self._past_at(t_B)
         return Condition(text, past=PastSegment(previous, level_B, b.index, b.turned), valid=b.valid)
 
     def _past_at(self, t_B: Tensor) -> tuple[Tensor, Tensor]:
-        """The previous segments as the teacher is told them when it is asked at these levels, and their levels."""
-        if self.past is None:
-            return self.batch.previous, self.clean_level
-        y, noise, before_B, pooled, noisy_B = self.past
-        level_B = (NEARER * t_B).long() * noisy_B
-        return self.transport.push(add_noise(SCHEDULE, y, noise, level_B), before_B, pooled), level_B
+        """The previous segments as they are told to who is asked at these levels, and their levels."""
+        assert self.past is not None
+        level_B = self.past.level(t_B)
+        noisy = add_noise(SCHEDULE, self.y_past, self.past.noise, level_B)
+        return self.transport.push(noisy, self.before_B, self.past.pooled), level_B
 
     def sample(self, network: Prediction, noise: Tensor, times: tuple[int, ...]) -> Tensor:
         """Clean segments from noise, deterministically over these levels."""

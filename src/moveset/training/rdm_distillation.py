@@ -1,7 +1,7 @@
 """Distilling a recurrent diffusion model into one, two or four evaluations a segment: the two papers joined.
 
-Segments are denoised one after the other, each told its finished predecessor. Teacher, guidance, averaged target and
-discriminator are as in ``training.distillation``; the mathematics is in ``rdm.distillation``.
+Segments are denoised one after the other, each told its finished predecessor, or in a staircase. Teacher, guidance,
+averaged target and discriminator are as in ``training.distillation``; the mathematics is in ``rdm.distillation``.
 """
 
 from collections.abc import Mapping
@@ -29,7 +29,7 @@ from moveset.rdm.transport import Transport
 from moveset.text.encoder import TextEmbedding
 from moveset.text.sides import forget, with_sides
 from moveset.training.adversarial import AdversarialTask, discriminator_step
-from moveset.training.bound_segments import BoundSegments
+from moveset.training.bound_segments import BoundSegments, NoisyPast
 from moveset.training.condition_dropout import drop_heading_change, perturb_heading, perturb_past
 from moveset.training.distillation import StudentConfig, require_rows
 from moveset.training.ema import Ema
@@ -40,6 +40,9 @@ from moveset.training.segment_data import SegmentData
 from moveset.training.segment_losses import heading_error, placed, side_shortfall
 from moveset.training.tasks import Sources
 from moveset.training.trained import load_trained, require_same_encoder
+
+NEARER = 0.75
+"""Share of the level at which the teacher of streams is asked that a noisy past is told at."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,6 +57,8 @@ class RDMStudentConfig(StudentConfig):
             one it is asked at, as most of its training did; the student is told a finished one, as in use. From a noisy
             past the teacher goes on more lively than from the tired one that a stream may have come to; told takes'
             pasts as they are, it can be followed.
+        overlapping: tell teacher, student and discriminator the segment before at the lower edge of the phase in which
+            they are asked, where a staircase of lag 1 has it then (``--set lag=1``). In the last phase it is finished.
         rollout_share: share of a batch's rows that are told what the student made itself (``training.rollout``). They
             are asked at the top of each phase in turn, and judged without their past: not whether a segment goes on as
             takes do, but whether it shows what is said as takes do.
@@ -75,6 +80,7 @@ class RDMStudentConfig(StudentConfig):
     heading: float = 0.0
     past_perturbation: float = 0.0
     context_noise_rollout: bool = False
+    overlapping: bool = False
     rollout_share: float = 0.0
     heading_change: float = 0.0
     heading_noise: float = 0.0
@@ -98,6 +104,12 @@ class RDMStudentTask(AdversarialTask):
             raise InputError(
                 "context_noise_rollout is of the student's own streams, and there are none; set rollout_share too"
             )
+        if config.overlapping and config.phases == 1:
+            raise InputError(
+                "overlapping is for several phases: in one the segment before is finished; set phases=2 or 4"
+            )
+        if config.overlapping and config.context_noise_rollout:
+            raise InputError("overlapping tells noisy pasts of its own; leave context_noise_rollout out")
         teacher = load_trained(sources.teacher, "denoiser_ema", loop.device)
         require_same_encoder(config, teacher)
         self.teacher = teacher.module
@@ -169,7 +181,7 @@ class RDMStudentTask(AdversarialTask):
         if config.rollout_share:
             batch, w_B = self.own.tell(batch, draws.w_B, self.draws)
             draws = replace(draws, w_B=w_B)
-        past_noise = self._past_noise(self.own.began_with(white_BnD))
+        past_noise = self._past_noise(self.own.began_with(white_BnD), self.draws)
         # The student reads a roughened sentence and should say what is said to the sentence as it is.
         rough, text = self._read(batch, self.draws), self._read(batch)
         bound = self._bound(batch, text, past_noise)
@@ -236,7 +248,10 @@ class RDMStudentTask(AdversarialTask):
         batch = self.data.val.batch(64, 0, 0).to(loop.device)
         text, w = self.data.read(batch.captions), torch.full((64,), sum(self.config.guidance) / 2).to(loop.device)
         noise = torch.randn(batch.clean.shape, generator=torch.Generator().manual_seed(0)).to(loop.device)
-        bound = self._bound(batch, text)
+        past_noise = None
+        if self.config.overlapping:
+            past_noise = self._past_noise(noise, torch.Generator().manual_seed(1))
+        bound = self._bound(batch, text, past_noise)
         noise = self.teacher.colour(noise)
         if self._reference is None:
             self._reference = bound.sample(bound.guided(w), noise, levels(25))
@@ -250,23 +265,29 @@ class RDMStudentTask(AdversarialTask):
             )
         return report | {"teacher_std": float(self._reference.std()), "student_std": float(made.std())}
 
-    def _past_noise(self, white_BnD: Tensor) -> Tensor | None:
-        """Noise of the streams' past that a segment's own noise decides: the teacher's way down is a function of it.
+    def _past_noise(self, white_BnD: Tensor, generator: torch.Generator) -> Tensor | None:
+        """Noise of noisy pasts, if there are such.
 
-        The features' noises change places, so that to the teacher the two look independent, as in its training.
+        Where the teacher alone is told it, a segment's own noise decides it: the teacher's way down is a function of
+        that. The features' noises change places, so that to the teacher the two look independent, as in its training.
         """
-        if not self.config.context_noise_rollout:
+        if self.config.overlapping:
+            past_noise = torch.randn(white_BnD.shape, generator=generator, device=generator.device).to(white_BnD)
+        elif self.config.context_noise_rollout:
+            past_noise = white_BnD.roll(white_BnD.shape[-1] // 2, dims=-1)
+        else:
             return None
-        noise: Tensor = self.teacher.colour(white_BnD.roll(white_BnD.shape[-1] // 2, dims=-1))
+        noise: Tensor = self.teacher.colour(past_noise)
         return noise
 
     def _bound(self, batch: SegmentBatch, text: TextEmbedding, past_noise: Tensor | None = None) -> BoundSegments:
-        empty = self.data.read([""])
         past = None
         if past_noise is not None:
-            # A trajectory's rows are the first of a batch.
-            past = (past_noise, self.data.pooled(batch.previous_captions), self.alone[: len(batch.index)])
-        return BoundSegments(batch, text, empty, self.transport, self.teacher, past)
+            streams_B = self.alone[: len(batch.index)]  # a trajectory's rows are the first of a batch
+            overlaps, pooled = self.config.overlapping, self.data.pooled(batch.previous_captions)
+            level = self.grid.below if overlaps else lambda t_B: (NEARER * t_B).long() * streams_B
+            past = NoisyPast(past_noise, pooled, level, to_all=overlaps)
+        return BoundSegments(batch, text, self.data.read([""]), self.transport, self.teacher, past)
 
     def _coloured(self, draws: Draws) -> Draws:
         noises = ("noise_BND", "fake_noise_BND", "real_noise_BND")
