@@ -149,16 +149,18 @@ def test_networks_and_guidance(stream):
 
 def test_the_staircase_is_chosen_and_noted(stream, tmp_path):
     def made(name, *plan):
-        code, out, _ = stream("a", "--total", "2.8", "--network", "rdm", "--steps", "3", *plan, "-o", name, "--json")
+        code, out, _ = stream("a", "--total", "2.8", *plan, "-o", name, "--json")
         assert code == 0
         notes = read_metadata(tmp_path / name)
         return [row["network_evaluations"] for row in rows(out)], [notes[n] for n in ("start", "lag", "past_lag")]
 
-    assert made("one-by-one.npz", "--start", "3", "--lag", "3") == ([3, 3], [3, 3, 3])
-    assert made("noisy.npz", "--start", "3", "--lag", "3", "--past-lag", "1") == ([3, 3], [3, 3, 1])
-    calls, notes = made("overlapping.npz", "--start", "3", "--lag", "1")
+    rdm = ("--network", "rdm", "--steps", "3", "--start", "3")
+    assert made("one-by-one.npz", *rdm, "--lag", "3") == ([3, 3], [3, 3, 3])
+    assert made("noisy.npz", *rdm, "--lag", "3", "--past-lag", "1") == ([3, 3], [3, 3, 1])
+    calls, notes = made("overlapping.npz", *rdm, "--lag", "1")
     assert sum(calls) > 6  # the segments after it have been begun by the time that the first two are finished
     assert notes == [3, 1, 1]
+    assert made("students.npz", "--network", "pcm-2", "--lag", "1") == ([3, 2], [2, 1, 1])
     assert stream("a", "--total", "1.4", "-o", "student.npz")[0] == 0
     assert not {"start", "lag", "past_lag"} & set(read_metadata(tmp_path / "student.npz"))
 

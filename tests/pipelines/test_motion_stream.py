@@ -96,6 +96,7 @@ def test_guidance_without_a_student_is_two_evaluations(opened, encoder):
     [
         ({"network": "pcm-1"}, [2, 2, 2]),  # with its mirror image
         ({"network": "pcm-2"}, [2, 2, 2]),
+        ({"network": "pcm-2", "lag": 1}, [3, 2, 2]),
         ({"steps": 2}, [2, 2, 2]),
         ({"network": "md"}, [6, 6, 6]),
         ({"network": "md", "guidance": 1.0}, [12, 12, 12]),

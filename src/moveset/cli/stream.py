@@ -228,9 +228,9 @@ def _notes(made: "MotionStream", request: "StreamRequest") -> dict[str, str | in
     from moveset.pipelines.role import Role, named
 
     chosen = request.settings
-    plan = {} if named(chosen.network).role is not Role.DENOISER else {
-        "start": chosen.start, "lag": chosen.lag, "past_lag": chosen.past_lag or chosen.lag,
-    }  # fmt: skip
+    plan = {"start": chosen.start, "lag": chosen.lag, "past_lag": chosen.past_lag or chosen.lag}
+    if chosen.one_by_one and named(chosen.network).role is not Role.DENOISER:
+        plan = {}  # there is no other
     return {
         "generator": f"moveset {__version__}",
         "model": made.bundle.config.name,
