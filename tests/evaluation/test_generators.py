@@ -369,7 +369,7 @@ def test_jobs_open_what_they_name(bundle, streams):
     with pytest.raises(InputError, match="a text-to-motion model is needed"):
         opened(model=flow, network="vae")
     for network in ("pcm-1", "md"):
-        with pytest.raises(InputError, match=f"network '{network}' makes one segment after the other.*no triangle"):
+        with pytest.raises(InputError, match=f"network '{network}' begins every segment from noise.*no triangle"):
             opened(model=flow, network=network, settings=(("shape", "triangle"),))
         assert opened(model=flow, network=network, settings=(("shape", "parallelogram"),)).network == network
 

@@ -18,7 +18,7 @@ from moveset.motion.cleanup import move_feet
 from moveset.motion.clip import Motion, between_frames, concatenate
 from moveset.motion.native import NativeCodec
 from moveset.motion.skeleton import HML22
-from moveset.motion.smoothing import gaussian_smooth, spans
+from moveset.motion.smoothing import gaussian_smooth, smoothstep, spans
 
 MAX_FRAMES = 196
 
@@ -52,12 +52,6 @@ def _same_kind(a: Motion, b: Motion) -> None:
         )
 
 
-def _smoothstep(count: int) -> Tensor:
-    """(count,) weights rising from above 0 to below 1 with flat ends."""
-    x = torch.arange(1, count + 1) / (count + 1)
-    return x * x * (3.0 - 2.0 * x)
-
-
 def _travel(motion: Motion) -> tuple[Tensor, Tensor]:
     """Steps between frames, in the heading of the earlier one: yaw (F-1,) radians, displacement (F-1, 3) metres."""
     facing = rotations.heading(motion.rotations[:, 0])
@@ -89,7 +83,7 @@ def compose_in_time(a: Motion, b: Motion, blend_frames: int) -> Motion:
     total = len(a) + len(b) - n
     if total > MAX_FRAMES:
         raise InputError(f"the composition has {total} frames, more than the limit of {MAX_FRAMES}; shorten the parts")
-    w = _smoothstep(n)
+    w = smoothstep(torch.arange(1, n + 1) / (n + 1))
     tail = a[len(a) - n - 1 :]
     (turn_a, step_a), (turn_b, step_b) = _travel(tail), _travel(b[: n + 1])
     # Frame k of the overlap is reached by the step of ``a`` into it and by the step of ``b`` out of its counterpart.

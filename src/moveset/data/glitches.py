@@ -14,7 +14,7 @@ from torch import Tensor
 from moveset.motion import rotations
 from moveset.motion.kinematics import fk
 from moveset.motion.skeleton import HML22
-from moveset.motion.smoothing import spans
+from moveset.motion.smoothing import smoothstep, spans
 
 MAX_JOINT_SPEED = 16.0
 MAX_ROOT_SPEED = 6.5
@@ -98,7 +98,7 @@ def _mend(joint: Tensor, start: int, stop: int, gap: int, straight: bool) -> Non
         if float(rotations.angle(rotations.mul(rotations.inv(before), after))) <= _MEANWHILE:
             t = torch.arange(1, stop - start + 1).to(joint) / (stop - start + 1)
             ends = (before.expand(len(t), 4), after.expand(len(t), 4))
-            joint[start:stop] = rotations.slerp(*ends, t * t * (3.0 - 2.0 * t))
+            joint[start:stop] = rotations.slerp(*ends, smoothstep(t))
             return
     if not straight:
         return

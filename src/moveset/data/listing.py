@@ -5,7 +5,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
 
-from moveset.errors import FormatError, InputError
+from moveset.errors import FormatError
+from moveset.io.limits import read_limited
 
 _Listed = TypeVar("_Listed")
 
@@ -20,15 +21,13 @@ def read_listing(path: Path, read: Callable[[int, dict[str, Any]], _Listed], wha
 
     Raises:
         InputError: the file cannot be read.
-        FormatError: it is not UTF-8, or a line is damaged.
+        FormatError: it is not UTF-8, far too large, or a line is damaged.
     """
     try:
         # Not splitlines, which also parts a sentence at the line ends of Unicode.
-        lines = path.read_text(encoding="utf-8-sig").split("\n")
+        lines = read_limited(path).decode("utf-8-sig").split("\n")
     except UnicodeDecodeError:
         raise FormatError(f"{path} is not UTF-8 text; save it as UTF-8, or restore the original file") from None
-    except OSError as error:
-        raise InputError(f"cannot read {path}: {error.strerror or error}; check its permissions") from error
     found = []
     for number, line in enumerate(lines, start=1):
         if not line.strip():
@@ -38,7 +37,7 @@ def read_listing(path: Path, read: Callable[[int, dict[str, Any]], _Listed], wha
             if not isinstance(held, dict):
                 raise TypeError("it is no JSON object")
             found.append(read(number, held))
-        except (ValueError, KeyError, TypeError) as error:
+        except (ValueError, KeyError, TypeError, RecursionError) as error:
             reason = f"it has no {error.args[0]}" if isinstance(error, KeyError) else error
             remedy = "mend the line, or restore the original file"
             raise FormatError(f"{path}, line {number}: not {what} ({reason}); {remedy}") from error

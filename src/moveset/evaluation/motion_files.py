@@ -8,15 +8,16 @@ F frames, J joints; metres, Y up.
 """
 
 import hashlib
-import json
 import re
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from moveset.data.humanml3d import Caption, parse_caption
+from moveset.data.listing import read_listing
 from moveset.errors import FormatError, InputError
 from moveset.evaluation.generators import resampled
 from moveset.evaluation.samples import Item, TestSet, text_of
@@ -129,28 +130,17 @@ def _beside(path: Path) -> Caption | str:
 
 def _listed(path: Path) -> dict[str, str]:
     prompts: dict[str, str] = {}
-    try:
-        # Not splitlines: a JSON string may hold other line breaks than this one.
-        lines = read_limited(path).decode("utf-8-sig").split("\n")
-    except UnicodeDecodeError:
-        raise FormatError(f"{path} is not UTF-8 text; save it as UTF-8") from None
-    for number, line in enumerate(lines, start=1):
-        if not line.strip():
-            continue
-        try:
-            entry = json.loads(line)
-            prompt, name = entry["prompt"], str(entry.get("name", f"{number:06d}"))
-        except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
-            raise FormatError(
-                f'{path} line {number} is no JSON object with "prompt" and "name"; write one a line'
-            ) from None
+
+    def read(number: int, entry: dict[str, Any]) -> None:
+        prompt, name = entry["prompt"], str(entry.get("name", f"{number:06d}"))
         said = prompt if isinstance(prompt, list) else [prompt]
-        if not said or not all(isinstance(text, str) and text.strip() for text in said) or name in prompts:
-            raise FormatError(
-                f"{path} line {number}: a prompt, a text or a list of texts, is needed for each name; name every "
-                "motion once"
-            )
+        if not said or not all(isinstance(text, str) and text.strip() for text in said):
+            raise TypeError("its prompt is neither a text nor a list of texts")
+        if name in prompts:
+            raise ValueError(f"{name!r} was named before")
         prompts[name] = then([text.strip() for text in said])
+
+    read_listing(path, read, 'a JSON object with "prompt" and "name"')
     return prompts
 
 

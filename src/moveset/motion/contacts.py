@@ -4,7 +4,7 @@ import torch
 from torch import Tensor
 
 from moveset.motion.skeleton import Skeleton
-from moveset.motion.smoothing import gaussian_smooth, spans
+from moveset.motion.smoothing import gaussian_smooth, smoothstep, spans
 
 TOE_HEIGHT = 0.05
 ANKLE_HEIGHT = 0.12
@@ -64,8 +64,7 @@ def leg_share(joints: Tensor, skeleton: Skeleton) -> Tensor:
 
 def off_legs(joints: Tensor, skeleton: Skeleton) -> Tensor:
     """How far (F,), 0 to 1, somebody is off the legs, as who sits, kneels, lies or is upside down; of (F, J, 3)."""
-    off = ((_SURELY - leg_share(joints, skeleton)) / (_SURELY - _CARRYING)).clamp(0.0, 1.0)
-    return off * off * (3.0 - 2.0 * off)
+    return smoothstep(((_SURELY - leg_share(joints, skeleton)) / (_SURELY - _CARRYING)).clamp(0.0, 1.0))
 
 
 def _ankle_and_knee(skeleton: Skeleton, foot: int) -> list[int]:

@@ -23,6 +23,11 @@ def gaussian_smooth(x: Tensor, sigma: float) -> Tensor:
     return torch.nn.functional.conv1d(x[index].mT[:, None], kernel)[:, 0].mT
 
 
+def smoothstep(x: Tensor) -> Tensor:
+    """From 0 at 0 to 1 at 1, with flat ends: 3 x² - 2 x³."""
+    return x * x * (3.0 - 2.0 * x)
+
+
 def spans(marks: Tensor) -> list[tuple[int, int]]:
     """First and one-past-last frame of every run of set frames of (F,) bool."""
     nothing = marks.new_zeros(1).int()
