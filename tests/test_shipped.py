@@ -212,16 +212,25 @@ def test_a_stream_of_half_a_minute(tmp_path, monkeypatch, capsys):
     assert len(load(tmp_path / "take.bvh")) == 600
 
 
+def told_in_turn(*told, seeds=SEEDS):
+    """Motions of the default network's streams by seed and sentence; ``told`` is sentences and their segments."""
+    bundle = ModelFolder.open(DEFAULT_STREAM, StreamConfig)
+    group = StreamBatch(bundle, check_stream(bundle.config).settings, device="cpu")
+    lanes, made = [group.open(told[0][0], seed) for seed in seeds], []
+    for prompt, segments in told:
+        for lane in lanes:
+            group.prompt(lane, prompt)
+        pieces = [group.step(lanes) for _ in range(segments)]
+        made.append([[piece.motion for piece in lane] for lane in zip(*pieces, strict=True)])
+    return list(zip(*made, strict=True))
+
+
 def test_a_stream_walks_and_then_waves():
     walked, lifted = [], []
-    for seed in SEEDS:
-        stream = MotionStream.from_pretrained(prompt="a person walks forward", seed=seed, device="cpu")
-        walk = [next(stream).motion for _ in range(4)]
-        stream.prompt("a person waves with both hands")
-        wave = [next(stream).motion for _ in range(4)][1:]
+    for walk, wave in told_in_turn(("a person walks forward", 4), ("a person waves with both hands", 4)):
         start, end = walk[0].root[0], walk[-1].root[-1]
         walked.append(float((end - start)[[0, 2]].norm()))
-        joints = [motion.joints for motion in wave]
+        joints = [motion.joints for motion in wave[1:]]
         wrists, neck = ([j[:, k, 1] for j in joints] for k in (slice(20, 22), 12))
         lifted.append(max(float((w.amin(1) - n).max()) for w, n in zip(wrists, neck, strict=True)))
     assert sorted(walked)[len(SEEDS) // 2] > 0.5 * PACE * 5.6, walked
@@ -230,25 +239,16 @@ def test_a_stream_walks_and_then_waves():
 
 def test_who_walks_goes_on_walking():
     """For two minutes: in that time an earlier student fell into a shuffle and stayed in it."""
-    bundle = ModelFolder.open(DEFAULT_STREAM, StreamConfig)
-    group = StreamBatch(bundle, check_stream(bundle.config).settings, device="cpu")
-    lanes = [group.open("a person walks", seed) for seed in range(4)]
-    made = [group.step(lanes) for _ in range(86)]
-    for k in range(len(lanes)):
-        root = torch.cat([pieces[k].motion.root for pieces in made[-8:]])[:, [0, 2]]
+    for [walk] in told_in_turn(("a person walks", 86), seeds=range(2)):
+        root = torch.cat([motion.root for motion in walk[-8:]])[:, [0, 2]]
         pace = (root[20:] - root[:-20]).norm(dim=-1)  # m/s, at 20 frames a second
-        assert pace.mean() > 0.5 * PACE, (k, float(pace.mean()))
+        assert pace.mean() > 0.5 * PACE, float(pace.mean())
 
 
 def test_a_stream_sits_down_and_stands_up_again():
     """Each within two segments, for most seeds."""
-    down, up = [], []
-    for seed in SEEDS:
-        stream = MotionStream.from_pretrained(prompt="a person stands still", seed=seed, device="cpu")
-        next(stream)
-        for prompt, found in (("a person sits down", down), ("a person stands up", up)):
-            stream.prompt(prompt)
-            found.append([hips(next(stream).motion) for _ in range(2)][-1])
+    made = told_in_turn(("a person stands still", 1), ("a person sits down", 2), ("a person stands up", 2))
+    down, up = ([hips(lane[k][-1]) for lane in made] for k in (1, 2))
     assert sum(height < 0.7 for height in down) >= 4, down
     assert sum(height > 0.8 for height in up) >= 4, up
 
