@@ -46,6 +46,19 @@ def test_sources_are_called_as_one_likes(corpus, tmp_path):
     assert "a-b-0.png" in {path.name for path in write_sheets(opened, tmp_path / "sheets", count=1)}
 
 
+def test_a_folder_says_what_it_holds_and_lacks(corpus, tmp_path, capsys):
+    assert main(["data", "export", str(corpus), str(tmp_path / "data"), "--json"]) == 0
+    made = json.loads(capsys.readouterr().out)
+    info = ["data", "info", str(tmp_path / "data")]
+    assert main([*info, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == {**made, "missing": []}
+    (tmp_path / "data" / "Std.npy").unlink()
+    assert main([*info, "--captions", "1"]) == 0
+    out = capsys.readouterr().out
+    assert f"{made['clips']} motions of the {made['layout']} kind" in out
+    assert "Std.npy missing; restore what trainings and evaluations need" in out
+
+
 def test_a_damaged_report_is_said(corpus, tmp_path, capsys):
     (tmp_path / corpus.name).symlink_to(corpus)
     (tmp_path / f"{corpus.name}.report.json").write_text("{")

@@ -222,11 +222,15 @@ def _folder_info(folder: Path, captions: int, json: bool) -> int:
 
     data = HumanML3D.open(folder)
     splits = {name: len(names) for name, names in data.splits.items()}
+    missing = [name for name in ("Mean.npy", "Std.npy") if not (folder / name).is_file()]
     if json:
-        print(jsonlib.dumps({"folder": str(folder), "layout": data.layout.name, "clips": len(data), "splits": splits}))
+        found = {"folder": str(folder), "layout": data.layout.name, "clips": len(data), "splits": splits}
+        print(jsonlib.dumps({**found, "missing": missing}))
         return 0
     print(f"{folder}: {len(data)} motions of the {data.layout.name} kind ({data.layout.features} features)")
     print("  " + ", ".join(f"{name} {count}" for name, count in splits.items()))
+    if missing:
+        print(f"  {' and '.join(missing)} missing; restore what trainings and evaluations need")
     for name in data.names[:captions]:
         for caption in data.captions(name)[:captions]:
             print(f"        {name}: {caption.text}")
