@@ -36,10 +36,19 @@ def test_overview_names_every_verb(capsys):
     assert all(f"  {verb}" in out for verb in VERBS)
 
 
-@pytest.mark.parametrize("verb", ["generate", "convert", "models", "doctor", "train"])
-def test_every_verb_explains_itself(verb, capsys):
-    assert main([verb, "--help"]) == 0
-    assert f"moveset {verb}" in capsys.readouterr().out
+@pytest.mark.parametrize("verb", [*VERBS, "data build", "data info", "data export", "data import-evaluator"])
+def test_every_verb_explains_itself_in_words_for_people(verb, capsys):
+    assert main([*verb.split(), "--help"]) == 0
+    out = capsys.readouterr().out
+    assert f"moveset {verb}" in out
+    assert "None" not in out
+
+
+def test_options_that_may_be_left_out_say_what_they_take(capsys):
+    assert main(["train", "--help"]) == 0
+    out = capsys.readouterr().out
+    for option in ("--steps INT", "--vae PATH", "--tensorboard {True,False}", "--precision {auto,32-true,bf16-mixed}"):
+        assert option in out
 
 
 @pytest.mark.parametrize(

@@ -11,13 +11,14 @@ import contextlib
 import difflib
 import functools
 import importlib
+import inspect
 import io
 import os
 import re
 import sys
 import warnings
 from collections.abc import Callable, Sequence
-from typing import Any, cast
+from typing import Annotated, Any, cast, get_args, get_origin
 
 from moveset.errors import InputError, exit_code_of
 
@@ -116,7 +117,27 @@ def _deferred(function: Command) -> Callable[..., Callable[[], Any]]:
     def bind(*args: Any, **kwargs: Any) -> Callable[[], Any]:
         return functools.partial(function, *args, **kwargs)
 
+    signature = inspect.signature(function, eval_str=True)
+    options = [one.replace(annotation=_without_none(one.annotation)) for one in signature.parameters.values()]
+    bind.__signature__ = signature.replace(parameters=options)  # type: ignore[attr-defined]
+    bind.__annotations__ = {one.name: one.annotation for one in options}
+    del bind.__wrapped__  # type: ignore[attr-defined]
     return bind
+
+
+def _without_none(hint: Any) -> Any:
+    """The annotation of an option that may be left out, whose help does not offer None, nor call it a default."""
+    from tyro.conf import arg
+
+    plain, *said = get_args(hint) if get_origin(hint) is Annotated else (hint,)
+    if type(None) not in get_args(plain):
+        return hint
+    names = []
+    for kind in get_args(plain):
+        choices = (True, False) if kind is bool else get_args(kind)
+        names.append(f"{{{','.join(map(str, choices))}}}" if choices else kind.__name__.upper())
+    metavar = "|".join(name for name in names if name != "NONETYPE")
+    return Annotated[plain, arg(metavar=metavar, help_behavior_hint=""), *said]
 
 
 def _one_line(box: str) -> str:
