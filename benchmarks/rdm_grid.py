@@ -64,8 +64,8 @@ class Variant:
 
     @property
     def overlaps(self) -> bool:
-        """Whether segments are sampled by a staircase, not one after the other."""
-        return self.what == "rdm-7" or "overlapping=true" in self.settings
+        """Whether segments are sampled by a staircase, not one after the other; students are by both."""
+        return self.what == "rdm-7"
 
 
 # Aligned as published, and told of no sides, which nothing here reads off a sentence.
@@ -106,7 +106,7 @@ VARIANTS = {
         for teacher in ("entangled", "entangled-identity")
         for k in (1, 2, 4)
     },
-    # The same, told the segment before as a staircase has it, each a step behind; in one evaluation it is finished.
+    # The same, taught with the segment before as a staircase has it; in one evaluation it is finished.
     **{
         f"{teacher}-pcm-{k}-overlapping": Variant(
             what="rdm-student", base=f"{teacher}-pcm-{k}", teacher=teacher,
@@ -126,11 +126,13 @@ class Point:
     start: int
     shape: str = "parallelogram"
     variance: str = ""  # of DDPM; "" is DDIM
+    overlapping: bool = False  # of a student
 
     @property
     def name(self) -> str:
         """In files."""
-        return f"K{self.steps}-R{self.start}-{self.shape}{'-' if self.variance else ''}{self.variance}"
+        more = [self.variance] * bool(self.variance) + ["overlapping"] * self.overlapping
+        return "-".join([f"K{self.steps}", f"R{self.start}", self.shape, *more])
 
     def settings(self, overlaps: bool) -> dict[str, Any]:
         """Of the sampler."""
@@ -139,10 +141,10 @@ class Point:
 
 
 def points(variant: Variant, steps: Sequence[int], late: Sequence[int] = LATE) -> Iterator[Point]:
-    """Those of a variant at these K, and R of K = 1000; a student has one of its own."""
+    """Those of a variant at these K, and R of K = 1000; a student has its own, and what it makes by a staircase."""
     if variant.teacher:
         count = int(variant.network.removeprefix("pcm-"))
-        yield Point(count, count)
+        yield from (Point(count, count, overlapping=overlapping) for overlapping in (False, True)[: min(count, 2)])
         return
     for k in steps:
         variances = ("posterior", "beta") if k == 1000 else ("",)
@@ -193,7 +195,7 @@ def measure(name: str, seed: int, point: Point, given: argparse.Namespace) -> No
     print(f"rdm_grid: measuring {key}", file=sys.stderr, flush=True)
     settings = point.settings(variant.overlaps)
     if variant.teacher:
-        settings = {"lag": 1} if variant.overlaps else {}
+        settings = {"lag": 1} if point.overlapping else {}
     config = replace(
         common(given), model=str(given.out / "models" / f"{name}.{seed}"), network=variant.network, steps=point.steps,
         settings=tuple(settings.items()), name=key,
@@ -235,6 +237,8 @@ def gather(out: Path) -> dict[str, Any]:
         whole = rows.get((name, steps, steps, lag, shape, variance), {})
         base = VARIANTS[name].base
         base_lag = steps if base and not VARIANTS[base].overlaps else 1
+        if VARIANTS[name].teacher:
+            base_lag = lag
         first = next(iter(seeds.values()))
         curves.append(
             {
@@ -263,7 +267,8 @@ def draw(found: dict[str, Any], metric: str, label: str, path: Path) -> None:
 
     def sampler(curve: dict[str, Any]) -> tuple[str, int, str]:
         variant = VARIANTS[curve["variant"]]
-        student = ("overlapping student, " if variant.overlaps else "student, ") if variant.teacher else ""
+        taught = "student taught to overlap, " if "overlapping=true" in variant.settings else "student, "
+        student = taught + "overlapping, " * (curve["lag"] < curve["K"]) if variant.teacher else ""
         return student, curve["K"], curve["variance"]
 
     samplers = sorted({sampler(curve) for curve in found["curves"]})
@@ -362,7 +367,8 @@ def main() -> None:
         for base, words in (("minus_whole", "R = K"), ("minus_base", row["base"])):
             if less := row[base]:
                 values.append(f"fid less that of {words} {Interval.from_json(less['fid']).format()}")
-        sampler = Point(row["K"], row["R"], row["shape"], row["variance"]).name
+        overlapping = bool(VARIANTS[row["variant"]].teacher) and row["lag"] < row["K"]
+        sampler = Point(row["K"], row["R"], row["shape"], row["variance"], overlapping).name
         print(f"{row['variant']:24} {sampler:32} {row['calls']:5} calls  {'  '.join(values)}  ({len(row['seeds'])})")
 
 

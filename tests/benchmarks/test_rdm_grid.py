@@ -64,7 +64,12 @@ def test_every_point_of_the_paper_is_there_once(grid):
     assert [p.name for p in grid.points(grid.VARIANTS["md"], (10, 1000))] == [
         "K10-R10-parallelogram", "K1000-R1000-parallelogram-posterior", "K1000-R1000-parallelogram-beta"
     ]  # fmt: skip
-    assert [p.steps for p in grid.points(grid.VARIANTS["entangled-pcm-4-overlapping"], grid.STEPS)] == [4]
+    for variant, names in (
+        ("entangled-pcm-1", ["K1-R1-parallelogram"]),
+        ("entangled-pcm-4", ["K4-R4-parallelogram", "K4-R4-parallelogram-overlapping"]),
+        ("entangled-pcm-4-overlapping", ["K4-R4-parallelogram", "K4-R4-parallelogram-overlapping"]),
+    ):
+        assert [p.name for p in grid.points(grid.VARIANTS[variant], grid.STEPS)] == names
 
 
 def test_a_student_is_trained_after_its_teacher_and_exported_with_it(grid, tmp_path, monkeypatch):

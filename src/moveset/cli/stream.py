@@ -78,8 +78,8 @@ def stream(
         steps: Evaluations a segment takes: picks a student, or sets the sampler of --network rdm or md.
         guidance: How strongly the text is followed (w); by default the model's own choice.
         start: --network rdm: steps that later segments are denoised for; the rest is inherited from their neighbour.
-        lag: --network rdm, and students trained to overlap: steps that a segment is behind the one before it. All of
-            its steps: each waits for a finished predecessor, and a new prompt shows with the next segment. Fewer:
+        lag: --network rdm, and students of several evaluations: steps that a segment is behind the one before it. All
+            of its steps: each waits for a finished predecessor, and a new prompt shows with the next segment. Fewer:
             segments overlap.
         past_lag: --network rdm, where segments wait for each other: steps that the finished one is told to be ahead.
         seed: The same seed gives the same bytes.

@@ -129,7 +129,7 @@ def check_stream(
         network: a denoiser of the folder; by default the model's choice.
         steps: K, for networks that are no students; without ``network`` it may also name a student by its steps.
         start: R, for networks that see a noisy predecessor and are no students.
-        lag: for networks that see a noisy predecessor: a student does that was trained with ``overlapping=true``.
+        lag: likewise, and for students of several evaluations.
         past_lag: for the same where lag is all of the steps: how many steps the finished segment before is told to be
             ahead, noised again to that level; all of the steps tell it clean.
         eta: 0 to 1, for networks that are no students.
