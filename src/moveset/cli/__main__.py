@@ -121,7 +121,7 @@ def _deferred(function: Command) -> Callable[..., Callable[[], Any]]:
     options = [one.replace(annotation=_without_none(one.annotation)) for one in signature.parameters.values()]
     bind.__signature__ = signature.replace(parameters=options)  # type: ignore[attr-defined]
     bind.__annotations__ = {one.name: one.annotation for one in options}
-    del bind.__wrapped__  # type: ignore[attr-defined]
+    del bind.__wrapped__  # type: ignore[attr-defined]  # whose signature would be read instead
     return bind
 
 
@@ -133,11 +133,10 @@ def _without_none(hint: Any) -> Any:
     if type(None) not in get_args(plain):
         return hint
     names = []
-    for kind in get_args(plain):
+    for kind in (kind for kind in get_args(plain) if kind is not type(None)):
         choices = (True, False) if kind is bool else get_args(kind)
         names.append(f"{{{','.join(map(str, choices))}}}" if choices else kind.__name__.upper())
-    metavar = "|".join(name for name in names if name != "NONETYPE")
-    return Annotated[plain, arg(metavar=metavar, help_behavior_hint=""), *said]
+    return Annotated[plain, arg(metavar="|".join(names), help_behavior_hint=""), *said]
 
 
 def _one_line(box: str) -> str:

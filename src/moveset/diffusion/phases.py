@@ -96,7 +96,7 @@ class PhaseGrid:
         return self._edge(self.phase(i) + 1)
 
     def below(self, t: Tensor) -> Tensor:
-        """The lower edge of the phase that times t, of any solver, lie in or above which they end; 0 of 0.
+        """The highest edge below times t, which need not be solver points; 0 where there is none.
 
         >>> PhaseGrid(points=10, phases=2).below(torch.tensor([0, 1, 499, 500, 1000])).tolist()
         [0, 0, 0, 499, 499]

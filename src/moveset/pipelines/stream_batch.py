@@ -130,7 +130,7 @@ class StreamModel:
             raise InputError(
                 f"network {settings.network!r} works on several segments of a stream at once (lag {settings.lag} of "
                 f"{settings.steps} steps); streams are grouped where a segment follows a finished one: set start and "
-                "lag to the steps, or use a student"
+                "lag to the steps"
             )
         config = bundle.config
         self.bundle, self.settings = bundle, settings

@@ -130,8 +130,8 @@ def check_stream(
         steps: K, for networks that are no students; without ``network`` it may also name a student by its steps.
         start: R, for networks that see a noisy predecessor and are no students.
         lag: likewise, and for students of several evaluations.
-        past_lag: for the same where lag is all of the steps: how many steps the finished segment before is told to be
-            ahead, noised again to that level; all of the steps tell it clean.
+        past_lag: where ``start`` may be chosen and lag is all of the steps: how many steps the finished segment before
+            is told to be ahead, noised again to that level; all of the steps tell it clean.
         eta: 0 to 1, for networks that are no students.
         variance: of the noise that is put back, "posterior" or "beta" (the larger one), where ``eta`` is above 0.
         eps_scale: factor of the predicted noise in every step, for networks that are no students: more than 1 makes
