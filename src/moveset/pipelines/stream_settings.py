@@ -261,8 +261,8 @@ def _plan(
         lag = steps if lag is None else lag
         least = 1 if of.role is Role.STUDENT else steps
         if start not in (None, steps) or not least <= lag <= steps:
-            raise InputError(f"network {network!r} begins every segment from noise, so start is its {steps} steps, and "
-                             f"lag {least} to {steps}; leave them out or choose network 'rdm'")  # fmt: skip
+            raise InputError(f"network {network!r} begins every segment from noise: its start is {steps}, and its lag "
+                             f"in {least} to {steps}; leave them out or choose network 'rdm'")  # fmt: skip
         start = steps
     eta = default_eta if eta is None else eta
     if not 0.0 <= eta <= 1.0:
