@@ -149,7 +149,15 @@ def _one_line(box: str) -> str:
     said = " ".join(lines[:rule]).split("Got errors:")[0]
     near = re.search(r"Perhaps you meant:\s+(--[\w-]+)", " ".join(lines[rule:]))
     said = " ".join(said.split()).rstrip(".") or "these arguments cannot be read"
+    said = re.sub(r"\. Expected one of \(([^)]*)\)", _choices, said)
     return f"{said} (did you mean {near[1]}?)" if near else said
+
+
+def _choices(found: re.Match[str]) -> str:
+    names = re.findall(r"'([^']*)'", found[1])
+    if "None" in names:  # of an option that may be left out, in any order
+        names = sorted(name for name in names if name != "None")
+    return f"; choose one of {', '.join(names)}"
 
 
 if __name__ == "__main__":
