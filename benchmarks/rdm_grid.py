@@ -134,17 +134,21 @@ class Point:
         more = [self.variance] * bool(self.variance) + ["overlapping"] * self.overlapping
         return "-".join([f"K{self.steps}", f"R{self.start}", self.shape, *more])
 
-    def settings(self, overlaps: bool) -> dict[str, Any]:
-        """Of the sampler."""
+    def settings(self, variant: Variant) -> dict[str, Any]:
+        """Of the sampler; a student's levels and start are its own."""
+        if variant.teacher:
+            return {"lag": 1} if self.overlapping else {}
         fresh = {"eta": 1.0, "variance": self.variance} if self.variance else {"eta": 0.0}
-        return {"start": self.start, "lag": 1 if overlaps else self.steps, "shape": self.shape, **fresh}
+        return {"start": self.start, "lag": 1 if variant.overlaps else self.steps, "shape": self.shape, **fresh}
 
 
 def points(variant: Variant, steps: Sequence[int], late: Sequence[int] = LATE) -> Iterator[Point]:
     """Those of a variant at these K, and R of K = 1000; a student has its own, and what it makes by a staircase."""
     if variant.teacher:
         count = int(variant.network.removeprefix("pcm-"))
-        yield from (Point(count, count, overlapping=overlapping) for overlapping in (False, True)[: min(count, 2)])
+        yield Point(count, count)
+        if count > 1:
+            yield Point(count, count, overlapping=True)
         return
     for k in steps:
         variances = ("posterior", "beta") if k == 1000 else ("",)
@@ -193,12 +197,9 @@ def measure(name: str, seed: int, point: Point, given: argparse.Namespace) -> No
     if (given.out / "points" / f"{key}.json").is_file():
         return
     print(f"rdm_grid: measuring {key}", file=sys.stderr, flush=True)
-    settings = point.settings(variant.overlaps)
-    if variant.teacher:
-        settings = {"lag": 1} if point.overlapping else {}
     config = replace(
         common(given), model=str(given.out / "models" / f"{name}.{seed}"), network=variant.network, steps=point.steps,
-        settings=tuple(settings.items()), name=key,
+        settings=tuple(point.settings(variant).items()), name=key,
     )  # fmt: skip
     evaluate(config, given.out / "points", processes=given.repeats)
 
@@ -236,8 +237,8 @@ def gather(out: Path) -> dict[str, Any]:
         seeds = dict(sorted(rows[key].items()))
         whole = rows.get((name, steps, steps, lag, shape, variance), {})
         base = VARIANTS[name].base
-        base_lag = steps if base and not VARIANTS[base].overlaps else 1
-        if VARIANTS[name].teacher:
+        base_lag = 1 if not base or VARIANTS[base].overlaps else steps
+        if VARIANTS[name].teacher:  # as its base, by a staircase and without
             base_lag = lag
         first = next(iter(seeds.values()))
         curves.append(

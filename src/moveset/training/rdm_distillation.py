@@ -248,10 +248,8 @@ class RDMStudentTask(AdversarialTask):
         batch = self.data.val.batch(64, 0, 0).to(loop.device)
         text, w = self.data.read(batch.captions), torch.full((64,), sum(self.config.guidance) / 2).to(loop.device)
         noise = torch.randn(batch.clean.shape, generator=torch.Generator().manual_seed(0)).to(loop.device)
-        past_noise = None
-        if self.config.overlapping:
-            past_noise = self._past_noise(noise, torch.Generator().manual_seed(1))
-        bound = self._bound(batch, text, past_noise)
+        fresh = torch.Generator().manual_seed(1)
+        bound = self._bound(batch, text, self._past_noise(noise, fresh) if self.config.overlapping else None)
         noise = self.teacher.colour(noise)
         if self._reference is None:
             self._reference = bound.sample(bound.guided(w), noise, levels(25))
