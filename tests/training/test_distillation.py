@@ -105,8 +105,11 @@ def test_a_teacher_knows_the_latents_of_its_own_autoencoder(tiny_run, tmp_path):
     task, _ = tiny_run.train("teacher", tmp_path / "teacher", "model.text_dim=7", steps=1, sources=sources)
     config = task.config.model
     assert (config.tokens, config.token_dim, config.text_dim) == (1, 24, 384)
-    with pytest.raises(InputError, match=r"knows latents of 24 numbers, and .* makes some of 32; give the --vae"):
+    with pytest.raises(InputError, match=r"mld.* was trained with another vae; give the --vae .* not .*vae"):
         tiny_run.train("lcm-1", tmp_path / "lcm-1", sources={"teacher": tiny_run.runs / "mld"})
+    networks = {"teacher": "mld", "lcm-1": "lcm-1"}
+    with pytest.raises(InputError, match=r"mld.* was trained with another vae; export it with that one"):
+        exported(open_for_training(tiny_run.corpus), tiny_run.runs, tmp_path / "wrong", **networks)
 
 
 def exported(dataset, runs, out, **networks):

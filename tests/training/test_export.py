@@ -31,11 +31,13 @@ TASK = RDMConfig(codec="native", model=MODEL, flow=FLOW, grid=GridConfig(frames=
 DIP = DiPConfig(codec="native", model=DipDecoderConfig(prefix=4, frames=8, width=32, layers=1, heads=2))
 
 
-def write_run(runs, name, task, **modules):
+def write_run(runs, name, task, learned_from=None, **modules):
     """A run folder with checkpoints of steps 3 and 7; the later one holds the modules as they are."""
     for step, offset in ((3, 1.0), (7, 0.0)):
         tensors = {k: {key: value + offset for key, value in m.state_dict().items()} for k, m in modules.items()}
-        checkpoint.write(runs / name, step, tensors, {"config": {"config": asdict(task)}})
+        checkpoint.write(
+            runs / name, step, tensors, {"config": {"config": asdict(task), "learned_from": learned_from or {}}}
+        )
 
 
 @pytest.fixture(scope="module")
@@ -63,6 +65,9 @@ def runs(tiny_run, tmp_path_factory):
                 weight += 1e-3 * torch.randn_like(weight)
             learned = RDMStudentConfig(phases=phases, points=points, model=student.config)
             write_run(runs, f"rdm-pcm-{phases}", learned, student=rdm.student(), student_ema=student)
+        write_run(
+            runs, "of-no-flow", RDMStudentConfig(model=rdm.student().config), {"flow": ""}, student_ema=rdm.student()
+        )
     return runs
 
 
@@ -123,6 +128,7 @@ def test_students_can_be_whole_and_their_last_weights(dataset, runs, tmp_path):
         ({"rdm": "nowhere"}, {}, "no usable checkpoint"),
         ({"rdm": "rdm-7", "pcm-1": "rdm-pcm-2"}, {}, "'pcm-1' would be a student of 2 phases"),
         ({"rdm": "rdm-7", "pcm-2": "rdm-pcm-2", "pcm-4": "rdm-pcm-4"}, {}, r"grids of \[10, 20\] points"),
+        ({"rdm": "rdm-7", "pcm-1": "of-no-flow"}, {}, "of-no-flow.* was trained with another flow"),
         ({"rdm": "rdm-7"}, {"tremor": {"md": 0.4}}, "no network 'md' to steady"),
         ({"rdm": "rdm-7"}, {"guidance": {"md": 0.4}}, "no network 'md' to guide"),
     ],

@@ -5,8 +5,11 @@ import json
 import pytest
 import torch
 
+from moveset.data.dataset import open_for_training
 from moveset.training import checkpoint
 from moveset.training.engine import EngineConfig, run
+from moveset.training.trained import load_trained
+from tests.synthetic import synthetic_corpus
 from tests.training.tiny_task import TinyConfig, TinyTask, train
 
 ENGINE = EngineConfig(steps=10, save_every=5, validate_every=0, tensorboard=False, device="cpu")
@@ -51,3 +54,14 @@ def test_what_a_task_is_given_is_not_taken_from_where_it_starts(tmp_path):
     new = made[0].generator.state_dict()
     assert torch.equal(new["3.bias"], torch.full((3,), 7.0))
     torch.testing.assert_close(new["3.weight"], old["3.weight"])
+
+
+def test_what_a_training_learns_from_is_kept_and_compared(tiny_run, tmp_path):
+    tiny_run.train("rdm-student", tmp_path / "run", steps=1)
+    kept = load_trained(tmp_path / "run", "student_ema").learned_from
+    teacher = load_trained(tiny_run.runs / "rdm-7", "denoiser_ema").digest
+    flow = load_trained(tiny_run.runs / "rdm-7", "flow_ema", part="coupling_flow").digest
+    assert kept == {"corpus": open_for_training(tiny_run.corpus).fingerprint, "teacher": teacher, "flow": flow}
+    other = synthetic_corpus(tmp_path / "corpus.safetensors", clips=24, seed=1)
+    with pytest.warns(UserWarning, match="with another corpus$"):
+        tiny_run.train("rdm-student", tmp_path / "run", corpus=other, steps=2, resume=True)

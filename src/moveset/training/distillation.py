@@ -115,14 +115,10 @@ class _DistillationTask(AdversarialTask):
         require_rows(config, "trajectory_rows", "side_rows")
         teacher = load_trained(sources.teacher, "teacher_ema", loop.device)
         require_same_encoder(config, teacher)
-        self.data = LatentData(sources, config.text_encoder, config.augmentation, loop, normalised_latents(teacher))
+        loop.learned_from["teacher"] = teacher.digest
+        normalised = normalised_latents(teacher)
+        self.data = LatentData(sources, config.text_encoder, config.augmentation, loop, normalised, teacher)
         self.teacher = teacher.module
-        known, made = self.teacher.config.token_dim, self.data.train.mean.shape[-1]
-        if known != made:
-            raise InputError(
-                f"{teacher.path} knows latents of {known} numbers, and {self.data.vae.path} makes some of {made}; give "
-                "the --vae that it was trained with"
-            )
         self.student = self.teacher.student().requires_grad_(True)
         self.config = replace(config, model=self.student.config)
         self.ema = Ema(self.student, config.ema)

@@ -146,6 +146,8 @@ class Loop:
         #: Of this process's batches: each is a function of it and of the step.
         self.seed = config.seed * 64 + self.rank
         self.generators: dict[str, torch.Generator] = {}
+        #: Hashes of what the task learns from, noted by it: "corpus", "vae", "teacher", "flow" ("" for none).
+        self.learned_from: dict[str, str] = {}
         self._optimizers: dict[str, torch.optim.Optimizer] = {}
 
     def generator(self, name: str, *, device: torch.device | str = "cpu") -> torch.Generator:

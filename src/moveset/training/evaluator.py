@@ -107,6 +107,7 @@ class MovementTask(SingleNetworkTask):
 
     def __init__(self, config: MovementTrainingConfig, sources: Sources, loop: Loop) -> None:
         dataset = open_for_training(sources.corpus)
+        loop.learned_from["corpus"] = dataset.fingerprint
         codec = choose_codec(dataset, config.codec)
         self.config = config = replace(config, codec=codec.name, model=replace(config.model, features=codec.dim))
         self.store = _features(dataset, config.codec, sources.cache, loop)
@@ -163,6 +164,7 @@ class EvaluatorTask(SingleNetworkTask):
         model = replace(config.model, features=sizes.features, movement_width=sizes.width, movement_latent=sizes.latent)
         self.config = config = replace(config, codec=codec, feat_bias=movement.task["feat_bias"], model=model)
         self.dataset = open_for_training(sources.corpus)
+        loop.learned_from |= {"corpus": self.dataset.fingerprint, "teacher": movement.digest}
         self.store = _features(self.dataset, config.codec, sources.cache, loop)
         self.scale = _emphasis(self.store.normalizer, config.codec, config.feat_bias).to(loop.device)
         self.evaluator: MatchingEvaluator = config.model.build().to(loop.device)

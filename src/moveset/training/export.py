@@ -40,7 +40,7 @@ from moveset.text.words import TokenWords, Words
 from moveset.training.dip import idle_pose
 from moveset.training.reading import embedded
 from moveset.training.teacher import normalised_latents
-from moveset.training.trained import TrainedNetwork, load_trained
+from moveset.training.trained import TrainedNetwork, load_trained, require_learned_from, warn_of_another_corpus
 
 KNOWN_CAPTIONS = 2000
 _JUDGED = 256  # sentences by which it is found how near known ones a sentence of the data lies
@@ -163,6 +163,7 @@ def _common(
         "far_prompt": familiarity_limit(dataset, known, pooled, encoder),
         "provenance": {"data": dataset.describe(), **steps},
     }
+    warn_of_another_corpus(found.values(), dataset)
     store = FeatureStore.cached(dataset, codec.name, cache)
     features = {"feature_mean": store.normalizer.mean, "feature_std": store.normalizer.std}
 
@@ -181,6 +182,8 @@ def _clips(
     what: Export, dataset: Dataset, found: Mapping[str, TrainedNetwork], runs: Path, cache: Path, out: Path
 ) -> Path:
     vae, teacher, points = found["vae"], found["teacher"], _one_grid(found)
+    for network in found.values():
+        require_learned_from(network, "vae", vae.digest, f"export it with that one, not with {vae.path}")
     task = {**teacher.task, "codec": vae.task["codec"]}
     fields, store, save = _common(what, dataset, task, found, cache, out)
     path = cache / f"latents-{vae.digest[:12]}-train.safetensors"
@@ -209,8 +212,12 @@ def _stream(
     modules = {name: network.module for name, network in found.items()}
     for name, value in what.tremor.items():
         modules[name].config = replace(modules[name].config, tremor=value)
+    digest = ""
     if rdm.task["flow"] is not None:
-        modules[FLOW] = load_trained(runs / what.runs[RDM], "flow_ema", part="coupling_flow").module
+        flow = load_trained(runs / what.runs[RDM], "flow_ema", part="coupling_flow")
+        modules[FLOW], digest = flow.module, flow.digest
+    for network in found.values():
+        require_learned_from(network, "flow", digest, f"export it with its teacher, not with {rdm.path}")
     points = _one_grid(found)
     fields, _, save = _common(what, dataset, rdm.task, found, cache, out)
     sampling = {**what.sampling}

@@ -39,6 +39,7 @@ class LengthTask(SingleNetworkTask):
 
     def __init__(self, config: LengthConfig, sources: Sources, loop: Loop) -> None:
         dataset = open_for_training(sources.corpus)
+        loop.learned_from["corpus"] = dataset.fingerprint
         self.train, self.val = _pairs(dataset, "train"), _pairs(dataset, "val")
         captions = [text for texts, _ in self.train + self.val for text in texts]
         with loop.fabric.rank_zero_first():

@@ -112,16 +112,19 @@ class RDMStudentTask(AdversarialTask):
             raise InputError("overlapping tells noisy pasts of its own; leave context_noise_rollout out")
         teacher = load_trained(sources.teacher, "denoiser_ema", loop.device)
         require_same_encoder(config, teacher)
+        loop.learned_from["teacher"] = teacher.digest
         self.teacher = teacher.module
         if not isinstance(self.teacher, SegmentTransformer):
             raise InputError(
                 f"{teacher.path} holds a {teacher.kind}; only a segment_transformer teaches streams: give another "
                 "--teacher"
             )
-        flow = None
+        flow, loop.learned_from["flow"] = None, ""
         if teacher.task["flow"] is not None:
+            found = load_trained(sources.teacher, "flow_ema", loop.device, part="coupling_flow")
+            loop.learned_from["flow"] = found.digest
             # Without dropout both modes compute the same, but cuDNN differentiates LSTMs in training's alone.
-            flow = load_trained(sources.teacher, "flow_ema", loop.device, part="coupling_flow").module.train()
+            flow = found.module.train()
         self.transport = Transport(flow, teacher.task["depth_cap"])
         if config.heading_change and not self.teacher.config.heading_change:
             raise InputError("heading_change is for a teacher that was trained with heading_change; leave it out")

@@ -4,7 +4,7 @@ NAME.safetensors             parameters and buffers of each trained module and a
 optimizer_NAME.safetensors   moments of each optimiser, named PARAMETER/KEY
 rng.safetensors              generators and task tensors, named RANK/torch, …/cuda, …/generator/NAME, …/task/KEY
 state.json                   step, world size, optimiser groups and scalars, task scalars by rank, versions
-config.json                  {"task": NAME, "config": {…}, "engine": {…}}
+config.json                  {"task": NAME, "config": {…}, "engine": {…}, "learned_from": {WHAT: HASH}}
 """
 
 import dataclasses
@@ -158,7 +158,8 @@ def _write(task: "Task", loop: "Loop", folder: Path, step: int, ranks: list[dict
 
 def _config(task: "Task", loop: "Loop") -> dict[str, Any]:
     """As JSON, so that it compares equal to what is read back."""
-    config = {"task": task.name, "config": dataclasses.asdict(task.config), "engine": dataclasses.asdict(loop.config)}
+    parts = {"config": dataclasses.asdict(task.config), "engine": dataclasses.asdict(loop.config)}
+    config = {"task": task.name, **parts, "learned_from": loop.learned_from}
     return json.loads(json.dumps(config, default=str))
 
 
@@ -171,6 +172,9 @@ def _warn_of_changes(old: dict[str, Any], new: dict[str, Any], path: Path) -> No
                 changes.append(f"{key} {before!r} -> {after!r}")
     if changes:
         warnings.warn(f"resuming {path} with other settings: {'; '.join(changes)}", stacklevel=4)
+    known = old.get("learned_from", {})
+    if others := [what for what, digest in new["learned_from"].items() if known.get(what, digest) != digest]:
+        warnings.warn(f"resuming {path} with another {', another '.join(others)}", stacklevel=4)
 
 
 def _rank_state(task: "Task", loop: "Loop") -> dict[str, Tensor]:

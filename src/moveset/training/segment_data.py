@@ -39,6 +39,7 @@ class SegmentData:
 
     def _open(self, sources: Sources, config: Any, loop: Loop) -> EmbeddingCache:
         dataset = open_for_training(sources.corpus)
+        loop.learned_from["corpus"] = dataset.fingerprint
         codec = choose_codec(dataset, config.codec)
         store = FeatureStore.cached(dataset, codec.name, sources.cache, loop.rank == 0, loop.config.workers)
         self.codec, self.normalizer = codec, store.normalizer

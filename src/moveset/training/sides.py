@@ -43,6 +43,7 @@ class SidesTask(SingleNetworkTask):
 
     def __init__(self, config: SidesConfig, sources: Sources, loop: Loop) -> None:
         dataset = open_for_training(sources.corpus)
+        loop.learned_from["corpus"] = dataset.fingerprint
         codec = choose_codec(dataset, "auto").name
         with loop.fabric.rank_zero_first():
             store = FeatureStore.cached(dataset, codec, sources.cache, loop.rank == 0, loop.config.workers)

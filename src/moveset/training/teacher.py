@@ -26,7 +26,7 @@ from moveset.training.reading import embedded, read_captions, told_sides
 from moveset.training.segment_losses import placed
 from moveset.training.single_network import NetworkConfig, SingleNetworkTask
 from moveset.training.tasks import Sources
-from moveset.training.trained import TrainedNetwork, load_trained
+from moveset.training.trained import TrainedNetwork, load_trained, require_learned_from, warn_of_another_corpus
 
 Weight = Literal["eps", "v"]
 
@@ -69,11 +69,20 @@ class LatentData:
     """Latents and embedded captions of both splits, each made once and kept in the cache folder."""
 
     def __init__(
-        self, sources: Sources, text_encoder: str, augmentation: TextAugmentation, loop: Loop, normalised: bool
+        self,
+        sources: Sources,
+        text_encoder: str,
+        augmentation: TextAugmentation,
+        loop: Loop,
+        normalised: bool,
+        teacher: TrainedNetwork | None = None,
     ) -> None:
         self.augmentation = augmentation
         self.seed, self.device = loop.seed, loop.device
-        self.vae = load_trained(sources.vae, "vae_ema", loop.device)
+        self.vae = vae = load_trained(sources.vae, "vae_ema", loop.device)
+        if teacher is not None:
+            hint = f"give the --vae that it was trained with, not {vae.path}"
+            require_learned_from(teacher, "vae", vae.digest, hint)
         # Whoever comes first makes the caches; the other processes open them.
         with loop.fabric.rank_zero_first():
             self._open(sources, text_encoder, loop)
@@ -82,6 +91,8 @@ class LatentData:
 
     def _open(self, sources: Sources, text_encoder: str, loop: Loop) -> None:
         dataset, vae, there = open_for_training(sources.corpus), self.vae, loop.device
+        loop.learned_from |= {"corpus": dataset.fingerprint, "vae": vae.digest}
+        warn_of_another_corpus([vae], dataset)
         store = FeatureStore.cached(dataset, vae.task["codec"], sources.cache, loop.rank == 0, loop.config.workers)
         self.codec, self.normalizer = get_codec(vae.task["codec"]), store.normalizer
         latents = f"{sources.cache}/latents-{vae.digest[:12]}-{{}}.safetensors"

@@ -1,12 +1,15 @@
 """Trained networks as the next stage uses them: in evaluation mode, without gradients, known by their weights' hash."""
 
-from dataclasses import dataclass
+import warnings
+from collections.abc import Iterable
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import torch
 from torch import nn
 
+from moveset.data.dataset import Dataset
 from moveset.errors import InputError
 from moveset.models.registry import build_model
 from moveset.training import checkpoint
@@ -22,6 +25,7 @@ class TrainedNetwork:
         task: the configuration of its training.
         digest: sha256 of its weights file.
         path: the checkpoint it is from.
+        learned_from: hashes of what its training was given, by ``Loop.learned_from``; those of older ones have none.
     """
 
     module: Any
@@ -30,12 +34,26 @@ class TrainedNetwork:
     task: dict[str, Any]
     digest: str
     path: Path
+    learned_from: dict[str, str] = field(default_factory=dict)
 
 
 def require_same_encoder(config: Any, teacher: TrainedNetwork) -> None:
     """Raises InputError for a student's task that reads sentences by another text encoder than its teacher."""
     if config.text_encoder != (known := teacher.task["text_encoder"]):
         raise InputError(f"{teacher.path} knows sentences as {known!r} encodes them; set text_encoder to that")
+
+
+def require_learned_from(network: TrainedNetwork, what: str, of: str, hint: str) -> None:
+    """Raises InputError for a network that is known to be of another ``what`` ("vae", "flow") than the one hashed."""
+    if network.learned_from.get(what, of) != of:
+        raise InputError(f"{network.path} was trained with another {what}; {hint}")
+
+
+def warn_of_another_corpus(networks: Iterable[TrainedNetwork], dataset: Dataset) -> None:
+    """Features are scaled by a corpus's own statistics, so a network that is known to be of another sees them askew."""
+    here = dataset.fingerprint
+    if others := [str(network.path) for network in networks if network.learned_from.get("corpus", here) != here]:
+        warnings.warn(f"trained on another corpus than this one: {', '.join(others)}", stacklevel=3)
 
 
 def load_trained(path: Path, name: str, device: torch.device | str = "cpu", part: str = "") -> TrainedNetwork:
@@ -50,9 +68,11 @@ def load_trained(path: Path, name: str, device: torch.device | str = "cpu", part
         FormatError: it is damaged.
     """
     step = checkpoint.resolve(path)
-    task = checkpoint.read_document(step, "config")["config"]
+    document = checkpoint.read_document(step, "config")
+    task = document["config"]
     kind, config = (part, task[name.split("_")[0]]) if part else (task["kind"], task["model"])
     module: nn.Module = build_model(kind, config)
     checkpoint.load_module(module, step, name)
     digest = checkpoint.read_document(step, "manifest")["files"][f"{name}.safetensors"]["sha256"]
-    return TrainedNetwork(module.eval().requires_grad_(False).to(device), kind, config, task, digest, step)
+    module = module.eval().requires_grad_(False).to(device)
+    return TrainedNetwork(module, kind, config, task, digest, step, document.get("learned_from", {}))

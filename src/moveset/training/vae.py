@@ -71,6 +71,7 @@ class VAETask(SingleNetworkTask):
 
     def __init__(self, config: VAETrainingConfig, sources: Sources, loop: Loop) -> None:
         dataset = open_for_training(sources.corpus)
+        loop.learned_from["corpus"] = dataset.fingerprint
         self.codec = codec = choose_codec(dataset, config.codec)
         native = codec.name == "native"
         loss = ("kinematic" if native else "published") if config.loss == "auto" else config.loss
@@ -140,6 +141,7 @@ class DecoderTask(VAETask):
 
     def __init__(self, config: VAETrainingConfig, sources: Sources, loop: Loop) -> None:
         found = load_trained(sources.vae, "vae_ema", loop.device)
+        loop.learned_from["vae"] = found.digest
         if not isinstance(found.module.config, TimedVAEConfig):
             raise InputError(f"{found.path} holds a {found.kind}; only the decoder of a timed_vae can be trained on")
         super().__init__(replace(config, model=found.module.config, codec=found.task["codec"]), sources, loop)
