@@ -1,6 +1,7 @@
 import subprocess
 import sys
-from dataclasses import dataclass, field
+from contextlib import nullcontext
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import pytest
@@ -8,6 +9,8 @@ import pytest
 from moveset.errors import InputError
 from moveset.evaluation.suites import get_suite
 from moveset.recipes import small
+from moveset.training.engine import run
+from moveset.training.pipeline import Place
 from moveset.training.tasks import (
     TASKS,
     VARIANTS,
@@ -113,6 +116,25 @@ def test_unknown_names_are_refused():
             task_maker("vae", with_settings(load_recipe("tiny", "vae").task, [setting]), nowhere)
     with pytest.raises(InputError, match="no recipe 'huge'"):
         load_recipe("huge", "vae")
+
+
+@pytest.mark.parametrize(
+    ("what", "setting", "message"),
+    [
+        ("lcm-1", "adversarial=0.2", "'adversarial=0.2' is no setting of 'lcm-1'; leave it out"),
+        ("rdm-student", "frames=9", "'frames=9' is no setting of 'rdm-student': there it is 28, by what it stands on"),
+        ("evaluator", "feat_bias=3.5", "no setting of 'evaluator': there it is"),
+        ("length", "model.text_dim=9", "no setting of 'length': there it is 384"),
+        ("length", "lr=0.5", ""),
+        ("vae", "codec=auto", ""),
+    ],
+)
+def test_settings_that_would_do_nothing_are_refused(tiny_run, tmp_path, what, setting, message):
+    recipe, sources = load_recipe("tiny", what), Place(data=tiny_run.corpus, out=tiny_run.folder).sources(what)
+    maker = task_maker(what, with_settings(recipe.task, [setting]), sources, [setting])
+    engine = replace(recipe.engine, steps=1, validate_every=0)
+    with pytest.raises(InputError, match=message) if message else nullcontext():
+        run(maker, engine, tmp_path / "run")
 
 
 @pytest.mark.parametrize("recipe", ["small", "paper"])

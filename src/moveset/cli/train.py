@@ -133,7 +133,7 @@ def train(
     sources = TASKS[what].sources(corpus, runs)
     sources = replace(sources, vae=vae or sources.vae, teacher=teacher or sources.teacher)
 
-    result = run(task_maker(what, config, sources), engine, folder, resume, init)
+    result = run(task_maker(what, config, sources, set), engine, folder, resume, init)
     # torchrun says RANK; --devices tells the processes that it starts LOCAL_RANK only.
     if not int(os.environ.get("RANK") or os.environ.get("LOCAL_RANK") or 0):
         print(_summary(what, result, engine.steps), file=sys.stderr)

@@ -260,6 +260,7 @@ class LCMTask(_DistillationTask):
     """
 
     name = "lcm"
+    unused = ("adversarial", "mismatched_text", "discriminator_max_noise", "discriminator_lr")
 
     def __init__(self, config: DistillationConfig, sources: Sources, loop: Loop) -> None:
         if config.phases != 1:

@@ -80,10 +80,14 @@ class EngineConfig:
 
 
 class Task:
-    """One trainable thing. Subclasses set ``name`` and ``config``, a frozen dataclass of JSON values."""
+    """One trainable thing. Subclasses set ``name`` and ``config``, a frozen dataclass of JSON values.
+
+    ``unused`` are fields of it that are of others that share it.
+    """
 
     name: str
     config: Any
+    unused: tuple[str, ...] = ()
 
     def modules(self) -> dict[str, nn.Module]:
         """Trained modules; each is saved as NAME.safetensors. The engine puts them in train mode before every step."""

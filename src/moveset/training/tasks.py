@@ -5,6 +5,7 @@ import difflib
 import importlib
 import json
 import math
+import operator
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import partial
@@ -149,8 +150,12 @@ def load_exports(name: str) -> "tuple[Export, ...]":
     return exports
 
 
-def task_maker(what: str, config: Any, sources: Sources) -> "Callable[[Loop], Task]":
+def task_maker(what: str, config: Any, sources: Sources, settings: Iterable[str] = ()) -> "Callable[[Loop], Task]":
     """What ``engine.run`` needs to build the task.
+
+    Args:
+        settings: those of ``with_settings`` that somebody asked for; when the task is built, one that it has no use for
+            is an InputError.
 
     Raises:
         InputError: there is no such task.
@@ -159,7 +164,18 @@ def task_maker(what: str, config: Any, sources: Sources) -> "Callable[[Loop], Ta
         raise InputError(f"{what!r} cannot be trained; choose one of {', '.join(TASKS)}")
     module, _, name = TASKS[what].target.partition(":")
     make = getattr(importlib.import_module(module), name)
-    return lambda loop: make(config, sources, loop)
+
+    def made(loop: "Loop") -> "Task":
+        task: Task = make(config, sources, loop)
+        for setting in settings:
+            path = setting.partition("=")[0]
+            asked, kept = (operator.attrgetter(path)(each) for each in (config, task.config))
+            if path in task.unused or asked not in (kept, "auto"):
+                follows = "" if path in task.unused else f": there it is {kept!r}, by what it stands on"
+                raise InputError(f"{setting!r} is no setting of {what!r}{follows}; leave it out")
+        return task
+
+    return made
 
 
 def with_settings(config: Config, settings: Iterable[str]) -> Config:
