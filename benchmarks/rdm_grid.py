@@ -6,8 +6,8 @@
 Every variant is trained with every seed for the same steps, exported, and sampled on val at every point: K = 1000 with
 both variances and DDIM, from every start R, in both shapes of the staircase. All of it can be stopped and called again:
 trainings go on where they were, and a point whose result is there is skipped. Several processes may share the work by
-``--variants``. OUT has ``runs``, ``models`` and ``points``; ``curves.json`` has means over seeds with Student's 95 %
-intervals and every seed's values, ``curves-fid.svg`` and ``curves-r3.svg`` are drawn from it.
+``--variants`` and ``--first-seed``. OUT has ``runs``, ``models`` and ``points``; ``curves.json`` has means over seeds
+with Student's 95 % intervals and every seed's values, ``curves-fid.svg`` and ``curves-r3.svg`` are drawn from it.
 """
 
 import argparse
@@ -340,6 +340,7 @@ def main() -> None:
     parser.add_argument("--recipe", choices=RECIPES, default="small")
     parser.add_argument("--variants", nargs="+", choices=VARIANTS, default=list(VARIANTS), metavar="NAME")
     parser.add_argument("--seeds", type=at_least(1), default=3, help="trainings of each variant")
+    parser.add_argument("--first-seed", type=at_least(0), default=0, help="of these; others may be made elsewhere")
     parser.add_argument("--train-steps", type=at_least(1), help="of all but students; by default the recipe's")
     parser.add_argument("--student-steps", type=at_least(1), help="of students; by default the recipe's")
     parser.add_argument("--set", action="append", default=[], help="a setting of all variants but students")
@@ -354,7 +355,8 @@ def main() -> None:
     if not given.plot:
         given.out.mkdir(parents=True, exist_ok=True)
         check_state(given)
-        for seed in range(given.seeds):  # a whole grid of one seed is worth more than half of one of three
+        # A whole grid of one seed is worth more than half of one of three.
+        for seed in range(given.first_seed, given.first_seed + given.seeds):
             for name in given.variants:
                 trained(name, seed, given)
                 for point in points(VARIANTS[name], given.steps, given.late):
