@@ -63,5 +63,6 @@ def test_what_a_training_learns_from_is_kept_and_compared(tiny_run, tmp_path):
     flow = load_trained(tiny_run.runs / "rdm-7", "flow_ema", part="coupling_flow").digest
     assert kept == {"corpus": open_for_training(tiny_run.corpus).fingerprint, "teacher": teacher, "flow": flow}
     other = synthetic_corpus(tmp_path / "corpus.safetensors", clips=24, seed=1)
-    with pytest.warns(UserWarning, match="with another corpus$"):
+    changed = pytest.warns(UserWarning, match="other settings: steps 1 -> 2$")
+    with changed, pytest.warns(UserWarning, match="with another corpus$"):
         tiny_run.train("rdm-student", tmp_path / "run", corpus=other, steps=2, resume=True)
