@@ -82,7 +82,7 @@ class EngineConfig:
 class Task:
     """One trainable thing. Subclasses set ``name`` and ``config``, a frozen dataclass of JSON values.
 
-    ``unused`` are fields of it that are of others that share it.
+    ``unused`` are fields of the configuration that this task, which shares it with another, does not read.
     """
 
     name: str

@@ -112,14 +112,14 @@ class RDMStudentTask(AdversarialTask):
             raise InputError("overlapping tells noisy pasts of its own; leave context_noise_rollout out")
         teacher = load_trained(sources.teacher, "denoiser_ema", loop.device)
         require_same_encoder(config, teacher)
-        loop.learned_from["teacher"] = teacher.digest
+        loop.learned_from |= {"teacher": teacher.digest, "flow": ""}
         self.teacher = teacher.module
         if not isinstance(self.teacher, SegmentTransformer):
             raise InputError(
                 f"{teacher.path} holds a {teacher.kind}; only a segment_transformer teaches streams: give another "
                 "--teacher"
             )
-        flow, loop.learned_from["flow"] = None, ""
+        flow = None
         if teacher.task["flow"] is not None:
             found = load_trained(sources.teacher, "flow_ema", loop.device, part="coupling_flow")
             loop.learned_from["flow"] = found.digest
